@@ -1,0 +1,48 @@
+"""Warp, started once and quietly; every module that defines or launches kernels imports ``wp`` from here.
+
+Keeping the start in one place means that ``import omtwarp`` does not pay for it and that device names are checked with
+the same words everywhere.
+"""
+
+import warp as wp
+
+from omtwarp.errors import OmtwarpError
+
+if wp.config.log_level < wp.LOG_WARNING:
+    wp.config.log_level = wp.LOG_WARNING  # no banner in a library; a caller who asked for less noise keeps it
+wp.init()
+
+# Kernels are float64 throughout: a literal 0.5 does not compile against a float64, so the constants live here.
+ZERO = wp.constant(wp.float64(0.0))
+HALF = wp.constant(wp.float64(0.5))
+ONE = wp.constant(wp.float64(1.0))
+TWO = wp.constant(wp.float64(2.0))
+THREE = wp.constant(wp.float64(3.0))
+PI = wp.constant(wp.float64(3.141592653589793))
+
+
+def resolve_device(device: str | None = "auto") -> wp.Device:
+    """Turn ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` into a Warp device.
+
+    ``auto`` (or ``None``) is the first CUDA device when there is one and the CPU otherwise.
+
+    Raises:
+        OmtwarpError: an unknown device, or CUDA asked for where there is none.
+    """
+    if device is None or device == "auto":
+        return wp.get_device("cuda:0") if wp.is_cuda_available() else wp.get_device("cpu")
+    if isinstance(device, wp.Device):
+        return device
+    name = str(device)
+    if name != "cpu" and name != "cuda" and not (name.startswith("cuda:") and name[5:].isdigit()):
+        raise OmtwarpError(f"unknown device '{name}': use auto, cpu, cuda or cuda:N")
+    if name != "cpu" and not wp.is_cuda_available():
+        raise OmtwarpError(f"device '{name}' asked for, but this machine has no usable CUDA device: use --device cpu")
+    try:
+        return wp.get_device(name)
+    except Exception as error:
+        count = wp.get_cuda_device_count()
+        raise OmtwarpError(f"device '{name}' does not exist: this machine has {count} CUDA device(s), 0 to {count - 1}") from error
+
+
+__all__ = ["HALF", "ONE", "PI", "THREE", "TWO", "ZERO", "resolve_device", "wp"]

@@ -1,0 +1,104 @@
+"""A closed triangle mesh with what every stage asks of it, worked out once and kept."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+SPHERE_AREA = 4.0 * np.pi
+
+
+class Surface:
+    """Vertices and faces as the caller gave them, and quantities derived from them.
+
+    The order of vertices and faces is the caller's. The class does not check the mesh: see
+    :func:`omtwarp.mesh.validate.require_valid`.
+
+    Attributes:
+        vertices: float64, shape [V, 3], in the units of the input.
+        faces: int32, shape [F, 3], counter-clockwise seen from outside.
+    """
+
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike):
+        self.vertices: NDArray[np.float64] = np.ascontiguousarray(vertices, dtype=np.float64)
+        self.faces: NDArray[np.int32] = np.ascontiguousarray(faces, dtype=np.int32)
+
+    def __repr__(self) -> str:
+        return f"Surface({self.vertex_count} vertices, {self.face_count} faces)"
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.vertices)
+
+    @property
+    def face_count(self) -> int:
+        return len(self.faces)
+
+    @cached_property
+    def scaled_vertices(self) -> NDArray[np.float64]:
+        """Vertices moved to their bounding box's centre and scaled so that the surface's area is 4π, shape [V, 3]."""
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        # Dividing by the extent first keeps the squares below in range at any scale of the input.
+        unit = (self.vertices - (low / 2 + high / 2)) / max(float((high / 2 - low / 2).max()), np.finfo(float).tiny)
+        area = triangle_areas(unit, self.faces).sum()
+        return unit * np.sqrt(SPHERE_AREA / area)
+
+    @cached_property
+    def face_areas(self) -> NDArray[np.float64]:
+        """Area of every triangle of the scaled surface, shape [F]; the sum is 4π."""
+        return triangle_areas(self.scaled_vertices, self.faces)
+
+    @cached_property
+    def vertex_areas(self) -> NDArray[np.float64]:
+        """A third of the (scaled) area of the triangles around every vertex, shape [V]; the sum is 4π."""
+        return self.sum_to_vertices(self.face_areas) / 3.0
+
+    def sum_to_vertices(self, per_face: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sum a number per face, shape [F], over the faces around every vertex, shape [V]."""
+        weights = np.repeat(per_face, 3)
+        return np.bincount(self.faces.ravel(), weights=weights, minlength=self.vertex_count)
+
+    @cached_property
+    def face_neighbours(self) -> NDArray[np.int32]:
+        """The face across edge (k, k+1) of every face, shape [F, 3]; -1 where there is none."""
+        return face_neighbours(self.faces, self.vertex_count)
+
+    @cached_property
+    def vertex_corners(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Corners around every vertex as compressed rows: offsets [V + 1] and corners [3F].
+
+        Corner ``c`` is corner ``c % 3`` of face ``c // 3``. Kernels gather over these rows instead of scattering with
+        atomics, so that sums at vertices have one order and the same bits on every run and every device.
+        """
+        flat = self.faces.ravel()
+        corners = np.argsort(flat, kind="stable").astype(np.int32)
+        offsets = np.zeros(self.vertex_count + 1, dtype=np.int32)
+        np.cumsum(np.bincount(flat, minlength=self.vertex_count), out=offsets[1:])
+        return offsets, corners
+
+    @cached_property
+    def edges(self) -> NDArray[np.int32]:
+        """Every undirected edge once, smaller vertex first, shape [E, 2], sorted."""
+        half = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+        keys = np.unique(half[:, 0] * self.vertex_count + half[:, 1])
+        return np.stack([keys // self.vertex_count, keys % self.vertex_count], axis=1).astype(np.int32)
+
+
+def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Area of every flat triangle, shape [F]."""
+    p0, p1, p2 = (points[faces[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
+
+
+def face_neighbours(faces: NDArray[np.int32], vertex_count: int) -> NDArray[np.int32]:
+    """The face across edge (k, k+1) of every face of an oriented manifold mesh, shape [F, 3]; -1 at a boundary."""
+    tail = faces.astype(np.int64).ravel()
+    head = np.roll(faces, -1, axis=1).astype(np.int64).ravel()
+    keys, twins = tail * vertex_count + head, head * vertex_count + tail
+    order = np.argsort(keys)
+    position = np.minimum(np.searchsorted(keys, twins, sorter=order), len(keys) - 1)
+    match = order[position]
+    found = keys[match] == twins
+    return np.where(found, match // 3, -1).astype(np.int32).reshape(faces.shape)
