@@ -1,0 +1,156 @@
+"""Warp kernels of the discrete exterior calculus on triangle meshes (paper, section 3.2 and appendices A and B).
+
+Mathematics of one triangle is in ``wp.func``s; kernels only index. Sums at vertices gather over the corners around each
+vertex, in one order, so that the same input gives the same bits.
+"""
+
+from omtwarp._warp import HALF, ONE, ZERO, wp
+
+wp.set_module_options({"enable_backward": False})
+
+TINY = wp.constant(wp.float64(1.0e-300))
+EIGHTH = wp.constant(wp.float64(0.125))
+
+
+@wp.func
+def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
+    """Unit normal of a triangle; a triangle without area has none and gives zero."""
+    n = wp.cross(b - a, c - a)
+    return n / wp.max(wp.length(n), TINY)
+
+
+@wp.func
+def hat_gradient(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
+    """Gradient of the function that is 1 at ``a`` and 0 at ``b`` and ``c``: normal to ``bc``, of length 1 / height."""
+    n = wp.cross(b - a, c - a)
+    return wp.cross(n, c - b) / wp.max(wp.dot(n, n), TINY)
+
+
+@wp.func
+def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
+    """Sum of (dual length) x (unit edge) over the two edges leaving ``a``; dotted with a field, the outflow at ``a``.
+
+    With l_c = (c / 2) cot(gamma) and l_b = (b / 2) cot(beta), the sum l_c c^ + l_b b^ of the paper's equation (23) is the
+    edge ``bc`` turned by -90 degrees and halved. It is evaluated in that form: the cotangents of a sliver are huge and
+    cancel, the turned edge is not.
+    """
+    return HALF * wp.cross(c - b, unit_normal(a, b, c))
+
+
+@wp.func
+def corner_cotangent(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
+    """Cotangent of the angle at ``a``."""
+    return wp.dot(b - a, c - a) / wp.max(wp.length(wp.cross(b - a, c - a)), TINY)
+
+
+@wp.kernel
+def gradient_kernel(
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array2d(dtype=wp.int32),
+    values: wp.array(dtype=wp.float64),
+    gradient_out: wp.array(dtype=wp.vec3d),
+):
+    f = wp.tid()
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    a, b, c = vertices[i], vertices[j], vertices[k]
+    # Differences first (equation 20): a constant then has gradient zero exactly.
+    gradient_out[f] = (values[j] - values[i]) * hat_gradient(b, c, a) + (values[k] - values[i]) * hat_gradient(c, a, b)
+
+
+@wp.kernel
+def rotate_kernel(
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array2d(dtype=wp.int32),
+    field: wp.array(dtype=wp.vec3d),
+    rotated_out: wp.array(dtype=wp.vec3d),
+):
+    f = wp.tid()
+    n = unit_normal(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
+    rotated_out[f] = wp.cross(n, field[f])
+
+
+@wp.kernel
+def divergence_kernel(
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array2d(dtype=wp.int32),
+    corner_offsets: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.int32),
+    field: wp.array(dtype=wp.vec3d),
+    flux_out: wp.array(dtype=wp.float64),
+):
+    i = wp.tid()
+    flux = wp.float64(0.0)
+    for n in range(corner_offsets[i], corner_offsets[i + 1]):
+        f = corners[n] // 3
+        s = corners[n] - 3 * f
+        b = vertices[faces[f, (s + 1) % 3]]
+        c = vertices[faces[f, (s + 2) % 3]]
+        flux += wp.dot(dual_flux_vector(vertices[i], b, c), field[f])
+    flux_out[i] = flux
+
+
+@wp.kernel
+def laplacian_kernel(
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array2d(dtype=wp.int32),
+    corner_offsets: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float64),
+    laplacian_out: wp.array(dtype=wp.float64),
+):
+    i = wp.tid()
+    total = wp.float64(0.0)
+    a = vertices[i]
+    for n in range(corner_offsets[i], corner_offsets[i + 1]):
+        f = corners[n] // 3
+        s = corners[n] - 3 * f
+        j, k = faces[f, (s + 1) % 3], faces[f, (s + 2) % 3]
+        b, c = vertices[j], vertices[k]
+        total += HALF * corner_cotangent(c, a, b) * (values[i] - values[j])
+        total += HALF * corner_cotangent(b, c, a) * (values[i] - values[k])
+    laplacian_out[i] = total
+
+
+@wp.kernel
+def voronoi_area_kernel(
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array2d(dtype=wp.int32),
+    corner_offsets: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.int32),
+    area_out: wp.array(dtype=wp.float64),
+):
+    i = wp.tid()
+    total = wp.float64(0.0)
+    a = vertices[i]
+    for n in range(corner_offsets[i], corner_offsets[i + 1]):
+        f = corners[n] // 3
+        s = corners[n] - 3 * f
+        b, c = vertices[faces[f, (s + 1) % 3]], vertices[faces[f, (s + 2) % 3]]
+        # Each edge's half-length times its dual length is twice the area of its share of the cell.
+        total += EIGHTH * (
+            wp.length_sq(b - a) * corner_cotangent(c, a, b) + wp.length_sq(c - a) * corner_cotangent(b, c, a)
+        )
+    area_out[i] = total
+
+
+@wp.kernel
+def interpolate_dual_kernel(
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array2d(dtype=wp.int32),
+    corner_offsets: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.int32),
+    field: wp.array(dtype=wp.vec3d),
+    interpolated_out: wp.array(dtype=wp.vec3d),
+):
+    i = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    weights = wp.float64(0.0)
+    a = vertices[i]
+    for n in range(corner_offsets[i], corner_offsets[i + 1]):
+        f = corners[n] // 3
+        s = corners[n] - 3 * f
+        p, q = vertices[faces[f, (s + 1) % 3]] - a, vertices[faces[f, (s + 2) % 3]] - a
+        weight = wp.length(wp.cross(p, q)) / wp.max(wp.length_sq(p) * wp.length_sq(q), TINY)
+        total += weight * field[f]
+        weights += weight
+    interpolated_out[i] = total * (ONE / wp.max(weights, TINY))

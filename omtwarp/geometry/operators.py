@@ -1,0 +1,282 @@
+"""Discrete exterior calculus on closed triangle meshes (paper, section 3.2 and appendices A and B).
+
+Every operator comes twice: as a SciPy sparse matrix, for one-off solves on the host, and as a Warp kernel behind
+:class:`DifferentialOperators`, for what is applied at each step. The two agree to round-off.
+
+Scalars live at vertices (primal 0-forms). Vector fields are constant in each triangle and live at its dual vertex, the
+circumcentre, shape [F, 3]. Vectors are those of R^3; matrices order them as rows ``3 f + d``.
+
+Misprints of the paper's appendix B, none of which affects its result:
+
+* the two gradients before equation (21) are exchanged: the gradient of phi_B is normal to the edge b = AC, hence
+  b^perp / (a sin(gamma)), and that of phi_C is c^perp / (a sin(beta)), as (21) itself uses them;
+* in (24), first line, cot(gamma) cot(alpha) should read cot(gamma) cos(alpha).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import Surface
+
+Array = NDArray[np.float64]
+_TINY = 1e-300
+
+
+def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArray[np.int64], list[Array]]:
+    points = np.asarray(vertices, dtype=np.float64)
+    triangles = np.asarray(faces, dtype=np.int64)
+    if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
+        raise OmtwarpError(f"expected vertices [V, 3] and faces [F, 3], got {points.shape} and {triangles.shape}")
+    return points, triangles, [points[triangles[:, k]] for k in range(3)]
+
+
+def face_normals(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Unit normal of every triangle, shape [F, 3], outward where faces run counter-clockwise; zero without area."""
+    _, _, (a, b, c) = _corner_points(vertices, faces)
+    n = np.cross(b - a, c - a)
+    return n / np.maximum(np.linalg.norm(n, axis=1), _TINY)[:, None]
+
+
+def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Cotangent of the angle at every corner, shape [F, 3]; negative where the angle is obtuse."""
+    _, _, p = _corner_points(vertices, faces)
+    doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), _TINY)
+    dots = [np.einsum("ij,ij->i", p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]) for k in range(3)]
+    return np.stack(dots, axis=1) / doubled[:, None]
+
+
+def dual_edge_lengths(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Signed length of each dual edge inside each triangle, shape [F, 3] (appendix B, before equation 24).
+
+    Column ``k`` belongs to the edge opposite corner ``k``: l_c = (c / 2) cot(gamma), the distance from the edge to the
+    circumcentre. It is negative where the opposite angle is obtuse and the circumcentre lies beyond the edge; the
+    sign is what keeps the identities of appendix B true for obtuse triangles (the paper writes the length |T ∩
+    e^perp| unsigned in appendix A.2, which holds for acute triangles only).
+    """
+    _, _, p = _corner_points(vertices, faces)
+    lengths = np.stack([np.linalg.norm(p[(k + 2) % 3] - p[(k + 1) % 3], axis=1) for k in range(3)], axis=1)
+    return 0.5 * lengths * corner_cotangents(vertices, faces)
+
+
+def voronoi_areas(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Circumcentric (Voronoi) cell area A_i of every vertex, shape [V] (appendix A.2); the sum is the surface's area.
+
+    Each triangle gives (|e_ij|^2 cot(k) + |e_ik|^2 cot(j)) / 8. Departure: areas are signed. In an obtuse triangle the
+    circumcentre is outside and the cells at its acute corners get negative shares, so a vertex of a badly shaped mesh
+    can have an area that is zero or negative; the sum, and the identities, stay exact. Divide by
+    :attr:`Surface.vertex_areas` (thirds) where a positive area is needed.
+    """
+    points, triangles, p = _corner_points(vertices, faces)
+    cotangents = corner_cotangents(vertices, faces)
+    areas = np.zeros(len(points))
+    squared = [np.einsum("ij,ij->i", e, e) for e in (p[2] - p[1], p[0] - p[2], p[1] - p[0])]
+    share = 0.125 * np.stack([squared[k] * cotangents[:, k] for k in range(3)], axis=1)
+    for k in range(3):  # corner k owns shares of its two edges, which lie opposite the other two corners
+        areas += np.bincount(triangles[:, k], weights=share[:, k - 1] + share[:, k - 2], minlength=len(points))
+    return areas
+
+
+def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Barycentric coordinates of every triangle's circumcentre, its dual vertex, shape [F, 3]; they sum to 1.
+
+    A coordinate is negative where the angle at that corner is obtuse (the circumcentre is outside).
+    """
+    cotangents = corner_cotangents(vertices, faces)
+    # The sum over pairs of cot cot is 1 in every triangle, so these add up to 1 without a division.
+    return 0.5 * np.stack([cotangents[:, k] * (cotangents[:, k - 1] + cotangents[:, k - 2]) for k in range(3)], axis=1)
+
+
+def circumcentres(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Circumcentre of every triangle, in its plane, shape [F, 3]: the vertices of the dual mesh (section 4.3)."""
+    _, _, p = _corner_points(vertices, faces)
+    weights = circumcentric_coordinates(vertices, faces)
+    return sum((weights[:, k, None] * p[k] for k in range(3)), np.zeros_like(p[0]))
+
+
+def _hat_gradients(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Gradients of the three hat functions of each triangle, shape [F, 3 corners, 3]."""
+    _, _, p = _corner_points(vertices, faces)
+    n = np.cross(p[1] - p[0], p[2] - p[0])
+    squared = np.maximum(np.einsum("ij,ij->i", n, n), _TINY)[:, None]
+    return np.stack([np.cross(n, p[k - 1] - p[k - 2]) / squared for k in range(3)], axis=1)
+
+
+def gradient_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
+    """Gradient of a function at vertices, constant in each triangle, as a matrix [3F, V] (appendix A.1, equation 19).
+
+    The gradient of a hat function is normal to the opposite edge and has length 1 / height. Exact on functions that are
+    linear in space (their tangential part). Rows ``3 f + d`` hold component ``d`` in triangle ``f``.
+    """
+    points, triangles, _ = _corner_points(vertices, faces)
+    hats = _hat_gradients(vertices, faces)
+    count = len(triangles)
+    rows = (3 * np.arange(count)[:, None, None] + np.arange(3)[None, None, :]).repeat(3, axis=1)
+    columns = np.broadcast_to(triangles[:, :, None], (count, 3, 3))
+    return sparse.csr_matrix((hats.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, len(points)))
+
+
+def divergence_matrix(
+    vertices: ArrayLike, faces: ArrayLike, *, integrated: bool = True, areas: ArrayLike | None = None
+) -> sparse.csr_matrix:
+    """Divergence at vertices of a field constant in each triangle, as a matrix [V, 3F] (appendix A.2).
+
+    Outflow through the boundary of the Voronoi cell: the sum over edges and their two triangles of
+    V(T) · e^ |T ∩ e^perp|, with the signed dual lengths of :func:`dual_edge_lengths`. In one triangle the two terms
+    at a corner add up to the opposite edge turned by -90 degrees and halved (equation 23 with the circumcentre's
+    properties); the matrix holds that sum, whose round-off does not grow with cotangents that cancel. It is minus the
+    transpose of the gradient weighted by triangle areas.
+
+    Args:
+        vertices: positions, shape [V, 3].
+        faces: triangles, shape [F, 3].
+        integrated: give the outflow of each cell (a 2-form, the default); else divide by ``areas``, as in the paper.
+        areas: cell areas, shape [V]; :func:`voronoi_areas` where not given.
+    """
+    points, triangles, p = _corner_points(vertices, faces)
+    normals = face_normals(vertices, faces)
+    turned = np.stack([0.5 * np.cross(p[k - 1] - p[k - 2], normals) for k in range(3)], axis=1)
+    count = len(triangles)
+    columns = (3 * np.arange(count)[:, None, None] + np.arange(3)[None, None, :]).repeat(3, axis=1)
+    rows = np.broadcast_to(triangles[:, :, None], (count, 3, 3))
+    matrix = sparse.csr_matrix((turned.ravel(), (rows.ravel(), columns.ravel())), shape=(len(points), 3 * count))
+    if integrated:
+        return matrix
+    cells = voronoi_areas(vertices, faces) if areas is None else np.asarray(areas, dtype=np.float64)
+    return sparse.csr_matrix(sparse.diags(1.0 / cells) @ matrix)
+
+
+def rotation_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
+    """J, the turn by +90 degrees about each outward normal, as a matrix [3F, 3F] (section 2.3, equation 10)."""
+    n = face_normals(vertices, faces)
+    zero = np.zeros(len(n))
+    blocks = np.stack([zero, -n[:, 2], n[:, 1], n[:, 2], zero, -n[:, 0], -n[:, 1], n[:, 0], zero], axis=1)
+    base = 3 * np.arange(len(n))[:, None]
+    rows, columns = base + np.repeat(np.arange(3), 3), base + np.tile(np.arange(3), 3)
+    size = 3 * len(n)
+    return sparse.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
+
+
+def rotate(field: ArrayLike, normals: ArrayLike) -> Array:
+    """J applied to vectors: each turned by +90 degrees about its unit normal, n × v, shape [n, 3].
+
+    On the sphere the normal at x is x itself, so J v = x × v (section 2.5).
+    """
+    return np.cross(np.asarray(normals, dtype=np.float64), np.asarray(field, dtype=np.float64))
+
+
+def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike, *, minimum_weight: float | None = None) ->
+sparse.csr_matrix:
+    """The matrix D of section 4.1: D_PQ = -(cot R + cot S) / 2, rows that sum to zero; [V, V], symmetric.
+
+    Sign: positive semi-definite on every mesh, D = -div grad with the integrated divergence of
+    :func:`divergence_matrix`; u · D u is the Dirichlet energy of u. Nothing is divided by areas: weak form.
+
+    Args:
+        vertices: positions, shape [V, 3].
+        faces: triangles, shape [F, 3].
+        minimum_weight: raise each edge's weight (cot R + cot S) / 2 to at least this, for callers that need a maximum
+            principle on obtuse meshes; the matrix is then no longer div grad.
+    """
+    points, triangles, _ = _corner_points(vertices, faces)
+    half = 0.5 * corner_cotangents(vertices, faces)
+    i, j = triangles[:, [1, 2, 0]].ravel(), triangles[:, [2, 0, 1]].ravel()
+    size = len(points)
+    weights = sparse.csr_matrix((half.ravel(), (i, j)), shape=(size, size))
+    weights = sparse.csr_matrix(weights + weights.T)
+    if minimum_weight is not None:
+        weights.data = np.maximum(weights.data, minimum_weight)
+    diagonal = np.asarray(weights.sum(axis=1)).ravel()
+    return sparse.csr_matrix(sparse.diags(diagonal) - weights)
+
+
+class DifferentialOperators:
+    """The same operators as Warp kernels, for a mesh kept on a device.
+
+    Methods take NumPy or Warp arrays. NumPy in gives NumPy out; a Warp array must live on this device and gives a Warp
+    array (``out`` may be given to write into).
+
+    Args:
+        vertices: positions, shape [V, 3].
+        faces: triangles, shape [F, 3], of a closed oriented mesh.
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+    """
+
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike, *, device: str = "auto"):
+        from omtwarp._warp import resolve_device, wp
+
+        surface = Surface(vertices, faces)
+        self.device = resolve_device(device)
+        self.vertex_count, self.face_count = surface.vertex_count, surface.face_count
+        offsets, corners = surface.vertex_corners
+        self.vertices = wp.array(surface.vertices, dtype=wp.vec3d, device=self.device)
+        self.faces = wp.array(surface.faces, dtype=wp.int32, device=self.device)
+        self.corner_offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
+        self.corners = wp.array(corners, dtype=wp.int32, device=self.device)
+
+    def _run(self, kernel: Any, at_faces: bool, value: Any, in_dtype: Any, out_dtype: Any, out: Any, gather: bool) ->
+    Any:
+        from omtwarp._warp import wp
+
+        from_numpy = value is not None and not isinstance(value, wp.array)
+        source = wp.array(np.asarray(value, dtype=np.float64), dtype=in_dtype, device=self.device) if from_numpy else value
+        size = self.face_count if at_faces else self.vertex_count
+        if out is None:
+            out = wp.empty(size, dtype=out_dtype, device=self.device)
+        rows = [self.corner_offsets, self.corners] if gather else []
+        inputs = [self.vertices, self.faces, *rows, *([] if source is None else [source])]
+        wp.launch(kernel, dim=size, inputs=inputs, outputs=[out], device=self.device)
+        return out.numpy() if from_numpy else out
+
+    def gradient(self, values: Any, out: Any = None) -> Any:
+        """Gradient in each triangle, [V] -> [F, 3]: :func:`gradient_matrix` (appendix A.1)."""
+        from omtwarp._warp import wp
+        from omtwarp.geometry import kernels
+
+        return self._run(kernels.gradient_kernel, True, values, wp.float64, wp.vec3d, out, False)
+
+    def rotate(self, field: Any, out: Any = None) -> Any:
+        """J in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
+        from omtwarp._warp import wp
+        from omtwarp.geometry import kernels
+
+        return self._run(kernels.rotate_kernel, True, field, wp.vec3d, wp.vec3d, out, False)
+
+    def divergence(self, field: Any, out: Any = None) -> Any:
+        """Outflow of each vertex' cell, [F, 3] -> [V]: :func:`divergence_matrix`, integrated (appendix A.2)."""
+        from omtwarp._warp import wp
+        from omtwarp.geometry import kernels
+
+        return self._run(kernels.divergence_kernel, False, field, wp.vec3d, wp.float64, out, True)
+
+    def laplacian(self, values: Any, out: Any = None) -> Any:
+        """:func:`cotangent_laplacian` applied, [V] -> [V] (section 4.1's D; positive semi-definite)."""
+        from omtwarp._warp import wp
+        from omtwarp.geometry import kernels
+
+        return self._run(kernels.laplacian_kernel, False, values, wp.float64, wp.float64, out, True)
+
+    def interpolate_dual(self, field: Any, out: Any = None) -> Any:
+        """Vectors at dual vertices interpolated linearly at the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
+
+        The vertex lies in the polygon of the circumcentres around it, whose sides bisect the edges. Its Wachspress
+        coordinates there are area(T) / (|e_ij|^2 |e_ik|^2), normalised: always positive, and exact on linear
+        functions of a flat neighbourhood whether or not triangles are obtuse. The paper says "linear interpolation"
+        and no more.
+        """
+        from omtwarp._warp import wp
+        from omtwarp.geometry import kernels
+
+        return self._run(kernels.interpolate_dual_kernel, False, field, wp.vec3d, wp.vec3d, out, True)
+
+    def voronoi_areas(self) -> Any:
+        """:func:`voronoi_areas` by kernel, as a Warp array [V]."""
+        from omtwarp._warp import wp
+        from omtwarp.geometry import kernels
+
+        return self._run(kernels.voronoi_area_kernel, False, None, None, wp.float64, None, True)
