@@ -30,7 +30,7 @@ def hat_gradient(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
 def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     """Sum of (dual length) x (unit edge) over the two edges leaving ``a``; dotted with a field, the outflow at ``a``.
 
-    With l_c = (c / 2) cot(gamma) and l_b = (b / 2) cot(beta), the sum l_c c^ + l_b b^ of the paper's equation (23) is the
+    With l_c = (c / 2) cot(gamma) and l_b = (b / 2) cot(beta), the sum l_c c^ + l_b b^ of equation (23) is the
     edge ``bc`` turned by -90 degrees and halved. It is evaluated in that form: the cotangents of a sliver are huge and
     cancel, the turned edge is not.
     """

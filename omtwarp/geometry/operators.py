@@ -170,8 +170,9 @@ def rotate(field: ArrayLike, normals: ArrayLike) -> Array:
     return np.cross(np.asarray(normals, dtype=np.float64), np.asarray(field, dtype=np.float64))
 
 
-def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike, *, minimum_weight: float | None = None) ->
-sparse.csr_matrix:
+def cotangent_laplacian(
+    vertices: ArrayLike, faces: ArrayLike, *, minimum_weight: float | None = None
+) -> sparse.csr_matrix:
     """The matrix D of section 4.1: D_PQ = -(cot R + cot S) / 2, rows that sum to zero; [V, V], symmetric.
 
     Sign: positive semi-definite on every mesh, D = -div grad with the integrated divergence of
@@ -219,12 +220,15 @@ class DifferentialOperators:
         self.corner_offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
         self.corners = wp.array(corners, dtype=wp.int32, device=self.device)
 
-    def _run(self, kernel: Any, at_faces: bool, value: Any, in_dtype: Any, out_dtype: Any, out: Any, gather: bool) ->
-    Any:
+    def _run(
+        self, kernel: Any, at_faces: bool, value: Any, in_dtype: Any, out_dtype: Any, out: Any, gather: bool
+    ) -> Any:
         from omtwarp._warp import wp
 
         from_numpy = value is not None and not isinstance(value, wp.array)
-        source = wp.array(np.asarray(value, dtype=np.float64), dtype=in_dtype, device=self.device) if from_numpy else value
+        source = (
+            wp.array(np.asarray(value, dtype=np.float64), dtype=in_dtype, device=self.device) if from_numpy else value
+        )
         size = self.face_count if at_faces else self.vertex_count
         if out is None:
             out = wp.empty(size, dtype=out_dtype, device=self.device)
