@@ -4,6 +4,7 @@ Mathematics of one triangle is in ``wp.func``s; kernels only index. Sums at vert
 vertex, in one order, so that the same input gives the same bits.
 """
 
+# mypy: ignore-errors
 from omtwarp._warp import HALF, ONE, ZERO, wp
 
 wp.set_module_options({"enable_backward": False})
@@ -45,10 +46,10 @@ def corner_cotangent(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
 
 @wp.kernel
 def gradient_kernel(
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array2d(dtype=wp.int32),
-    values: wp.array(dtype=wp.float64),
-    gradient_out: wp.array(dtype=wp.vec3d),
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    values: wp.array[wp.float64],
+    gradient_out: wp.array[wp.vec3d],
 ):
     f = wp.tid()
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -59,10 +60,10 @@ def gradient_kernel(
 
 @wp.kernel
 def rotate_kernel(
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array2d(dtype=wp.int32),
-    field: wp.array(dtype=wp.vec3d),
-    rotated_out: wp.array(dtype=wp.vec3d),
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    field: wp.array[wp.vec3d],
+    rotated_out: wp.array[wp.vec3d],
 ):
     f = wp.tid()
     n = unit_normal(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
@@ -71,12 +72,12 @@ def rotate_kernel(
 
 @wp.kernel
 def divergence_kernel(
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array2d(dtype=wp.int32),
-    corner_offsets: wp.array(dtype=wp.int32),
-    corners: wp.array(dtype=wp.int32),
-    field: wp.array(dtype=wp.vec3d),
-    flux_out: wp.array(dtype=wp.float64),
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    field: wp.array[wp.vec3d],
+    flux_out: wp.array[wp.float64],
 ):
     i = wp.tid()
     flux = wp.float64(0.0)
@@ -91,12 +92,12 @@ def divergence_kernel(
 
 @wp.kernel
 def laplacian_kernel(
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array2d(dtype=wp.int32),
-    corner_offsets: wp.array(dtype=wp.int32),
-    corners: wp.array(dtype=wp.int32),
-    values: wp.array(dtype=wp.float64),
-    laplacian_out: wp.array(dtype=wp.float64),
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    values: wp.array[wp.float64],
+    laplacian_out: wp.array[wp.float64],
 ):
     i = wp.tid()
     total = wp.float64(0.0)
@@ -113,11 +114,11 @@ def laplacian_kernel(
 
 @wp.kernel
 def voronoi_area_kernel(
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array2d(dtype=wp.int32),
-    corner_offsets: wp.array(dtype=wp.int32),
-    corners: wp.array(dtype=wp.int32),
-    area_out: wp.array(dtype=wp.float64),
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    area_out: wp.array[wp.float64],
 ):
     i = wp.tid()
     total = wp.float64(0.0)
@@ -135,12 +136,12 @@ def voronoi_area_kernel(
 
 @wp.kernel
 def interpolate_dual_kernel(
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array2d(dtype=wp.int32),
-    corner_offsets: wp.array(dtype=wp.int32),
-    corners: wp.array(dtype=wp.int32),
-    field: wp.array(dtype=wp.vec3d),
-    interpolated_out: wp.array(dtype=wp.vec3d),
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    field: wp.array[wp.vec3d],
+    interpolated_out: wp.array[wp.vec3d],
 ):
     i = wp.tid()
     total = wp.vec3d(ZERO, ZERO, ZERO)

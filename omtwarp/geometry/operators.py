@@ -215,10 +215,10 @@ class DifferentialOperators:
         self.device = resolve_device(device)
         self.vertex_count, self.face_count = surface.vertex_count, surface.face_count
         offsets, corners = surface.vertex_corners
-        self.vertices = wp.array(surface.vertices, dtype=wp.vec3d, device=self.device)
-        self.faces = wp.array(surface.faces, dtype=wp.int32, device=self.device)
-        self.corner_offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
-        self.corners = wp.array(corners, dtype=wp.int32, device=self.device)
+        self.vertices: Any = wp.array(surface.vertices, dtype=wp.vec3d, device=self.device)
+        self.faces: Any = wp.array(surface.faces, dtype=wp.int32, device=self.device)
+        self.corner_offsets: Any = wp.array(offsets, dtype=wp.int32, device=self.device)
+        self.corners: Any = wp.array(corners, dtype=wp.int32, device=self.device)
 
     def _run(
         self, kernel: Any, at_faces: bool, value: Any, in_dtype: Any, out_dtype: Any, out: Any, gather: bool
