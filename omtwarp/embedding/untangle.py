@@ -1,0 +1,284 @@
+"""Remove the flipped triangles of a sphere map by moving the fewest vertices.
+
+Around every flipped triangle a patch of a few rings is freed and its distortion minimised with an energy that is finite
+on flipped triangles and tends to a barrier as ε falls (Garanzha et al., "Foldover-free maps in 50 lines of code",
+2021). Patches that do not touch are independent problems: they share one sparse matrix but each has its own step
+length. Patches that stay tangled grow, up to the whole sphere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
+
+from omtwarp._warp import resolve_device, wp
+from omtwarp.embedding.untangle_kernels import move_in_tangent, untangle_newton, untangle_value
+from omtwarp.linear import Factorization
+from omtwarp.mesh.surface import Surface
+from omtwarp.refine.frames import triangle_frames
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How one attempt lowers ε.
+
+    Attributes:
+        rings: rings of vertices freed around every flipped triangle.
+        factor: what ε is multiplied by from one round to the next.
+        steps: Newton steps in a round.
+        thinnest: see :func:`omtwarp.refine.frames.triangle_frames`.
+    """
+
+    rings: int
+    factor: float
+    steps: int
+    thinnest: float
+
+
+SCHEDULES = (
+    Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0),
+    Schedule(rings=3, factor=0.5, steps=3, thinnest=0.02),
+    Schedule(rings=5, factor=0.7, steps=4, thinnest=0.1),
+    Schedule(rings=9, factor=0.7, steps=6, thinnest=0.2),
+    Schedule(rings=17, factor=0.7, steps=8, thinnest=0.3),
+    Schedule(rings=10**9, factor=0.7, steps=10, thinnest=0.3),
+)
+LARGEST_EPSILON = 1.0
+SMALLEST_EPSILON = 1e-4
+AREA_WEIGHT = 1.0  # λ
+SUFFICIENT = 1e-4  # of the slope: Armijo's condition
+HALVINGS = 20
+
+
+@dataclass
+class UntangleResult:
+    """A map without flipped triangles, or the best one found.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3].
+        flips_before: triangles with det[s0, s1, s2] <= 0 in the map given.
+        flips_after: the same in ``sphere``.
+        rounds: rounds of minimisation over all attempts.
+        vertices_moved: vertices that are not where they were.
+        history: one record per attempt: rings, vertices freed, patches, rounds, flips left.
+    """
+
+    sphere: NDArray[np.float64]
+    flips_before: int
+    flips_after: int
+    rounds: int
+    vertices_moved: int
+    history: list[dict[str, int]] = field(default_factory=list)
+
+
+def flipped_faces(sphere: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Whether every triangle has det[s0, s1, s2] <= 0 (or is not finite), shape [F]."""
+    a, b, c = (sphere[faces[:, k]] for k in range(3))
+    return ~(np.einsum("ij,ij->i", a, np.cross(b, c)) > 0.0)
+
+
+def untangle(
+    surface: Surface,
+    sphere: ArrayLike,
+    *,
+    device: str | None = "auto",
+    schedules: tuple[Schedule, ...] = SCHEDULES,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> UntangleResult:
+    """Move as few vertices as possible until no triangle is flipped.
+
+    Args:
+        surface: the original surface, V vertices and F faces.
+        sphere: images of its vertices, unit vectors, shape [V, 3]; triangles may be flipped or of area zero.
+        device: where the kernels run; the sparse systems are solved on the host.
+        schedules: attempts, each from what the one before it left, until one leaves no flip.
+        progress: called with (text, attempt, attempts) before every attempt.
+
+    Returns:
+        The map and what was done. ``flips_after`` is 0 unless every attempt failed.
+    """
+    where = resolve_device(device)
+    start = np.array(sphere, dtype=np.float64)
+    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    points, faces = start.copy(), surface.faces
+    flipped = flipped_faces(points, faces)
+    before = int(flipped.sum())
+    rounds = 0
+    history: list[dict[str, int]] = []
+    for attempt, schedule in enumerate(schedules):
+        if not flipped.any():
+            break
+        if progress is not None:
+            progress(f"untangling {int(flipped.sum())} triangles", attempt, len(schedules))
+        patches = _Patches(surface, points, flipped, schedule, where)
+        points, done = patches.solve()
+        flipped = flipped_faces(points, faces)
+        rounds += done
+        history.append(
+            {
+                "rings": min(schedule.rings, surface.vertex_count),
+                "vertices": patches.size,
+                "patches": patches.count,
+                "rounds": done,
+                "flips": int(flipped.sum()),
+            }
+        )
+    moved = int(np.any(points != start, axis=1).sum())
+    return UntangleResult(points, before, int(flipped.sum()), rounds, moved, history)
+
+
+def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
+    """Vertices within ``rings`` edges of the seed vertices, as a mask of shape [V]."""
+    mask = seed.copy()
+    for _ in range(rings):
+        touched = mask[faces].any(axis=1)
+        wider = mask.copy()
+        wider[faces[touched].ravel()] = True
+        if wider.sum() == mask.sum():
+            break
+        mask = wider
+    return mask
+
+
+class _Patches:
+    """The freed vertices around flipped triangles, the triangles that touch them, and the minimisation over them."""
+
+    def __init__(self, surface, sphere, flipped, schedule: Schedule, device):
+        self.device = device
+        self.schedule = schedule
+        self.sphere = sphere
+        seed = np.zeros(surface.vertex_count, dtype=bool)
+        seed[surface.faces[flipped].ravel()] = True
+        free = grow(surface.faces, seed, schedule.rings)
+        touched = free[surface.faces].any(axis=1)
+        self.vertices = np.unique(surface.faces[touched])
+        local = np.full(surface.vertex_count, -1, dtype=np.int32)
+        local[self.vertices] = np.arange(len(self.vertices), dtype=np.int32)
+        self.faces = np.ascontiguousarray(local[surface.faces[touched]])
+        self.free = free[self.vertices]
+        self.size = int(self.free.sum())
+        self.areas = np.ascontiguousarray(surface.face_areas[touched])
+        self.frames = np.ascontiguousarray(triangle_frames(surface, schedule.thinnest)[touched])
+        self._label()
+        self._pattern()
+        self._upload()
+
+    def _label(self):
+        """Number the patches: connected components of the freed vertices."""
+        faces, free = self.faces, self.free
+        pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        pairs = pairs[free[pairs].all(axis=1)]
+        graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(free), len(free)))
+        _, component = connected_components(graph, directed=False)
+        labels = np.full(len(free), -1, dtype=np.intp)
+        _, labels[free] = np.unique(component[free], return_inverse=True)
+        self.vertex_patch = labels
+        self.face_patch = labels[faces].max(axis=1)  # the freed corners of a triangle all lie in one patch
+        self.count = int(labels.max()) + 1
+
+    def _pattern(self):
+        """Where the 36 entries of every triangle go in the sparse matrix of the freed vertices."""
+        unknown = np.full(len(self.free), -1, dtype=np.int64)
+        unknown[self.free] = np.arange(self.size)
+        self.unknown = unknown
+        corner = np.repeat(unknown[self.faces], 2, axis=1)
+        index = np.where(corner >= 0, 2 * corner + np.array([0, 1] * 3), -1)
+        rows = np.repeat(index, 6, axis=1).ravel()
+        columns = np.tile(index, (1, 6)).ravel()
+        self.kept = np.flatnonzero((rows >= 0) & (columns >= 0))
+        keys = rows[self.kept] * (2 * self.size) + columns[self.kept]
+        unique, self.slot = np.unique(keys, return_inverse=True)
+        self.matrix_rows, self.matrix_columns = np.divmod(unique, 2 * self.size)
+        self.diagonal = np.flatnonzero(self.matrix_rows == self.matrix_columns)
+        self.gradient_kept = np.flatnonzero(index.ravel() >= 0)
+        self.gradient_slot = index.ravel()[self.gradient_kept]
+
+    def _upload(self):
+        count, device = len(self.faces), self.device
+        self.d_faces = wp.array(self.faces, dtype=wp.vec3i, device=device)
+        self.d_frames = wp.array(self.frames, dtype=wp.vec3d, device=device)
+        self.d_areas = wp.array(self.areas, dtype=wp.float64, device=device)
+        self.d_value = wp.empty(count, dtype=wp.float64, device=device)
+        self.d_ratio = wp.empty(count, dtype=wp.float64, device=device)
+        self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
+        self.d_hessian = wp.empty((count, 36), dtype=wp.float64, device=device)
+        self.d_moved = wp.empty(len(self.vertices), dtype=wp.vec3d, device=device)
+
+    def solve(self) -> tuple[NDArray[np.float64], int]:
+        """Lower ε until no patch has a flipped triangle, or it is at its smallest; the map and the number of rounds."""
+        points = wp.array(self.sphere[self.vertices], dtype=wp.vec3d, device=self.device)
+        epsilon = np.full(self.count, LARGEST_EPSILON)
+        active = np.ones(self.count, dtype=bool)
+        rounds = 0
+        while active.any():
+            rounds += 1
+            for _ in range(self.schedule.steps):
+                points = self._newton_step(points, epsilon, active)
+            flipped = flipped_faces(points.numpy(), self.faces)
+            tangled = np.bincount(self.face_patch[flipped], minlength=self.count) > 0
+            active &= tangled & (epsilon > SMALLEST_EPSILON)
+            epsilon[active] = np.maximum(epsilon[active] * self.schedule.factor, SMALLEST_EPSILON)
+        result = self.sphere.copy()
+        moved = self.vertices[self.free]
+        result[moved] = points.numpy()[self.free]
+        return result, rounds
+
+    def _newton_step(self, points, epsilon, active):
+        face_epsilon = wp.array(epsilon[self.face_patch], dtype=wp.float64, device=self.device)
+        energy = self._energy(points, face_epsilon)
+        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(AREA_WEIGHT)]
+        wp.launch(
+            untangle_newton, dim=len(self.faces), inputs=inputs, outputs=[self.d_gradient, self.d_hessian],
+            device=self.device,
+        )
+        gradient = np.bincount(
+            self.gradient_slot, self.d_gradient.numpy().ravel()[self.gradient_kept], minlength=2 * self.size
+        )
+        data = np.bincount(self.slot, self.d_hessian.numpy().ravel()[self.kept], minlength=len(self.matrix_rows))
+        data[self.diagonal] *= 1.0 + 1e-9
+        shape = (2 * self.size, 2 * self.size)
+        matrix = sparse.csc_matrix(sparse.coo_matrix((data, (self.matrix_rows, self.matrix_columns)), shape=shape))
+        direction = -Factorization(matrix).solve(gradient)
+        if not np.isfinite(direction).all():
+            direction = -gradient / data[self.diagonal]
+        patch = self.vertex_patch[self.free]
+        slope = np.bincount(patch, (direction * gradient).reshape(-1, 2).sum(axis=1), minlength=self.count)
+        length = np.where(active & (slope < 0.0), 1.0, 0.0)
+        # No vertex moves farther than a radian: beyond that its tangent plane says nothing about the sphere.
+        reach = np.zeros(self.count)
+        np.maximum.at(reach, patch, np.linalg.norm(direction.reshape(-1, 2), axis=1))
+        length /= np.maximum(reach, 1.0)
+        step = np.zeros((len(self.vertices), 2))
+        for _ in range(HALVINGS):
+            step[self.free] = direction.reshape(-1, 2) * length[patch][:, None]
+            moved = wp.empty_like(points)
+            wp.launch(
+                move_in_tangent, dim=len(self.vertices), device=self.device,
+                inputs=[points, wp.array(step, dtype=wp.float64, device=self.device)], outputs=[moved],
+            )
+            worse = ~(self._energy(moved, face_epsilon) <= energy + SUFFICIENT * length * slope) & (length > 0.0)
+            if not worse.any():
+                return moved
+            length[worse] *= 0.5
+        length[worse] = 0.0
+        step[self.free] = direction.reshape(-1, 2) * length[patch][:, None]
+        moved = wp.empty_like(points)
+        wp.launch(
+            move_in_tangent, dim=len(self.vertices), device=self.device,
+            inputs=[points, wp.array(step, dtype=wp.float64, device=self.device)], outputs=[moved],
+        )
+        return moved
+
+    def _energy(self, points, face_epsilon) -> NDArray[np.float64]:
+        """Energy of every patch."""
+        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(AREA_WEIGHT)]
+        wp.launch(
+            untangle_value, dim=len(self.faces), inputs=inputs, outputs=[self.d_value, self.d_ratio],
+            device=self.device,
+        )
+        return np.bincount(self.face_patch, self.d_value.numpy(), minlength=self.count)
