@@ -1,0 +1,132 @@
+"""The conformal map of section 4.1 (Haker et al. 2000).
+
+A triangle ABC is removed, the Dirichlet problems D x = a and D y = b map the rest to the complex plane, and inverse
+stereographic projection takes the plane to the sphere with the removed triangle around the north pole. A Möbius
+transformation then centres the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from omtwarp._warp import resolve_device, wp
+from omtwarp.conformal.centring import mobius_centring
+from omtwarp.conformal.kernels import project_to_sphere
+from omtwarp.errors import OmtwarpError
+from omtwarp.geometry import cotangent_laplacian
+from omtwarp.linear import LaplacianSolver
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+
+
+@dataclass(frozen=True)
+class ConformalMap:
+    """A conformal map to the sphere and the density it leaves.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3].
+        removed_face: the triangle around the north pole before centring.
+        centring_steps: Newton steps of the Möbius centring.
+        laplacian: the cotangent matrix D of the surface, shape [V, V]; on a conformal image the same matrix.
+        solver: its factorisation, ready for more right-hand sides.
+    """
+
+    sphere: NDArray[np.float64]
+    removed_face: int
+    centring_steps: int
+    laplacian: sparse.csr_matrix
+    solver: LaplacianSolver
+
+
+def conformal_map(surface: Surface, *, device: str | None = "cpu") -> ConformalMap:
+    """Map a closed genus-0 surface to the sphere conformally, centred (section 4.1).
+
+    The triangle removed is the one nearest to equilateral: the paper leaves the choice open, and a thin one would spoil
+    the map around the pole. D is assembled from all triangles, as in Haker et al. (2000); it is factorised once, for
+    both coordinates and for the Poisson problem of Moser's flow.
+
+    Args:
+        surface: a valid closed mesh (see :func:`omtwarp.mesh.validate.require_valid`).
+        device: where the per-vertex kernels run.
+
+    Returns:
+        The map. Obtuse triangles can flip, and the tips of long limbs can shrink below what float64 resolves.
+
+    Raises:
+        OmtwarpError: the linear systems cannot be solved, or the map cannot be centred.
+    """
+    points = surface.scaled_vertices
+    laplacian = cotangent_laplacian(points, surface.faces)
+    face = most_regular_face(points, surface.faces)
+    solver = LaplacianSolver(laplacian, pinned=int(surface.faces[face, 0]))
+    plane = solver.solve(_dipole(points, surface.faces[face]))
+    if not np.isfinite(plane).all():
+        raise OmtwarpError("the conformal map is not finite: the surface has triangles too thin for it; remesh them")
+    sphere, steps = mobius_centring(
+        _to_sphere(plane, surface.vertex_areas, device), surface.vertex_areas, device=device
+    )
+    return ConformalMap(sphere, face, steps, laplacian, solver)
+
+
+def density(surface: Surface, sphere: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The density μ = (area on the surface) / (area on the sphere), section 4.1.
+
+    Args:
+        surface: the surface, scaled to area 4π internally.
+        sphere: its image, unit vectors, float64, shape [V, 3]; flat areas are scaled to 4π too.
+
+    Returns:
+        μ of every triangle, shape [F], and of every vertex, shape [V] (areas around the vertex, surface over sphere).
+        Infinite where a triangle of the image has no area.
+    """
+    image = triangle_areas(sphere, surface.faces)
+    image *= SPHERE_AREA / image.sum()
+    with np.errstate(divide="ignore"):
+        return surface.face_areas / image, surface.vertex_areas / (surface.sum_to_vertices(image) / 3.0)
+
+
+def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> int:
+    """The face nearest to equilateral: largest area over summed squared edge lengths; the first of equals."""
+    p0, p1, p2 = (points[faces[:, k]] for k in range(3))
+    squares = ((p1 - p0) ** 2).sum(1) + ((p2 - p1) ** 2).sum(1) + ((p0 - p2) ** 2).sum(1)
+    return int(np.argmax(triangle_areas(points, faces) / squares))
+
+
+def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:
+    """The right-hand sides a and b of section 4.1 as columns, shape [V, 2]."""
+    a, b, c = (points[k] for k in face)
+    ab = b - a
+    length = np.linalg.norm(ab)
+    theta = ab @ (c - a) / length**2
+    height = np.linalg.norm(c - (a + theta * ab))
+    right = np.zeros((len(points), 2))
+    right[face, 0] = [-1.0 / length, 1.0 / length, 0.0]
+    # The paper prints both entries of b at A and B with the sign of C's; they have to sum to zero with it (Haker et al.
+    # 2000, equation 10), so A and B carry the opposite sign.
+    right[face, 1] = [-(1.0 - theta) / height, -theta / height, 1.0 / height]
+    return right
+
+
+def _to_sphere(
+    plane: NDArray[np.float64], masses: NDArray[np.float64], device: str | None
+) -> NDArray[np.float64]:
+    """Shift and scale the plane so that half of the area falls in the unit disc, and project it to the sphere."""
+    order = np.argsort(plane, axis=0)
+    half = [np.searchsorted(np.cumsum(masses[order[:, k]]), masses.sum() / 2) for k in range(2)]
+    shift = np.array([plane[order[half[k], k], k] for k in range(2)])
+    radius = np.hypot(*(plane - shift).T)
+    by_radius = np.argsort(radius)
+    median = radius[by_radius[np.searchsorted(np.cumsum(masses[by_radius]), masses.sum() / 2)]]
+    where = resolve_device(device)
+    sphere = wp.empty(len(plane), dtype=wp.vec3d, device=where)
+    source = wp.array(np.ascontiguousarray(plane), dtype=wp.vec2d, device=where)
+    wp.launch(
+        project_to_sphere,
+        dim=len(plane),
+        inputs=[source, wp.vec2d(*shift), wp.float64(1.0 / median), sphere],
+        device=where,
+    )
+    return sphere.numpy()

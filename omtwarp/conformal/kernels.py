@@ -1,0 +1,48 @@
+"""Per-vertex kernels of the conformal map: inverse stereographic projection and Möbius transformations."""
+
+from omtwarp._warp import ONE, TWO, wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def inverse_stereographic(x: wp.float64, y: wp.float64):
+    """Section 4.1: x + iy -> (2x, 2y, 2r^2) / (1 + r^2) - (0, 0, 1), written so that a large r does not overflow."""
+    r2 = x * x + y * y
+    if r2 <= ONE:
+        s = ONE / (ONE + r2)
+        return wp.vec3d(TWO * x * s, TWO * y * s, (r2 - ONE) * s)
+    q = ONE / r2
+    s = ONE / (ONE + q)
+    return wp.vec3d(TWO * x * q * s, TWO * y * q * s, (ONE - q) * s)
+
+
+@wp.func
+def ball_inversion(p: wp.vec3d, c: wp.vec3d):
+    """The Möbius transformation of the unit ball used by Baden, Crane and Kazhdan (2018), applied to a unit vector."""
+    shifted = p + c
+    return wp.normalize((ONE - wp.dot(c, c)) / wp.dot(shifted, shifted) * shifted + c)
+
+
+@wp.kernel
+def project_to_sphere(
+    plane: wp.array[wp.vec2d],
+    shift: wp.vec2d,
+    scale: wp.float64,
+    # Data out:
+    sphere: wp.array[wp.vec3d],
+):
+    v = wp.tid()
+    z = scale * (plane[v] - shift)
+    sphere[v] = inverse_stereographic(z[0], z[1])
+
+
+@wp.kernel
+def apply_ball_inversion(
+    sphere: wp.array[wp.vec3d],
+    centre: wp.vec3d,
+    # Data out:
+    moved: wp.array[wp.vec3d],
+):
+    v = wp.tid()
+    moved[v] = ball_inversion(sphere[v], centre)

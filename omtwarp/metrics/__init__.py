@@ -1,0 +1,5 @@
+"""What a map is judged by: distortion, flips, degree, certificate, optimality."""
+
+from omtwarp.metrics.distortion import WEIGHTINGS, Distortion, distortion
+
+__all__ = ["WEIGHTINGS", "Distortion", "distortion"]

@@ -1,0 +1,58 @@
+"""Per-triangle distortion of a sphere map, as float64 kernels."""
+
+from omtwarp._warp import HALF, ONE, TWO, wp
+
+wp.set_module_options({"enable_backward": False})
+
+TINY = wp.constant(wp.float64(1e-300))
+
+
+@wp.func
+def triangle_frame(p0: wp.vec3d, p1: wp.vec3d, p2: wp.vec3d):
+    """Base, foot and height of a triangle laid flat with its first edge along the x axis."""
+    base = wp.length(p1 - p0)
+    along = (p1 - p0) / wp.max(base, TINY)
+    foot = wp.dot(p2 - p0, along)
+    height = wp.length(p2 - p0 - foot * along)
+    return base, foot, height
+
+
+@wp.func
+def triple_product(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    return wp.dot(a, wp.cross(b, c))
+
+
+@wp.func
+def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Signed solid angle of a spherical triangle (van Oosterom and Strackee 1983)."""
+    return TWO * wp.atan2(triple_product(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
+
+
+@wp.kernel
+def triangle_distortion(
+    surface: wp.array[wp.vec3d],
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    surface_area: wp.array[wp.float64],
+    sphere_area: wp.array[wp.float64],
+    determinant: wp.array[wp.float64],
+    angle: wp.array[wp.float64],
+    triple: wp.array[wp.float64],
+    solid: wp.array[wp.float64],
+):
+    f = wp.tid()
+    face = faces[f]
+    base, foot, height = triangle_frame(surface[face[0]], surface[face[1]], surface[face[2]])
+    a, b, c = wp.normalize(sphere[face[0]]), wp.normalize(sphere[face[1]]), wp.normalize(sphere[face[2]])
+    image_base, image_foot, image_height = triangle_frame(a, b, c)
+    # The Jacobian between the two flat triangles is upper triangular in these frames: [[p, q], [0, r]].
+    p = image_base / base
+    r = image_height / height
+    q = (image_foot - p * foot) / height
+    surface_area[f] = HALF * base * height
+    sphere_area[f] = HALF * image_base * image_height
+    determinant[f] = p * r
+    angle[f] = (p * p + q * q + r * r) / (p * r)
+    triple[f] = triple_product(a, b, c)
+    solid[f] = solid_angle(a, b, c)

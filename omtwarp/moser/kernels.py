@@ -1,0 +1,156 @@
+"""Moser's flow on a triangulated sphere: every particle integrates its own path, walking from triangle to triangle."""
+
+from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+
+wp.set_module_options({"enable_backward": False})
+
+SIXTH = wp.constant(wp.float64(1.0 / 6.0))
+OUTSIDE = wp.constant(wp.float64(-1e-12))
+WALK_LIMIT = wp.constant(2000)
+
+
+@wp.func
+def spherical_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Barycentric coordinates of the point where the ray through p meets the plane of a, b, c; sum to one."""
+    weights = wp.vec3d(wp.dot(p, wp.cross(b, c)), wp.dot(p, wp.cross(c, a)), wp.dot(p, wp.cross(a, b)))
+    total = weights[0] + weights[1] + weights[2]
+    if total <= ZERO:
+        # The plane is behind the point: keep the signs, which steer the walk, and no scale.
+        return weights
+    return weights / total
+
+
+@wp.func
+def locate(
+    p: wp.vec3d,
+    start: int,
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    neighbours: wp.array[wp.vec3i],
+):
+    """Walk from a face to the face that holds p, across the edge that p lies furthest beyond."""
+    f = int(start)
+    weights = wp.vec3d()
+    for _ in range(WALK_LIMIT):
+        face = faces[f]
+        weights = spherical_barycentric(p, points[face[0]], points[face[1]], points[face[2]])
+        worst = int(0)
+        if weights[1] < weights[worst]:
+            worst = int(1)
+        if weights[2] < weights[worst]:
+            worst = int(2)
+        if weights[worst] >= OUTSIDE:
+            break
+        # Corner k is opposite to the edge between corners k + 1 and k + 2.
+        edge = worst + 1
+        if edge == 3:
+            edge = int(0)
+        f = neighbours[f][edge]
+    clamped = wp.vec3d(wp.max(weights[0], ZERO), wp.max(weights[1], ZERO), wp.max(weights[2], ZERO))
+    total = wp.max(clamped[0] + clamped[1] + clamped[2], wp.float64(1e-300))
+    return f, clamped / total
+
+
+@wp.func
+def velocity_at(
+    p: wp.vec3d,
+    growth: wp.float64,
+    start: int,
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    neighbours: wp.array[wp.vec3i],
+    field: wp.array[wp.vec3d],
+    mu: wp.array[wp.float64],
+):
+    """dx/ds = -∇Θ / (μ + e^s - 1), section 4.2 with s = -log(1 - t); growth is e^s - 1."""
+    f, w = locate(p, start, points, faces, neighbours)
+    face = faces[f]
+    v = w[0] * field[face[0]] + w[1] * field[face[1]] + w[2] * field[face[2]]
+    density = w[0] * mu[face[0]] + w[1] * mu[face[1]] + w[2] * mu[face[2]]
+    v = v / (density + growth)
+    return v - wp.dot(v, p) * p, f
+
+
+@wp.kernel
+def vertex_field(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    potential: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    # Data out:
+    field: wp.array[wp.vec3d],
+):
+    """-∇Θ at vertices: the angle-weighted mean of the gradients of the triangles around, tangent to the sphere.
+
+    Weighting by angle rather than area keeps a large triangle from speaking for a small one: the area error left by the
+    flow is a third of what area weights leave on scanned shapes.
+    """
+    v = wp.tid()
+    total = wp.vec3d()
+    weight = wp.float64(0.0)
+    for k in range(offsets[v], offsets[v + 1]):
+        corner = corners[k]
+        face = faces[corner // 3]
+        p0, p1, p2 = points[face[0]], points[face[1]], points[face[2]]
+        normal = wp.cross(p1 - p0, p2 - p0)  # its length is twice the area
+        double_area = wp.length(normal)
+        if double_area > ZERO:
+            slope = (
+                potential[face[0]] * (p2 - p1) + potential[face[1]] * (p0 - p2) + potential[face[2]] * (p1 - p0)
+            )
+            side = points[face[(corner + 1) % 3]] - points[v]
+            other = points[face[(corner + 2) % 3]] - points[v]
+            angle = wp.atan2(double_area, wp.dot(side, other))
+            total += angle / double_area * wp.cross(normal / double_area, slope)
+            weight += angle
+    mean = total / wp.max(weight, wp.float64(1e-300))
+    field[v] = -(mean - wp.dot(mean, points[v]) * points[v])
+
+
+@wp.kernel
+def integrate_particles(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    neighbours: wp.array[wp.vec3i],
+    field: wp.array[wp.vec3d],
+    mu: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    largest_step: wp.float64,
+    courant: wp.float64,
+    final: wp.float64,
+    # Data out:
+    moved: wp.array[wp.vec3d],
+    steps: wp.array[wp.int32],
+):
+    """Fourth-order Runge-Kutta along one particle's path, each step at most a part of the triangle it is in.
+
+    The velocity is linear on every triangle, so steps shorter than a triangle resolve it, and particles in calm regions
+    take long steps: no particle waits for another.
+    """
+    v = wp.tid()
+    p = points[v]
+    f = corners[offsets[v]] // 3
+    s = wp.float64(0.0)
+    count = int(0)
+    while s < final and count < 20000:
+        growth = wp.exp(s) - ONE
+        k1, f = velocity_at(p, growth, f, points, faces, neighbours, field, mu)
+        face = faces[f]
+        p0 = points[face[0]]
+        size = wp.sqrt(wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0)))
+        step = wp.min(largest_step, courant * size / wp.max(wp.length(k1), wp.float64(1e-300)))
+        # Never crawl: where a sliver would ask for steps without end, a thousandth of the path's time is fine enough.
+        step = wp.min(wp.max(step, wp.float64(1e-3)), final - s)
+        half = HALF * step
+        middle = wp.exp(s + half) - ONE
+        k2, _f2 = velocity_at(wp.normalize(p + half * k1), middle, f, points, faces, neighbours, field, mu)
+        k3, _f3 = velocity_at(wp.normalize(p + half * k2), middle, f, points, faces, neighbours, field, mu)
+        end = wp.exp(s + step) - ONE
+        k4, _f4 = velocity_at(wp.normalize(p + step * k3), end, f, points, faces, neighbours, field, mu)
+        p = wp.normalize(p + step * SIXTH * (k1 + TWO * k2 + TWO * k3 + k4))
+        s += step
+        count += 1
+    moved[v] = p
+    steps[v] = count
