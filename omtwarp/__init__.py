@@ -1,0 +1,73 @@
+"""Area-preserving, flip-free maps from closed genus-0 surfaces to the sphere, and textures through them.
+
+>>> import omtwarp
+>>> result = omtwarp.map_to_sphere(mesh)            # a trimesh.Trimesh, or (vertices, faces)  # doctest: +SKIP
+>>> omtwarp.texture(result, image).export("it.glb")  # doctest: +SKIP
+
+Names are loaded when they are first used, so that ``import omtwarp`` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+# The module that every public name comes from; `shapes` is itself a module.
+_PUBLIC = {
+    "Defect": "omtwarp.mesh.validate",
+    "MapResult": "omtwarp.result",
+    "OmtwarpError": "omtwarp.errors",
+    "Surface": "omtwarp.mesh.surface",
+    "check": "omtwarp.mesh.validate",
+    "map_to_sphere": "omtwarp.pipeline",
+    "preview": "omtwarp.render",
+    "read_mesh": "omtwarp.mesh.read",
+    "repair": "omtwarp.mesh.repair",
+    "texture": "omtwarp.texturing",
+}
+
+if TYPE_CHECKING:
+    from omtwarp.errors import OmtwarpError as OmtwarpError
+    from omtwarp.mesh import shapes as shapes
+    from omtwarp.mesh.read import read_mesh as read_mesh
+    from omtwarp.mesh.repair import repair as repair
+    from omtwarp.mesh.surface import Surface as Surface
+    from omtwarp.mesh.validate import Defect as Defect
+    from omtwarp.mesh.validate import check as check
+
+__all__ = [
+    "Defect",
+    "MapResult",
+    "OmtwarpError",
+    "Surface",
+    "__version__",
+    "check",
+    "map_to_sphere",
+    "preview",
+    "read_mesh",
+    "repair",
+    "shapes",
+    "texture",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            value: Any = version("omtwarp")
+        except PackageNotFoundError:  # run from a checkout that was never installed
+            value = "0+unknown"
+    elif name in _PUBLIC:
+        value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    elif name == "shapes":
+        value = importlib.import_module("omtwarp.mesh.shapes")
+    else:
+        raise AttributeError(f"module 'omtwarp' has no attribute '{name}'")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

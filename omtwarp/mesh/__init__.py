@@ -1,0 +1,1 @@
+"""Triangle meshes: reading, checking, mending and making them."""

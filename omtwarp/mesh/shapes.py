@@ -1,0 +1,531 @@
+"""Closed genus-0 shapes made from formulas, for demonstrations, tests and benchmarks.
+
+Every function returns a :class:`~omtwarp.mesh.surface.Surface` that passes :func:`omtwarp.mesh.validate.check`:
+closed, of genus 0, oriented outward, without triangles of zero area. The same arguments give the same mesh; what is
+random takes an explicit seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.mesh.surface import Surface
+
+Points = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+
+
+# Spheres, and what is made by moving their vertices -----------------------------------------------------------------
+
+
+def icosphere(frequency: int = 16) -> Surface:
+    """Geodesic sphere: every face of an icosahedron cut into ``frequency``² triangles, all moved to the unit sphere.
+
+    Args:
+        frequency: any whole number from 1; the mesh has 20 ``frequency``² faces and 10 ``frequency``² + 2 vertices.
+    """
+    corners, big_faces = _icosahedron()
+    n = frequency
+    i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
+    i, j = i[i + j <= n], j[i + j <= n]
+    row = np.cumsum(np.concatenate([[0], n + 1 - np.arange(n + 1)]))  # where the points with a given i begin
+
+    def at(i: NDArray, j: NDArray) -> NDArray:
+        return row[i] + j
+
+    up, down = i + j < n, i + j < n - 1
+    cells = np.concatenate(
+        [
+            np.stack([at(i, j)[up], at(i[up] + 1, j[up]), at(i[up], j[up] + 1)], axis=1),
+            np.stack([at(i[down] + 1, j[down]), at(i[down] + 1, j[down] + 1), at(i[down], j[down] + 1)], axis=1),
+        ]
+    )
+    weights = np.stack([n - i - j, i, j], axis=1)
+    points = np.einsum("pk,fkx->fpx", weights / n, corners[big_faces]).reshape(-1, 3)
+    faces = (cells[None] + (np.arange(20) * len(i))[:, None, None]).reshape(-1, 3)
+
+    # A grid point is known by its weights at the twelve corners of the icosahedron: exact, so shared edges weld.
+    held = weights[None] > 0
+    owner = np.where(held, big_faces[:, None, :], 12)
+    order = np.argsort(owner, axis=2)
+    owner = np.take_along_axis(owner, order, axis=2).reshape(-1, 3)
+    share = np.take_along_axis(np.broadcast_to(weights[None], held.shape), order, axis=2).reshape(-1, 3)
+    keys = np.concatenate([owner, np.where(owner < 12, share, 0)], axis=1)
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return Surface(_unit(points[first]), inverse.reshape(-1)[faces])
+
+
+def icosphere_near(face_count: int) -> Surface:
+    """The geodesic sphere whose number of faces is nearest to the one asked for."""
+    return icosphere(max(1, round(np.sqrt(face_count / 20))))
+
+
+def sphere_from_directions(directions: ArrayLike) -> Surface:
+    """The Delaunay triangulation of points on the unit sphere: the faces of their convex hull.
+
+    Args:
+        directions: unit vectors that surround the centre, all different, shape [V, 3].
+
+    Returns:
+        The sphere, with the vertices in the order given and 2 V - 4 faces.
+    """
+    from scipy.spatial import ConvexHull
+
+    points = np.asarray(directions, dtype=np.float64)
+    hull = ConvexHull(points)
+    faces = hull.simplices.astype(np.int64)
+    p0, p1, p2 = (points[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(p1 - p0, p2 - p0), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Surface(points, _sorted_faces(faces))
+
+
+def fibonacci_sphere(face_count: int = 5000) -> Surface:
+    """A sphere with exactly as many faces as asked for, its vertices spread evenly along a golden spiral.
+
+    Args:
+        face_count: any even number from 4 on.
+    """
+    count = face_count // 2 + 2
+    index = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * index / count
+    radius, turn = np.sqrt(1.0 - z * z), GOLDEN_ANGLE * index
+    return sphere_from_directions(np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1))
+
+
+def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0) -> Surface:
+    """A sphere with vertices thrown at random: triangles of every size and shape.
+
+    Args:
+        face_count: any even number from 4 on.
+        seed: of the random numbers.
+        clustering: 0 spreads the vertices uniformly; larger values draw them towards the north pole.
+    """
+    rng = np.random.default_rng(seed)
+    points = _unit(rng.normal(size=(face_count // 2 + 2, 3)))
+    points[:4] = _unit(np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]))  # surround the centre for certain
+    points[4:, 2] += clustering
+    return sphere_from_directions(_unit(points))
+
+
+def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
+    """A sphere of meridians and parallels; many segments and few rings, or the reverse, give slivers.
+
+    Args:
+        rings: parallels between the poles, from 1.
+        segments: meridians, from 3.
+    """
+    polar = np.pi * np.arange(1, rings + 1) / (rings + 1)
+    turn = 2.0 * np.pi * np.arange(segments) / segments
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    grid = np.empty((rings, segments, 3))
+    grid[..., :2] = np.sin(polar)[:, None, None] * circle[None]
+    grid[..., 2] = np.cos(polar)[:, None]
+    return Surface(*_capped_grid(grid, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])))
+
+
+def ellipsoid(axes: tuple[float, float, float] = (1.0, 0.7, 0.5), face_count: int = 5120) -> Surface:
+    """An ellipsoid with the half axes given."""
+    sphere = icosphere_near(face_count)
+    return Surface(sphere.vertices * np.asarray(axes, dtype=np.float64), sphere.faces)
+
+
+def needle(length: float = 20.0, face_count: int = 5120) -> Surface:
+    """An ellipsoid of revolution ``length`` times as long as it is thick."""
+    return ellipsoid((1.0, 1.0, length), face_count)
+
+
+def plate(width: float = 4.0, depth: float = 3.0, thickness: float = 0.2, face_count: int = 5120) -> Surface:
+    """A thin slab with rounded edges: the superquadric x⁸ + y⁸ + z⁸ = 1, stretched to the sides given."""
+    sphere = icosphere_near(face_count)
+    radius = (sphere.vertices**8).sum(axis=1) ** (-1 / 8)
+    return Surface(sphere.vertices * radius[:, None] * (np.array([width, depth, thickness]) / 2), sphere.faces)
+
+
+def star_shape(radius: Callable[[Points], Points], sphere: Surface | int = 5120) -> Surface:
+    """A surface that every ray from the centre meets once.
+
+    Args:
+        radius: distance from the centre for unit vectors, [V, 3] -> [V], positive.
+        sphere: a triangulated unit sphere, or the number of faces of a geodesic one.
+    """
+    base = sphere if isinstance(sphere, Surface) else icosphere_near(sphere)
+    return Surface(base.vertices * radius(base.vertices)[:, None], base.faces)
+
+
+def blob(seed: int = 0, amplitude: float = 0.35, degree: int = 6, sphere: Surface | int = 5120) -> Surface:
+    """A star-shaped potato: the logarithm of the radius is a random sum of spherical harmonics up to ``degree``.
+
+    Args:
+        seed: of the random numbers.
+        amplitude: root mean square of the logarithm of the radius.
+        degree: highest degree of the harmonics, from 1; higher ones are wrinklier.
+        sphere: a triangulated unit sphere, or the number of faces of a geodesic one.
+    """
+    rng = np.random.default_rng(seed)
+    # A Legendre polynomial of the cosine to a random axis is a harmonic of its degree.
+    orders = np.repeat(np.arange(1, degree + 1), 3)
+    axes = _unit(rng.normal(size=(len(orders), 3)))
+    strengths = rng.normal(size=len(orders))
+
+    def logarithm(x: Points) -> Points:
+        total = np.zeros(len(x))
+        for order, axis, strength in zip(orders, axes, strengths, strict=True):
+            total += strength * legendre.legval(x @ axis, [0.0] * int(order) + [1.0])
+        return total
+
+    reference = logarithm(icosphere(8).vertices)
+    scale = amplitude / reference.std()
+    return star_shape(lambda x: np.exp(scale * (logarithm(x) - reference.mean())), sphere)
+
+
+def limbs(
+    directions: ArrayLike | None = None, length: float = 1.5, sharpness: float = 18.0, sphere: Surface | int = 5120
+) -> Surface:
+    """A ball with limbs: the radius is 1 plus a bump of height ``length`` around every direction.
+
+    Args:
+        directions: where the limbs are, shape [N, 3]; four corners of a cube when left out.
+        length: height of the limbs over the unit ball.
+        sharpness: larger is thinner; a limb's half-width is about 1 / sqrt(sharpness).
+        sphere: a triangulated unit sphere, or the number of faces of a geodesic one.
+    """
+    axes = _unit(np.asarray([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]] if directions is None else directions))
+    return star_shape(lambda x: 1.0 + length * np.exp(sharpness * (x @ axes.T - 1.0)).sum(axis=1), sphere)
+
+
+# Tubes --------------------------------------------------------------------------------------------------------------
+
+
+def tube(
+    length: float = 6.0, girth: float = 1.0, bend: float = 0.0, taper: float = 1.0, face_count: int = 5000
+) -> Surface:
+    """A capsule, straight or bent along an arc, thinning towards one end: a caudate-like shape.
+
+    Args:
+        length: of the centre line between the two caps.
+        girth: diameter at the thick end.
+        bend: angle of the arc that the centre line runs through, in radians; 0 is straight. The arc's radius,
+            ``length / bend``, must be more than half the girth.
+        taper: diameter at the other end as a fraction of the girth.
+        face_count: roughly how many faces.
+
+    Raises:
+        ValueError: a bend so tight that the tube would cut into itself.
+    """
+    radius = girth / 2
+    if abs(bend) * radius >= length:
+        most = length / radius
+        raise ValueError(f"a tube of length {length} and girth {girth} can bend by less than {most:.3g} radians")
+    total = length + np.pi * radius * (1 + taper) / 2
+    segments = max(6, round(np.sqrt(face_count / 2 * np.pi * girth * (1 + taper) / 2 / total)))
+    rings = max(4, round(face_count / 2 / segments))
+    # Arc length along the outline: a quarter circle, the side, a quarter circle.
+    quarter, other = np.pi * radius / 2, np.pi * radius * taper / 2
+    along = total * np.arange(1, rings + 1) / (rings + 1)
+    front, back = along < quarter, along > quarter + length
+    s = np.clip(along - quarter, 0.0, length)
+    size = radius + (taper - 1) * radius * s / length
+    front_angle, back_angle = along / quarter * np.pi / 2, (total - along) / max(other, 1e-300) * np.pi / 2
+    across = np.where(front, radius * np.sin(front_angle), np.where(back, radius * taper * np.sin(back_angle), size))
+    axial = s - front * radius * np.cos(front_angle) + back * radius * taper * np.cos(back_angle)
+
+    turn = 2.0 * np.pi * np.arange(segments) / segments
+    x = across[:, None] * np.cos(turn)
+    y = across[:, None] * np.sin(turn)
+    grid = np.stack([x, y, np.broadcast_to(axial[:, None], x.shape)], axis=2)
+    ends = np.array([[0.0, 0.0, -radius], [0.0, 0.0, length + radius * taper]])
+    vertices, faces = _capped_grid(grid, ends[1], ends[0], flip=True)
+    return Surface(_bend(vertices, bend / length, length), faces)
+
+
+def _bend(points: Points, curvature: float, length: float) -> Points:
+    """Roll the z axis between 0 and ``length`` onto an arc in the xz plane, straight on beyond its ends."""
+    if curvature == 0.0:
+        return points
+    x, y, z = points.T
+    s = np.clip(z, 0.0, length)
+    angle, rest = curvature * s, z - s
+    radius = 1.0 / curvature - x
+    sine, cosine = np.sin(angle), np.cos(angle)
+    bent = [1.0 / curvature - radius * cosine + rest * sine, y, radius * sine + rest * cosine]
+    return np.stack(bent, axis=1)
+
+
+# Implicit surfaces --------------------------------------------------------------------------------------------------
+
+
+def implicit_surface(
+    value: Callable[[Points], Points], low: ArrayLike, high: ArrayLike, cell: float, smoothing: int = 8
+) -> Surface:
+    """Triangulate the surface value = 0 by marching tetrahedra, then even the triangles out along the surface.
+
+    Args:
+        value: negative inside, positive outside and on the box's faces, continuous, [N, 3] -> [N].
+        low: smallest coordinates of a box around the surface.
+        high: largest coordinates of that box.
+        cell: side of the cubes, each cut into six tetrahedra; details smaller than it are lost.
+        smoothing: rounds of moving every vertex to the middle of its neighbours and back onto the surface.
+
+    Returns:
+        The surface; its genus is that of the surface value = 0 as the grid sees it.
+
+    Source: A. Doi and A. Koide, An efficient method of triangulating equi-valued surfaces by using tetrahedral cells,
+    IEICE Transactions E74 (1991).
+    """
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+    shape = np.ceil((high - low) / cell).astype(np.int64) + 1
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=3).reshape(-1, 3)
+    nodes = low + cell * grid
+    values = value(nodes)
+    # A node exactly on the surface would make triangles of no area.
+    values = np.where(np.abs(values) < 1e-6 * cell, -1e-6 * cell, values)
+
+    stride = np.array([shape[1] * shape[2], shape[2], 1])
+    cubes = np.arange(len(grid))[(grid < shape - 1).all(axis=1)]
+    # Kuhn's six tetrahedra: a path from corner 000 to 111 for every order of the axes; equal in neighbouring cubes.
+    orders = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]])  # even ones first
+    steps = np.concatenate([np.zeros((6, 1), dtype=np.int64), np.cumsum(stride[orders], axis=1)], axis=1)
+    steps[3:] = steps[3:, [0, 2, 1, 3]]  # odd orders give the mirrored tetrahedron
+    tetrahedra = (cubes[:, None, None] + steps[None]).reshape(-1, 4)
+    inside = values[tetrahedra] < 0
+    crossed = inside.any(axis=1) & ~inside.all(axis=1)
+    tetrahedra, inside = tetrahedra[crossed], inside[crossed]
+
+    corners = _march(tetrahedra, inside)  # [F, 3, 2]: the edge of the grid that every corner of every face lies on
+    ends = np.sort(corners, axis=2).reshape(-1, 2)
+    keys, index = np.unique(ends[:, 0] * len(nodes) + ends[:, 1], return_inverse=True)
+    a, b = keys // len(nodes), keys % len(nodes)
+    share = (values[a] / (values[a] - values[b]))[:, None]
+    share = np.clip(share, 0.02, 0.98)  # keeps the first triangles from being slivers; the surface is met again below
+    surface = Surface(nodes[a] + share * (nodes[b] - nodes[a]), index.reshape(-1, 3))
+    points = surface.vertices
+    for _ in range(smoothing):
+        points = _onto_surface(value, _average_of_neighbours(surface, points), cell, steps=1)
+    return Surface(_onto_surface(value, points, cell, steps=2), surface.faces)
+
+
+def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:
+    """Faces that part the inside corners of positively oriented tetrahedra from the outside ones, shape [F, 3, 2]."""
+    found = []
+    # An even permutation that brings each corner to the front, and each pair of corners to the front.
+    to_front = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+    pairs = [[0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2], [1, 2, 0, 3], [1, 3, 2, 0], [2, 3, 0, 1]]
+    for corner in range(4):
+        for lone_inside in (True, False):
+            chosen = (inside[:, corner] == lone_inside) & (inside.sum(axis=1) == (1 if lone_inside else 3))
+            a, b, c, d = tetrahedra[chosen][:, to_front[corner]].T
+            edges = [np.stack(e, axis=1) for e in ((a, b), (a, c), (a, d))]
+            found.append(np.stack(edges if lone_inside else edges[::-1], axis=1))
+    for order in pairs:
+        chosen = inside[:, order[:2]].all(axis=1) & (inside.sum(axis=1) == 2)
+        a, b, c, d = tetrahedra[chosen][:, order].T
+        ac, ad, bc, bd = (np.stack(e, axis=1) for e in ((a, c), (a, d), (b, c), (b, d)))
+        found += [np.stack([ac, ad, bd], axis=1), np.stack([ac, bd, bc], axis=1)]
+    return np.concatenate(found)
+
+
+def _average_of_neighbours(surface: Surface, points: Points) -> Points:
+    """The mean of every vertex's neighbours, shape [V, 3]."""
+    flat = surface.faces.ravel()
+    following = points[np.roll(surface.faces, -1, axis=1).ravel()]
+    degree = np.bincount(flat, minlength=surface.vertex_count)
+    # In a closed oriented mesh every neighbour follows a vertex in exactly one face.
+    sums = [np.bincount(flat, weights=following[:, k], minlength=surface.vertex_count) for k in range(3)]
+    return np.stack(sums, axis=1) / degree[:, None]
+
+
+def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float, steps: int) -> Points:
+    """Newton's method along the gradient, with steps of at most half a cell."""
+    step = 1e-4 * cell
+    for _ in range(steps):
+        here = value(points)
+        slope = np.stack([value(points + step * axis) - here for axis in np.eye(3)], axis=1) / step
+        move = -here[:, None] * slope / np.maximum((slope**2).sum(axis=1), 1e-12)[:, None]
+        far = np.linalg.norm(move, axis=1)
+        points = points + move * np.minimum(1.0, 0.5 * cell / np.maximum(far, 1e-300))[:, None]
+    return points
+
+
+def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Points], Points]:
+    """Signed distance to a smooth union of cones between balls, negative inside.
+
+    Args:
+        spheres: rounded cones, shape [N, 8]: two ends (x, y, z, radius each).
+        blend: distance over which two of them melt into each other.
+    """
+    cones = np.asarray(spheres, dtype=np.float64).reshape(-1, 8)
+
+    def value(x: Points) -> Points:
+        total = np.zeros(len(x))
+        for cone in cones:
+            start, radius, end, other = cone[:3], cone[3], cone[4:7], cone[7]
+            axis = end - start
+            along = np.clip(((x - start) @ axis) / max(float(axis @ axis), 1e-300), 0.0, 1.0)
+            distance = np.linalg.norm(x - start - along[:, None] * axis, axis=1) - (radius + along * (other - radius))
+            total += np.exp(-np.clip(distance / blend, -200.0, 200.0))
+        return -blend * np.log(total)
+
+    return value
+
+
+def demo_shape(face_count: int = 20000) -> Surface:
+    """A small four-legged creature with a tail, ears and a snout, smooth all over.
+
+    Args:
+        face_count: roughly how many faces, from about 2,000; thin parts are thickened when there are few.
+    """
+    sides = [(x, s) for x in (-0.48, 0.5) for s in (-1.0, 1.0)]
+    legs = [[x, 0.3 * s, 0.05, 0.2, x + 0.06, 0.42 * s, -0.72, 0.15] for x, s in sides]
+    feet = [[x + 0.06, 0.42 * s, -0.74, 0.15, x + 0.2, 0.45 * s, -0.78, 0.12] for x, s in sides]
+    ears = [[0.95, 0.22 * s, 0.98, 0.13, 0.8, 0.46 * s, 1.28, 0.1] for s in (-1.0, 1.0)]
+    body = [[-0.5, 0.0, 0.1, 0.46, 0.45, 0.0, 0.14, 0.4]]
+    head = [[0.55, 0.0, 0.3, 0.26, 0.95, 0.0, 0.78, 0.24], [0.98, 0.0, 0.8, 0.34, 1.34, 0.0, 0.66, 0.17]]
+    tail = [
+        [-0.8, 0.0, 0.22, 0.17, -1.2, 0.05, 0.55, 0.12],
+        [-1.2, 0.05, 0.55, 0.12, -1.35, 0.15, 0.98, 0.1],
+        [-1.35, 0.15, 0.98, 0.1, -1.12, 0.3, 1.28, 0.12],
+    ]
+    cell = 10.1 / np.sqrt(face_count)
+    cones = np.array(body + legs + feet + head + ears + tail)
+    cones[:, [3, 7]] = np.maximum(cones[:, [3, 7]], 0.8 * cell)  # thinner than this the grid would cut them off
+    value = metaballs(cones, blend=0.05)
+    low, high = np.array([-1.75, -0.85, -1.15]), np.array([1.75, 0.85, 1.6])
+    return implicit_surface(value, low, high, cell=cell)
+
+
+# Making good meshes worse -------------------------------------------------------------------------------------------
+
+
+def noisy(surface: Surface, amount: float = 0.2, seed: int = 0) -> Surface:
+    """Move every coordinate by a normal random number times ``amount`` times the mean length of the edges there."""
+    rng = np.random.default_rng(seed)
+    ends = surface.edges
+    lengths = np.linalg.norm(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]], axis=1)
+    total = np.bincount(ends.ravel(), weights=np.repeat(lengths, 2), minlength=surface.vertex_count)
+    mean = total / np.bincount(ends.ravel(), minlength=surface.vertex_count)
+    return Surface(surface.vertices + amount * mean[:, None] * rng.normal(size=surface.vertices.shape), surface.faces)
+
+
+def flip_edges(surface: Surface, rounds: int = 10, seed: int = 0) -> Surface:
+    """Flip random edges: the same vertices with obtuse and thin triangles.
+
+    In a round, edges whose two triangles touch no others' are turned into the other diagonal of the two, where that
+    leaves at least three neighbours everywhere, no double edge and no triangle that faces backwards.
+    """
+    rng = np.random.default_rng(seed)
+    points, faces = surface.vertices, surface.faces.astype(np.int64)
+    for _ in range(rounds):
+        half = np.flatnonzero(faces.ravel() < np.roll(faces, -1, axis=1).ravel())
+        current = Surface(points, faces)
+        other = current.face_neighbours.ravel()[half].astype(np.int64)
+        face, k = half // 3, half % 3
+        a, b, c = faces[face, k], faces[face, (k + 1) % 3], faces[face, (k + 2) % 3]
+        d = faces[other].sum(axis=1) - a - b
+        degree = np.bincount(faces.ravel(), minlength=len(points))
+        known = np.sort(faces.ravel() * len(points) + np.roll(faces, -1, axis=1).ravel())
+        wanted = c * len(points) + d
+        at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+        old = _normals(points, a, b, c) + _normals(points, a, d, b)
+        one, two = _normals(points, c, d, b), _normals(points, c, a, d)
+        size = 0.02 * (old**2).sum(axis=1)
+        forward = (np.einsum("ij,ij->i", one, old) > size) & (np.einsum("ij,ij->i", two, old) > size)
+        allowed = np.flatnonzero((known[at] != wanted) & (degree[a] > 3) & (degree[b] > 3) & forward)
+        priority = rng.permutation(len(allowed))
+        best = np.full(len(points), -1)
+        for vertex in (a, b, c, d):
+            np.maximum.at(best, vertex[allowed], priority)
+        alone = np.all([best[vertex[allowed]] == priority for vertex in (a, b, c, d)], axis=0)
+        chosen = allowed[alone]
+        faces[face[chosen]] = np.stack([c, d, b], axis=1)[chosen]
+        faces[other[chosen]] = np.stack([c, a, d], axis=1)[chosen]
+    return Surface(points, faces)
+
+
+def shuffled(surface: Surface, seed: int = 0) -> Surface:
+    """The same surface with vertices and faces in random order and every face begun at a random corner."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(surface.vertex_count)
+    place = np.argsort(order)
+    faces = place[surface.faces[rng.permutation(surface.face_count)]]
+    turn = (np.arange(3)[None] + rng.integers(3, size=len(faces))[:, None]) % 3
+    return Surface(surface.vertices[order], np.take_along_axis(faces, turn, axis=1))
+
+
+# Parts --------------------------------------------------------------------------------------------------------------
+
+
+def _icosahedron() -> tuple[Points, Faces]:
+    """The twelve corners, unit vectors, and twenty outward faces of the regular icosahedron."""
+    g = (1 + np.sqrt(5)) / 2
+    corners = [[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0], [0, -1, g], [0, 1, g]]
+    corners += [[0, -1, -g], [0, 1, -g], [g, 0, -1], [g, 0, 1], [-g, 0, -1], [-g, 0, 1]]
+    faces = [[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6]]
+    faces += [[7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10]]
+    faces += [[8, 6, 7], [9, 8, 1]]
+    return _unit(np.array(corners, dtype=np.float64)), np.array(faces)
+
+
+def _capped_grid(grid: Points, north: Points, south: Points, flip: bool = False) -> tuple[Points, Faces]:
+    """Close a grid of rings from north to south, [R, S, 3], with a point at either end; ``flip`` if it runs north."""
+    rings, segments = grid.shape[:2]
+    index = np.arange(rings * segments).reshape(rings, segments)
+    nxt = np.roll(index, -1, axis=1)
+    first, last = rings * segments, rings * segments + 1
+    top, bottom = index[0], index[-1]
+    faces = np.concatenate(
+        [
+            np.stack([np.full(segments, first), top, nxt[0]], axis=1),
+            np.stack([index[:-1], index[1:], nxt[1:]], axis=2).reshape(-1, 3),
+            np.stack([index[:-1], nxt[1:], nxt[:-1]], axis=2).reshape(-1, 3),
+            np.stack([np.full(segments, last), nxt[-1], bottom], axis=1),
+        ]
+    )
+    ends = [south, north] if flip else [north, south]
+    return np.concatenate([grid.reshape(-1, 3), ends]), faces[:, ::-1] if flip else faces
+
+
+def _sorted_faces(faces: Faces) -> Faces:
+    """Every face begun at its smallest vertex, and faces in order: independent of how a library lists them."""
+    start = faces.argmin(axis=1)
+    faces = np.take_along_axis(faces, (np.arange(3)[None] + start[:, None]) % 3, axis=1)
+    return faces[np.lexsort(faces.T[::-1])]
+
+
+def _normals(points: Points, a: NDArray, b: NDArray, c: NDArray) -> Points:
+    """Normals of triangles, twice their area long."""
+    return np.cross(points[b] - points[a], points[c] - points[a])
+
+
+def _unit(vectors: ArrayLike) -> Points:
+    points = np.asarray(vectors, dtype=np.float64)
+    return points / np.linalg.norm(points, axis=-1, keepdims=True)
+
+
+__all__ = [
+    "blob",
+    "demo_shape",
+    "ellipsoid",
+    "fibonacci_sphere",
+    "flip_edges",
+    "icosphere",
+    "icosphere_near",
+    "implicit_surface",
+    "limbs",
+    "metaballs",
+    "needle",
+    "noisy",
+    "plate",
+    "random_sphere",
+    "shuffled",
+    "sphere_from_directions",
+    "star_shape",
+    "tube",
+    "uv_sphere",
+]

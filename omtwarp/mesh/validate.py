@@ -1,0 +1,411 @@
+"""What is wrong with a mesh: every condition the maps rely on, each told in one line with its place and its remedy.
+
+Every test is free of scale: coordinates are moved to the bounding box's centre and divided by its extent before
+anything is measured, so that a mesh in nanometres and one in light years are judged alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from omtwarp.errors import OmtwarpError
+
+REPAIR = "--repair (omtwarp.mesh.repair in Python)"
+"""How the remedies name the package's own repair."""
+
+
+@dataclass(frozen=True)
+class Defect:
+    """One kind of defect of a mesh.
+
+    Attributes:
+        kind: a short, stable name: ``not-a-triangle-mesh``, ``empty``, ``non-finite``, ``index-out-of-range``,
+            ``duplicate-faces``, ``zero-area``, ``unused-vertices``, ``non-manifold-edges``, ``non-manifold-vertices``,
+            ``open-boundary``, ``not-orientable``, ``inconsistent-orientation``, ``several-components``, ``genus`` or
+            ``inward-orientation``.
+        count: how many there are.
+        where: index of the first one (a vertex or a face, as the message says); -1 where there is none to name.
+        message: the defect, how many, where the first one is.
+        remedy: what mends it.
+    """
+
+    kind: str
+    count: int
+    where: int
+    message: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.message}; {self.remedy}"
+
+
+def check(vertices: ArrayLike, faces: ArrayLike) -> list[Defect]:
+    """List everything that keeps a mesh from being mapped to the sphere; an empty list means that nothing does.
+
+    Args:
+        vertices: coordinates in any unit, shape [V, 3].
+        faces: vertex indices of the triangles, counter-clockwise seen from outside, shape [F, 3].
+
+    Returns:
+        The defects, the most basic first. Conditions that only make sense on a sounder mesh (an inside for an open
+        one) are left out until the others are mended.
+    """
+    try:
+        points, triangles = as_arrays(vertices, faces)
+    except OmtwarpError as error:
+        return [Defect("not-a-triangle-mesh", 1, -1, str(error), "give vertices [V, 3] and triangles [F, 3]")]
+    if len(points) == 0 or len(triangles) == 0:
+        text = f"empty mesh: {_number(len(points), 'vertex', 'vertices')} and {_number(len(triangles), 'face')}"
+        return [Defect("empty", 1, -1, text, "give a mesh with faces")]
+    out_of_range = ((triangles < 0) | (triangles >= len(points))).any(axis=1)
+    if out_of_range.any():
+        first = int(np.argmax(out_of_range))
+        text = (
+            f"{_number(out_of_range.sum(), 'face')} with a vertex index out of range, first face {first} "
+            f"{_tuple(triangles[first])} of a mesh with {_number(len(points), 'vertex', 'vertices')}"
+        )
+        remedy = f"write the file anew, or drop them with {REPAIR}"
+        return [Defect("index-out-of-range", int(out_of_range.sum()), first, text, remedy)]
+    found = _geometric_defects(points, triangles)
+    if not (triangles == np.roll(triangles, -1, axis=1)).any():  # a face that repeats a vertex has no edges to speak of
+        found += _topological_defects(points, triangles, sound=not found)
+    return found
+
+
+def require_valid(
+    vertices: ArrayLike, faces: ArrayLike, name: str = ""
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the mesh as arrays when it can be mapped, and say in one line why not otherwise.
+
+    Args:
+        vertices: coordinates in any unit, shape [V, 3].
+        faces: vertex indices of the triangles, shape [F, 3].
+        name: what to call the mesh in the message, such as its file's name.
+
+    Returns:
+        Vertices, float64 [V, 3], and faces, int32 [F, 3], in the order given.
+
+    Raises:
+        OmtwarpError: the first defect, how many, where the first is, what mends it, and the other kinds of defect.
+    """
+    defects = check(vertices, faces)
+    if defects:
+        raise OmtwarpError(describe(defects, name))
+    points, triangles = as_arrays(vertices, faces)
+    return points, triangles.astype(np.int32)
+
+
+def describe(defects: list[Defect], name: str = "") -> str:
+    """One line for a list of defects: the first in full, the kinds of the others in brackets."""
+    others = ", ".join(defect.kind for defect in defects[1:])
+    return (f"{name}: " if name else "") + str(defects[0]) + (f" (also: {others})" if others else "")
+
+
+def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices as float64 [V, 3] and faces as int64 [F, 3], without changing a number.
+
+    Raises:
+        OmtwarpError: other shapes, faces with more than three corners, or indices that are not whole numbers.
+    """
+    try:
+        points = np.ascontiguousarray(vertices, dtype=np.float64)
+        given = np.asarray(faces)
+        indices = given.astype(np.float64) if given.size else np.zeros((0, 3))
+    except (TypeError, ValueError):
+        raise OmtwarpError("not a triangle mesh: vertices and faces must be numbers in rows of equal length") from None
+    if points.size == 0:
+        points = points.reshape(0, 3)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise OmtwarpError(f"not a triangle mesh: vertices have shape {list(points.shape)}, not [V, 3]")
+    if indices.ndim != 2 or indices.shape[1] != 3:
+        corners = f": {len(given)} faces with {given.shape[1]} corners, triangulate them" if given.ndim == 2 else ""
+        raise OmtwarpError(f"not a triangle mesh: faces have shape {list(given.shape)}, not [F, 3]{corners}")
+    if not (np.isfinite(indices) & (indices == np.floor(indices)) & (np.abs(indices) < 2**62)).all():
+        raise OmtwarpError("not a triangle mesh: faces must be whole numbers")
+    return points, given.astype(np.int64).reshape(-1, 3)
+
+
+def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points moved to their bounding box's centre and divided by half its largest side; zeros if they all coincide."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = float((high / 2 - low / 2).max())
+    centred = points - (low / 2 + high / 2)
+    return centred / extent if extent > 0 else np.zeros_like(centred)
+
+
+def zero_area_faces(unit: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which faces have no area beyond rounding, shape [F]; ``unit`` as :func:`unit_coordinates` gives it.
+
+    Coordinates near 1 are rounded at 1e-16, which moves twice the area by that times the longest edge: what is below a
+    few times this is not an area.
+    """
+    corners = unit[faces]
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    twice_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return ~(twice_area > 4 * np.finfo(np.float64).eps * edges.max(axis=1) * np.abs(corners).max(axis=(1, 2)))
+
+
+def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.bool_]:
+    """Which faces have the vertices, in any order, of a face before them, shape [F]."""
+    low, middle, high = np.sort(faces, axis=1).T
+    edge = low * vertex_count + middle
+    order = np.lexsort((high, edge)) if vertex_count >= 2**21 else np.argsort(edge * vertex_count + high, kind="stable")
+    same = (edge[order[1:]] == edge[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
+    duplicate = np.zeros(len(faces), dtype=bool)
+    duplicate[order[1:][same]] = True
+    return duplicate
+
+
+def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) -> list[Defect]:
+    """Coordinates that are no numbers, faces that are no triangles, vertices that are in none."""
+    found = []
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        count = int((~finite).sum())
+        text = f"{_number(count, 'vertex', 'vertices')} with NaN or infinite coordinates, first vertex {first}"
+        found.append(Defect("non-finite", count, first, text, f"write the file anew, or drop them with {REPAIR}"))
+    duplicate = duplicate_faces(faces, len(points))
+    if duplicate.any():
+        first = int(np.argmax(duplicate))
+        text = f"{_number(duplicate.sum(), 'duplicate face')}, first face {first} {_tuple(faces[first])}"
+        found.append(Defect("duplicate-faces", int(duplicate.sum()), first, text, f"drop them with {REPAIR}"))
+    if finite.all():
+        flat = zero_area_faces(unit_coordinates(points), faces)
+        if flat.any():
+            first = int(np.argmax(flat))
+            text = f"{_number(flat.sum(), 'face')} of zero area, first face {first} {_tuple(faces[first])}"
+            found.append(Defect("zero-area", int(flat.sum()), first, text, f"drop or flip them with {REPAIR}"))
+    used = np.zeros(len(points), dtype=bool)
+    used[faces] = True
+    if not used.all():
+        first = int(np.argmin(used))
+        text = f"{_number((~used).sum(), 'vertex', 'vertices')} in no face, first vertex {first}"
+        found.append(Defect("unused-vertices", int((~used).sum()), first, text, f"drop them with {REPAIR}"))
+    return found
+
+
+def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], sound: bool) -> list[Defect]:
+    """How the faces hang together: manifold, closed, oriented, in one piece, of genus 0, outward.
+
+    ``sound`` says that the faces by themselves are in order, which genus and inside need.
+    """
+    found: list[Defect] = []
+    topology = Topology(faces, len(points))
+
+    crowded = topology.edge_face_count > 2
+    if crowded.any():
+        a, b = (int(end) for end in topology.edges[np.argmax(crowded)])
+        count = int(crowded.sum())
+        text = f"{_number(count, 'non-manifold edge')} (more than two faces), first between vertices {a} and {b}"
+        found.append(Defect("non-manifold-edges", count, a, text, "remove the extra faces in a mesh editor"))
+
+    pinched = topology.fans > 1
+    if pinched.any():
+        first, count = int(np.argmax(pinched)), int(pinched.sum())
+        number = _number(count, "non-manifold vertex", "non-manifold vertices")
+        text = f"{number} (several fans of faces meet in a point), first vertex {first}"
+        remedy = "split the vertex, or drop the extra fan, in a mesh editor"
+        found.append(Defect("non-manifold-vertices", count, first, text, remedy))
+
+    lone = topology.edge_face_count == 1
+    if lone.any():
+        a, b = (int(end) for end in topology.edges[np.argmax(lone)])
+        holes = _number(topology.hole_count, "hole")
+        edges = _number(lone.sum(), "edge")
+        text = f"open boundary: {edges} with one face, in {holes}, first between vertices {a} and {b}"
+        copies = _coincident_vertices(points, topology.edges[lone])
+        if copies:
+            remedy = f"{_number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
+        else:
+            remedy = f"fill small holes with {REPAIR}, large ones in a mesh editor"
+        found.append(Defect("open-boundary", int(lone.sum()), a, text, remedy))
+
+    clashing = topology.clashing_edges
+    orientable = not clashing.any() or topology.orientation[0]
+    if not orientable and not crowded.any():
+        a, b = (int(end) for end in topology.edges[np.argmax(clashing)])
+        text = f"not orientable: a one-sided surface, its sides meet first between vertices {a} and {b}"
+        remedy = "nothing mends it: only surfaces with an inside map to the sphere"
+        found.append(Defect("not-orientable", 1, a, text, remedy))
+    elif clashing.any():
+        a, b = (int(end) for end in topology.edges[np.argmax(clashing)])
+        text = (
+            f"inconsistent orientation: {_number(clashing.sum(), 'edge')} between faces that turn opposite ways, "
+            f"first between vertices {a} and {b}"
+        )
+        found.append(Defect("inconsistent-orientation", int(clashing.sum()), a, text, f"turn the faces with {REPAIR}"))
+
+    pieces, labels = topology.components
+    if pieces > 1:
+        sizes = np.bincount(labels)
+        largest = int(np.argmax(sizes))
+        first = int(np.argmax(labels != largest))
+        text = (
+            f"{pieces} components, the largest with {sizes[largest]} of {len(faces)} faces, "
+            f"first face of another is {first}"
+        )
+        remedy = f"map them one by one, or keep the largest with {REPAIR}"
+        found.append(Defect("several-components", pieces, first, text, remedy))
+
+    if sound and orientable and not crowded.any() and not pinched.any():
+        genus = topology.genus
+        if genus > 0:
+            a, b = (int(end) for end in topology.handle_edge)
+            handles = _number(genus, "handle")
+            text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
+            remedy = "cut the handles and fill the cuts in a mesh editor: only genus 0 maps to the sphere"
+            found.append(Defect("genus", genus, a, text, remedy))
+
+    if sound and not found and _signed_volume(points, faces) < 0:
+        text = f"inward orientation: all {_number(len(faces), 'face')} are clockwise seen from outside, first face 0"
+        found.append(Defect("inward-orientation", len(faces), 0, text, f"turn them with {REPAIR}"))
+    return found
+
+
+class Topology:
+    """Edges of a triangle mesh that need not be manifold, and what follows from how faces meet in them.
+
+    Attributes:
+        faces: int64, shape [F, 3], every index in range.
+        edges: every undirected edge once, smaller vertex first, shape [E, 2], sorted.
+        edge_face_count: number of faces at every edge, shape [E].
+    """
+
+    def __init__(self, faces: NDArray[np.int64], vertex_count: int):
+        self.faces = faces
+        self.vertex_count = vertex_count
+        tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+        keys = np.minimum(tail, head) * vertex_count + np.maximum(tail, head)
+        order = np.argsort(keys, kind="stable")  # half-edges, those of one edge side by side, in the order of faces
+        same = keys[order[1:]] == keys[order[:-1]]
+        starts = np.flatnonzero(np.concatenate([[True], ~same]))
+        self.edge_face_count = np.diff(starts, append=len(keys))
+        self.edges = np.stack([np.minimum(tail, head)[order[starts]], np.maximum(tail, head)[order[starts]]], axis=1)
+        self._forward = tail < head
+        self._half_edge_edge = np.empty(len(keys), dtype=np.int64)
+        self._half_edge_edge[order] = np.repeat(np.arange(len(starts)), self.edge_face_count)
+        # Pairs of half-edges that lie side by side in one edge; an edge of n faces gives n - 1 of them.
+        self._pairs = np.stack([order[:-1][same], order[1:][same]], axis=1)
+
+    @cached_property
+    def clashing_edges(self) -> NDArray[np.bool_]:
+        """Edges of two faces that both run through them in the same direction, shape [E]."""
+        forward = np.bincount(self._half_edge_edge, weights=self._forward, minlength=len(self.edges))
+        return (self.edge_face_count == 2) & (forward != 1)
+
+    @cached_property
+    def components(self) -> tuple[int, NDArray[np.int32]]:
+        """Number of pieces joined through edges and the piece of every face, shape [F]."""
+        return _components(len(self.faces), self._pairs // 3)
+
+    @cached_property
+    def fans(self) -> NDArray[np.int64]:
+        """Number of fans of faces, joined through edges, around every vertex, shape [V]; 0 where a vertex is unused."""
+        tail = self.faces.ravel()
+        first, second = self._pairs[:, 0], self._pairs[:, 1]
+        following = np.arange(len(tail)).reshape(-1, 3)[:, [1, 2, 0]].ravel()  # corner at the head
+        aligned = self._forward[first] == self._forward[second]
+        low = np.stack([first, np.where(aligned, second, following[second])], axis=1)
+        high = np.stack([following[first], np.where(aligned, following[second], second)], axis=1)
+        _, labels = _components(len(tail), np.concatenate([low, high]))
+        _, one_of_each = np.unique(labels, return_index=True)
+        return np.bincount(tail[one_of_each], minlength=self.vertex_count)
+
+    @cached_property
+    def orientation(self) -> tuple[bool, NDArray[np.bool_]]:
+        """Whether the faces can be turned to agree, and which to turn for it so that each piece's first face stays.
+
+        The faces are doubled into (face, as it is) and (face, turned), and joined so that joined ones agree: the
+        surface is orientable exactly where no face is joined to its own turned copy.
+        """
+        count = len(self.faces)
+        two = self.edge_face_count[self._half_edge_edge[self._pairs[:, 0]]] == 2
+        first, second = (self._pairs[two] // 3).T
+        clash = self._forward[self._pairs[two, 0]] == self._forward[self._pairs[two, 1]]
+        straight = np.stack([first, second + count * clash], axis=1)
+        turned = np.stack([first + count, second + count * ~clash], axis=1)
+        _, labels = _components(2 * count, np.concatenate([straight, turned]))
+        orientable = bool((labels[:count] != labels[count:]).all())
+        pieces, piece = _components(count, np.stack([first, second], axis=1))
+        leader = np.full(pieces, count)
+        np.minimum.at(leader, piece, np.arange(count))
+        return orientable, labels[:count] != labels[leader[piece]]
+
+    @cached_property
+    def hole_count(self) -> int:
+        """Number of connected pieces of the boundary."""
+        boundary = self.edges[self.edge_face_count == 1]
+        ends, renumbered = np.unique(boundary, return_inverse=True)
+        return _components(len(ends), renumbered.reshape(-1, 2))[0]
+
+    @cached_property
+    def genus(self) -> int:
+        """Handles of all pieces together, holes counted as filled: Euler's V - E + F = 2 (pieces - genus)."""
+        used = len(np.unique(self.faces))
+        euler = used - len(self.edges) + len(self.faces) + self.hole_count
+        return self.components[0] - euler // 2
+
+    @cached_property
+    def handle_edge(self) -> NDArray[np.int64]:
+        """An edge that closes a loop around a handle: the first in neither a spanning tree nor a cotree, shape [2].
+
+        Source: D. Eppstein, Dynamic generators of topologically embedded graphs, 2003 (tree-cotree decomposition).
+        """
+        in_tree = _spanning_forest(self.vertex_count, self.edges)
+        inner = np.flatnonzero((self.edge_face_count == 2) & ~in_tree)
+        faces_of = np.full((len(self.edges), 2), -1)
+        at = self._half_edge_edge[self._pairs[:, 0]]
+        faces_of[at] = self._pairs // 3
+        left = inner[~_spanning_forest(len(self.faces), faces_of[inner])]
+        return self.edges[left[0]] if len(left) else self.edges[0]
+
+
+def _components(count: int, links: NDArray) -> tuple[int, NDArray[np.int32]]:
+    """Number of connected components of a graph and the component of every node, shape [count]."""
+    graph = sparse.coo_array((np.ones(len(links), dtype=np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
+    pieces, labels = csgraph.connected_components(graph, directed=False)
+    return int(pieces), labels
+
+
+def _spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
+    """Which links make up a spanning forest of a graph, shape [len(links)]."""
+    # The weight of a link is its own number, so that the tree's entries say which links were taken.
+    number = np.arange(1, len(links) + 1, dtype=np.float64)
+    graph = sparse.csr_array((number, (links[:, 0], links[:, 1])), shape=(count, count))
+    taken = csgraph.minimum_spanning_tree(graph).data
+    chosen = np.zeros(len(links), dtype=bool)
+    chosen[np.round(taken).astype(np.int64) - 1] = True
+    return chosen
+
+
+def _coincident_vertices(points: NDArray[np.float64], boundary: NDArray[np.int64]) -> int:
+    """How many vertices of the boundary have the very coordinates of another vertex of it."""
+    ends = np.unique(boundary)
+    return len(ends) - len(np.unique(points[ends], axis=0))
+
+
+def _signed_volume(points: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
+    """Volume enclosed, in units of half the extent cubed; 0 where it is lost in rounding."""
+    p0, p1, p2 = (unit_coordinates(points)[faces[:, k]] for k in range(3))
+    each = np.einsum("ij,ij->i", p0, np.cross(p1, p2)) / 6.0
+    volume = float(each.sum())
+    return volume if abs(volume) > 1e-12 * float(np.abs(each).sum()) else 0.0
+
+
+def _number(count: int | np.integer, one: str, many: str = "") -> str:
+    """``1 face``, ``7 faces``."""
+    return f"{int(count)} {one if count == 1 else many or one + 's'}"
+
+
+def _tuple(row: NDArray) -> str:
+    return "(" + ", ".join(str(int(entry)) for entry in row) + ")"
+
+
+__all__ = ["Defect", "check", "describe", "require_valid"]
