@@ -25,12 +25,12 @@ from omtwarp.mesh.surface import Surface
 # Weight of area against shape in the levels' energy.
 _AREA_WEIGHT = 2.0
 # Part of an equilateral triangle mixed into each coarse triangle's metric.
-_ROUNDING = 0.01
+_ROUNDING = 0.001
 # Levels with fewer vertices than this cost nothing and carry the global layout: they are relaxed well.
 _SMALL_LEVEL = 1000
-_SMALL_SWEEPS = 12
-_SWEEPS = 2
-_FINAL_SWEEPS = 8
+_SMALL_SWEEPS = 30
+_SWEEPS = 8
+_FINAL_SWEEPS = 20
 # A determinant below this after an insertion is not safely positive in float64.
 _LEAST_DETERMINANT = 1e-15
 _INSERTION_ATTEMPTS = 8
