@@ -1,0 +1,212 @@
+"""Nested triangulations of the sphere from a Platonic solid (paper, section 3.1 and figure 2).
+
+Every level splits each triangle into four by the midpoints of its edges, pushed out to the sphere. In the paper's
+words, K(j) are the nodes of level j, M(j) the midpoints that level j + 1 adds, and K(j + 1) = K(j) ∪ M(j). Nodes are
+numbered coarse first, so K(j) is the first ``node_counts[j]`` nodes of any finer level and a transform can work in
+place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import face_neighbours
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+SOLIDS = ("icosahedron", "octahedron", "tetrahedron")
+HIGHEST_LEVEL = 10
+
+
+def platonic_solid(solid: str = "icosahedron") -> tuple[FloatArray, IntArray]:
+    """Vertices on the unit sphere and outward faces of ``icosahedron``, ``octahedron`` or ``tetrahedron``.
+
+    Raises:
+        OmtwarpError: another name.
+    """
+    if solid == "icosahedron":
+        golden = (1 + np.sqrt(5.0)) / 2
+        vertices = np.array(
+            [[0, s * 1.0, t * golden] for s in (-1, 1) for t in (-1, 1)]
+            + [[s * 1.0, t * golden, 0] for s in (-1, 1) for t in (-1, 1)]
+            + [[t * golden, 0, s * 1.0] for s in (-1, 1) for t in (-1, 1)]
+        )
+        edge = 2.0
+    elif solid == "octahedron":
+        vertices = np.concatenate([np.eye(3), -np.eye(3)])
+        edge = np.sqrt(2.0)
+    elif solid == "tetrahedron":
+        vertices = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+        edge = 2 * np.sqrt(2.0)
+    else:
+        raise OmtwarpError(f"unknown solid '{solid}': use {', '.join(SOLIDS)}")
+    near = np.isclose(np.linalg.norm(vertices[:, None] - vertices[None], axis=2), edge)
+    count = len(vertices)
+    faces = []
+    for i in range(count):
+        for j in range(i + 1, count):
+            for k in range(j + 1, count):
+                if near[i, j] and near[j, k] and near[i, k]:
+                    outward = np.linalg.det(vertices[[i, j, k]]) > 0
+                    faces.append((i, j, k) if outward else (i, k, j))
+    return vertices / np.linalg.norm(vertices, axis=1)[:, None], np.array(faces, dtype=np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class SphereHierarchy:
+    """Nested triangulations of the unit sphere, levels 0 (the solid) to ``level``.
+
+    Build one with :func:`sphere_hierarchy`.
+
+    Attributes:
+        solid: name of the solid.
+        vertices: nodes of the finest level on the unit sphere, coarse first, shape [N, 3].
+        node_counts: number of nodes |K(j)| of each level, ``level + 1`` of them.
+        level_faces: triangles of each level, shape [F_j, 3]; triangle ``f`` has children ``4 f + c`` on the next level,
+            where c = 0, 1, 2 keeps corner c (as corner c of the child) and 3 is the middle one.
+        level_parents: the two ends in K(j) of the edge that each node of M(j) halves, shape [M_j, 2].
+        level_wings: the six other nodes of the butterfly around that edge, shape [M_j, 6]: two opposite the edge in its
+            triangles, then four opposite those triangles' other edges.
+    """
+
+    solid: str
+    vertices: FloatArray
+    node_counts: tuple[int, ...]
+    level_faces: tuple[IntArray, ...]
+    level_parents: tuple[IntArray, ...]
+    level_wings: tuple[IntArray, ...]
+
+    @property
+    def level(self) -> int:
+        """The finest level."""
+        return len(self.node_counts) - 1
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes of the finest level."""
+        return self.node_counts[-1]
+
+    @property
+    def faces(self) -> IntArray:
+        """Triangles of the finest level, shape [F, 3]."""
+        return self.level_faces[-1]
+
+    @cached_property
+    def node_levels(self) -> IntArray:
+        """Level j of the wavelet that belongs to each node of M(j); -1 for the nodes of the solid, shape [N]."""
+        levels = np.full(self.node_count, -1, dtype=np.int32)
+        for j in range(self.level):
+            levels[self.node_counts[j] : self.node_counts[j + 1]] = j
+        return levels
+
+    @cached_property
+    def node_areas(self) -> FloatArray:
+        """A third of the spherical triangles' areas around each node of the finest level, shape [N]; the sum is 4π.
+
+        This is the quadrature with respect to which the wavelets' integrals vanish: ∫ f = sum of node_areas * f(node).
+        """
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
+        dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
+        solid_angles = 2 * np.arctan2(triple, 1 + dots[0] + dots[1] + dots[2])
+        shares = np.repeat(solid_angles / 3, 3)
+        return np.bincount(self.faces.ravel(), weights=shares, minlength=self.node_count).astype(np.float64)
+
+    def node_spacing(self, level: int) -> float:
+        """Distance between neighbouring nodes of a level, in radians, were its triangles equilateral and equal."""
+        return float(np.sqrt(4 * np.pi / len(self.level_faces[level]) * 4 / np.sqrt(3)))
+
+    def refinement_matrix(self, level: int, *, butterfly: bool = False) -> sparse.csr_matrix:
+        """Values at K(level) to values at K(level + 1) by subdivision, as a matrix (section 3.1, refinement)."""
+        stencil, weights = predict_stencil(self, level, butterfly=butterfly)
+        coarse, added = self.node_counts[level], len(stencil)
+        rows = np.concatenate([np.arange(coarse), coarse + np.repeat(np.arange(added), len(weights))])
+        columns = np.concatenate([np.arange(coarse), stencil.ravel()])
+        data = np.concatenate([np.ones(coarse), np.tile(weights, added)])
+        return sparse.csr_matrix((data, (rows, columns)), shape=(coarse + added, coarse))
+
+
+def predict_stencil(hierarchy: SphereHierarchy, level: int, *, butterfly: bool) -> tuple[IntArray, FloatArray]:
+    """Nodes, shape [M_j, 2 or 8], and weights from which the value at each midpoint of a level is predicted.
+
+    Linear: half of each end. Butterfly: the eight-point rule of Dyn, Levin and Gregory (1990) with tension 1/16, as in
+    Schröder and Sweldens (1995).
+    """
+    if not butterfly:
+        return hierarchy.level_parents[level], np.array([0.5, 0.5])
+    stencil = np.concatenate([hierarchy.level_parents[level], hierarchy.level_wings[level]], axis=1)
+    return np.ascontiguousarray(stencil), np.array([8.0, 8, 2, 2, -1, -1, -1, -1]) / 16
+
+
+def _halve_edges(faces: IntArray, node_count: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Edges' ends [E, 2], butterfly wings [E, 6], and the edge (k, k + 1) of every triangle [F, 3]."""
+    tail, head = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
+    keys = np.minimum(tail, head) * node_count + np.maximum(tail, head)
+    unique, first, edge = np.unique(keys.ravel(), return_index=True, return_inverse=True)
+    parents = np.stack([unique // node_count, unique % node_count], axis=1).astype(np.int32)
+    neighbours = face_neighbours(faces, node_count)
+
+    def opposite(face: NDArray[np.int64], tails: NDArray[np.int64], heads: NDArray[np.int64]) -> NDArray[np.int64]:
+        return faces[face].astype(np.int64).sum(axis=1) - tails - heads  # the corner that is neither end
+
+    face, side = first // 3, first % 3
+    twin = neighbours[face, side].astype(np.int64)
+    ends = [faces[face, side].astype(np.int64), faces[face, (side + 1) % 3].astype(np.int64)]
+    wings = []
+    outer = []
+    for triangle in (face, twin):
+        wing = opposite(triangle, *ends)
+        wings.append(wing)
+        for end in ends:
+            corner = (faces[triangle] != (ends[0] + ends[1] - end)[:, None]).argmin(axis=1)  # the other end's corner
+            across = neighbours[triangle, (corner + 1) % 3].astype(np.int64)  # beyond the edge that leaves it out
+            outer.append(opposite(across, end, wing))
+    return parents, np.stack(wings + outer, axis=1).astype(np.int32), edge.reshape(faces.shape).astype(np.int32)
+
+
+@lru_cache(maxsize=16)
+def sphere_hierarchy(level: int, solid: str = "icosahedron") -> SphereHierarchy:
+    """Subdivide a solid ``level`` times.
+
+    An icosahedron has 10 · 4^level + 2 nodes. The result is kept, and shared between callers.
+
+    Raises:
+        OmtwarpError: an unknown solid, or a level outside 0 to 10.
+    """
+    if not 0 <= int(level) <= HIGHEST_LEVEL:
+        raise OmtwarpError(f"level {level} of the sphere's subdivision is outside 0 to {HIGHEST_LEVEL}")
+    vertices, faces = platonic_solid(solid)
+    counts, all_faces = [len(vertices)], [faces]
+    all_parents: list[IntArray] = []
+    all_wings: list[IntArray] = []
+    for _ in range(int(level)):
+        parents, wings, edge = _halve_edges(faces, len(vertices))
+        middles = vertices[parents[:, 0]] + vertices[parents[:, 1]]
+        middle = (edge + len(vertices)).astype(np.int32)
+        a, b, c = faces.T
+        ab, bc, ca = middle.T
+        faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+        vertices = np.concatenate([vertices, middles / np.linalg.norm(middles, axis=1)[:, None]])
+        counts.append(len(vertices))
+        all_faces.append(np.ascontiguousarray(faces))
+        all_parents.append(parents)
+        all_wings.append(wings)
+    return SphereHierarchy(solid, vertices, tuple(counts), tuple(all_faces), tuple(all_parents), tuple(all_wings))
+
+
+def level_for(node_budget: float, solid: str = "icosahedron", lowest: int = 0) -> int:
+    """The highest level whose nodes are at most ``node_budget``, at least ``lowest``."""
+    edges = {"icosahedron": 30, "octahedron": 12, "tetrahedron": 6}[solid]
+    level = lowest
+    while level < HIGHEST_LEVEL and edges * 4 ** (level + 1) / 3 + 2 <= node_budget:
+        level += 1
+    return level
+
+
+__all__ = ["SOLIDS", "SphereHierarchy", "level_for", "platonic_solid", "predict_stencil", "sphere_hierarchy"]

@@ -1,0 +1,266 @@
+"""Operators that join points anywhere on the sphere to the nodes of a hierarchy.
+
+The paper computes at mesh vertices and transforms on a subdivided solid, and does not say how it goes from one to the
+other (section 4.3). Here every point is located once, and both directions are then sparse gathers: linear interpolation
+at points, and its adjoint, which divided by the mass each node receives is a mean.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.wavelets.hierarchy import SphereHierarchy
+from omtwarp.wavelets.transform import transposed_rows
+
+
+class SphereSampler:
+    """Interpolation, its adjoint, and gradients between points and the nodes of one level of a hierarchy.
+
+    Points are found by descent, from the solid's triangles through their children, in float64: exact, deterministic and
+    proportional to the number of levels. :meth:`locate` may be called again when the points move; every buffer is kept.
+    All sums gather in a fixed order, so the same input gives the same bits.
+
+    Arrays passed to methods may be NumPy (NumPy comes back) or Warp arrays on this device (Warp comes back).
+
+    Args:
+        hierarchy: nested triangulations.
+        points: unit vectors, shape [P, 3], NumPy or Warp.
+        level: level whose nodes are used; the finest where not given.
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+
+    Attributes:
+        point_faces: triangle of each point, Warp int32 [P].
+        coordinates: barycentric coordinates where the ray through the point meets that triangle, Warp vec3d [P].
+    """
+
+    def __init__(
+        self, hierarchy: SphereHierarchy, points: Any, *, level: int | None = None, device: str = "auto"
+    ) -> None:
+        from omtwarp._warp import resolve_device, wp
+
+        self.hierarchy = hierarchy
+        self.level = hierarchy.level if level is None else int(level)
+        if not 0 <= self.level <= hierarchy.level:
+            raise OmtwarpError(f"level {level} is outside the hierarchy's 0 to {hierarchy.level}")
+        self.device = resolve_device(device)
+        self.node_count = hierarchy.node_counts[self.level]
+        self.face_count = len(hierarchy.level_faces[self.level])
+        levels = hierarchy.level_faces[: self.level + 1]
+        starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
+
+        def send(array: NDArray[Any], dtype: Any = None) -> Any:
+            given = {} if dtype is None else {"dtype": dtype}
+            return wp.array(np.ascontiguousarray(array), device=self.device, **given)
+
+        self._nodes = send(hierarchy.vertices[: self.node_count], wp.vec3d)
+        self._all_faces, self._starts = send(np.concatenate(levels)), send(starts)
+        self._faces = send(levels[-1])
+        rows = transposed_rows(levels[-1], self.node_count)
+        self._corner_rows = [send(rows[0]), send(rows[1])]
+        self._edge_rows: list[list[Any]] | None = None
+        self._level_sums: list[Any] = []
+        self._level_masses: list[Any] = []
+        self._parents: list[Any] = []
+
+        self.point_count = len(points)
+        self.points: Any = None
+        self.point_faces = wp.empty(self.point_count, dtype=wp.int32, device=self.device)
+        self.coordinates = wp.empty(self.point_count, dtype=wp.vec3d, device=self.device)
+        # The radix sort of Warp wants room for twice the keys.
+        self._keys = wp.empty(2 * self.point_count, dtype=wp.int32, device=self.device)
+        self._order = wp.empty(2 * self.point_count, dtype=wp.int32, device=self.device)
+        self._point_rows = wp.empty(self.face_count + 1, dtype=wp.int32, device=self.device)
+        self._face_vectors = wp.empty(self.face_count, dtype=wp.vec3d, device=self.device)
+        self._corner_vectors = wp.empty((self.face_count, 3), dtype=wp.vec3d, device=self.device)
+        self._node_vectors = wp.empty(self.node_count, dtype=wp.vec3d, device=self.device)
+        self.locate(points)
+
+    def _launch(self, kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
+        from omtwarp._warp import wp
+
+        wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _take(self, array: Any, dtype: Any) -> tuple[Any, bool]:
+        from omtwarp._warp import wp
+
+        if isinstance(array, wp.array):
+            return array, False
+        return wp.array(np.asarray(array, dtype=np.float64), dtype=dtype, device=self.device), True
+
+    def _room(self, out: Any, size: int, dtype: Any) -> Any:
+        from omtwarp._warp import wp
+
+        return wp.empty(size, dtype=dtype, device=self.device) if out is None else out
+
+    def locate(self, points: Any) -> None:
+        """Find the triangle and barycentric coordinates of every point, shape [P, 3], and the points of every triangle.
+
+        A Warp array is kept by reference, not copied.
+        """
+        from omtwarp._warp import wp
+        from omtwarp.wavelets import sampling_kernels as kernels
+
+        if len(points) != self.point_count:
+            raise OmtwarpError(f"expected {self.point_count} points, got {len(points)}")
+        self.points, _ = self._take(points, wp.vec3d)
+        count = self.point_count
+        self._launch(
+            kernels.locate_kernel,
+            count,
+            [self.points, self._nodes, self._all_faces, self._starts],
+            [self.point_faces, self.coordinates],
+        )
+        self._launch(kernels.sort_keys_kernel, count, [self.point_faces], [self._keys, self._order])
+        wp.utils.radix_sort_pairs(self._keys, self._order, count)
+        self._launch(kernels.face_rows_kernel, self.face_count + 1, [self._keys, count], [self._point_rows])
+        self._level_masses = []
+
+    def matrix(self) -> sparse.csr_matrix:
+        """Linear interpolation from nodes to points, [P, N], for the host; its transpose is :meth:`adjoint`."""
+        faces = self.hierarchy.level_faces[self.level][self.point_faces.numpy()]
+        rows = np.repeat(np.arange(self.point_count), 3)
+        data = self.coordinates.numpy().ravel()
+        return sparse.csr_matrix((data, (rows, faces.ravel())), shape=(self.point_count, self.node_count))
+
+    def interpolate(self, values: Any, out: Any = None) -> Any:
+        """A function of the nodes, [N], at the points, [P]: linear in each triangle, constants exact."""
+        from omtwarp._warp import wp
+        from omtwarp.wavelets import sampling_kernels as kernels
+
+        source, from_numpy = self._take(values, wp.float64)
+        out = self._room(out, self.point_count, wp.float64)
+        inputs = [self._faces, self.point_faces, self.coordinates, source]
+        self._launch(kernels.interpolate_kernel, self.point_count, inputs, [out])
+        return out.numpy() if from_numpy else out
+
+    def adjoint(self, at_points: Any, out: Any = None) -> Any:
+        """The transpose of :meth:`interpolate`, [P] -> [N]; the sum is kept."""
+        from omtwarp._warp import wp
+        from omtwarp.wavelets import sampling_kernels as kernels
+
+        source, from_numpy = self._take(at_points, wp.float64)
+        out = self._room(out, self.node_count, wp.float64)
+        inputs = [self._point_rows, self._order, self.coordinates, source]
+        self._launch(kernels.gather_scalars_to_faces_kernel, self.face_count, inputs, [self._face_vectors])
+        inputs = [*self._corner_rows, self._face_vectors]
+        self._launch(kernels.gather_corners_to_nodes_kernel, self.node_count, inputs, [out])
+        return out.numpy() if from_numpy else out
+
+    def set_masses(self, masses: Any) -> None:
+        """Give the (positive) masses of the points, shape [P], that :meth:`restrict` divides by."""
+        from omtwarp._warp import wp
+
+        source, _ = self._take(masses, wp.float64)
+        self._prepare_levels()
+        self._level_masses = self._coarsen(self.adjoint(source), [wp.empty_like(a) for a in self._level_sums])
+
+    def restrict(self, sums: Any, out: Any = None) -> Any:
+        """Means at the nodes of a density given by its sums at the points, [P] -> [N], such as mass times value.
+
+        Each node gets the adjoint's sum over its mass. A node that no point reaches takes the mean of the ends of its
+        edge, from the finest level that has points near it, so that the result is defined everywhere; constants are
+        exact. Call :meth:`set_masses` first.
+        """
+        from omtwarp._warp import wp
+        from omtwarp.wavelets import sampling_kernels as kernels
+
+        if not self._level_masses:
+            raise OmtwarpError("give the points' masses (set_masses) before restricting to the nodes")
+        source, from_numpy = self._take(sums, wp.float64)
+        out = self._room(out, self.node_count, wp.float64)
+        self.adjoint(source, self._level_sums[self.level])
+        self._coarsen(self._level_sums[self.level], self._level_sums)
+        smallest = 1e-12 * 4 * np.pi / self.node_count
+        out.zero_()
+        for j in range(self.level + 1):
+            count = self.hierarchy.node_counts[j]
+            if j > 0:
+                first = self.hierarchy.node_counts[j - 1]
+                self._launch(kernels.refine_kernel, count - first, [first, self._parents[j - 1], out], [])
+            inputs = [self._level_sums[j], self._level_masses[j], smallest]
+            self._launch(kernels.mean_kernel, count, inputs, [out])
+        return out.numpy() if from_numpy else out
+
+    def _prepare_levels(self) -> None:
+        from omtwarp._warp import wp
+
+        if self._edge_rows is not None:
+            return
+        self._edge_rows = []
+        for j in range(self.level):
+            offsets, entries = transposed_rows(self.hierarchy.level_parents[j], self.hierarchy.node_counts[j])
+            self._edge_rows.append([wp.array(offsets, device=self.device), wp.array(entries, device=self.device)])
+            self._parents.append(wp.array(self.hierarchy.level_parents[j], device=self.device))
+        counts = self.hierarchy.node_counts[: self.level + 1]
+        self._level_sums = [wp.empty(count, dtype=wp.float64, device=self.device) for count in counts]
+
+    def _coarsen(self, finest: Any, room: list[Any]) -> list[Any]:
+        from omtwarp.wavelets import sampling_kernels as kernels
+
+        assert self._edge_rows is not None
+        room[self.level] = finest
+        for j in reversed(range(self.level)):
+            count = self.hierarchy.node_counts[j]
+            self._launch(kernels.coarsen_kernel, count, [count, *self._edge_rows[j], room[j + 1]], [room[j]])
+        return room
+
+    def gradient(self, values: Any, out: Any = None, *, smooth: bool = False) -> Any:
+        """Gradient at the points of a function of the nodes, [N] -> [P, 3], in the sphere's tangent plane.
+
+        Args:
+            values: one value per node.
+            out: Warp vec3d array to write into.
+            smooth: interpolate linearly between area-weighted means of the gradients around each node (continuous over
+                the sphere); else take the constant gradient of the triangle each point is in.
+        """
+        from omtwarp._warp import wp
+        from omtwarp.wavelets import sampling_kernels as kernels
+
+        source, from_numpy = self._take(values, wp.float64)
+        out = self._room(out, self.point_count, wp.vec3d)
+        mesh = [self._nodes, self._faces]
+        self._launch(kernels.face_gradient_kernel, self.face_count, [*mesh, source], [self._face_vectors])
+        if smooth:
+            inputs = [*mesh, *self._corner_rows, self._face_vectors]
+            self._launch(kernels.node_gradient_kernel, self.node_count, inputs, [self._node_vectors])
+            inputs = [self.points, self._faces, self.point_faces, self.coordinates, self._node_vectors]
+            self._launch(kernels.point_node_gradient_kernel, self.point_count, inputs, [out])
+        else:
+            inputs = [self.points, self.point_faces, self._face_vectors]
+            self._launch(kernels.point_face_gradient_kernel, self.point_count, inputs, [out])
+        return out.numpy() if from_numpy else out
+
+    def gradient_adjoint(self, field: Any, out: Any = None, *, smooth: bool = False) -> Any:
+        """The transpose of :meth:`gradient`, [P, 3] -> [N]: entry k is the sum of field · grad phi(k) over the points.
+
+        With field = c × y (c the derivative of a cost with respect to the point y) it is that cost's derivative with
+        respect to the stream function of a motion dy/dt = y × grad H: the weak curl.
+        """
+        from omtwarp._warp import wp
+        from omtwarp.wavelets import sampling_kernels as kernels
+
+        source, from_numpy = self._take(field, wp.vec3d)
+        out = self._room(out, self.node_count, wp.float64)
+        mesh = [self._nodes, self._faces]
+        if smooth:
+            inputs = [self.points, self._point_rows, self._order, self.coordinates, source]
+            self._launch(kernels.gather_corner_vectors_kernel, self.face_count, inputs, [self._corner_vectors])
+            inputs = [*mesh, *self._corner_rows, self._corner_vectors]
+            self._launch(kernels.node_vector_kernel, self.node_count, inputs, [self._node_vectors])
+            self._launch(
+                kernels.spread_to_faces_kernel, self.face_count, [*mesh, self._node_vectors], [self._face_vectors]
+            )
+        else:
+            inputs = [self.points, self._point_rows, self._order, source]
+            self._launch(kernels.gather_vectors_to_faces_kernel, self.face_count, inputs, [self._face_vectors])
+        inputs = [*mesh, *self._corner_rows, self._face_vectors]
+        self._launch(kernels.gradient_adjoint_kernel, self.node_count, inputs, [out])
+        return out.numpy() if from_numpy else out
+
+
+__all__ = ["SphereSampler"]

@@ -1,0 +1,348 @@
+"""Warp kernels between points anywhere on the sphere and the nodes of a subdivided sphere."""
+
+# mypy: ignore-errors
+from omtwarp._warp import HALF, ZERO, wp
+
+wp.set_module_options({"enable_backward": False})
+
+TINY = wp.constant(wp.float64(1.0e-300))
+
+
+@wp.func
+def triple(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
+    return wp.dot(a, wp.cross(b, c))
+
+
+@wp.func
+def spherical_coordinates(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
+    """Barycentric coordinates of the place where the ray through ``p`` meets the triangle, not yet normalised."""
+    return wp.vec3d(triple(p, b, c), triple(p, c, a), triple(p, a, b))
+
+
+@wp.func
+def child_of(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.int32:
+    """Which of a spherical triangle's four children holds ``p``; on the arcs between midpoints, the middle one."""
+    ab, bc, ca = wp.normalize(a + b), wp.normalize(b + c), wp.normalize(c + a)
+    if triple(ab, ca, p) > ZERO:
+        return 0
+    if triple(bc, ab, p) > ZERO:
+        return 1
+    if triple(ca, bc, p) > ZERO:
+        return 2
+    return 3
+
+
+@wp.func
+def hat_gradient(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
+    n = wp.cross(b - a, c - a)
+    return wp.cross(n, c - b) / wp.max(wp.dot(n, n), TINY)
+
+
+@wp.func
+def tangential(v: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
+    return v - wp.dot(v, p) * p
+
+
+@wp.kernel
+def locate_kernel(
+    points: wp.array[wp.vec3d],
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+    # Data out:
+    point_faces: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    p = wp.normalize(points[i])
+    face = int(0)
+    best = wp.float64(-1.0e300)
+    for f in range(level_starts[1]):
+        w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
+        inside = wp.min(w[0], wp.min(w[1], w[2]))
+        if inside > best:
+            best = inside
+            face = f
+    for level in range(level_starts.shape[0] - 2):
+        g = level_starts[level] + face
+        face = 4 * face + child_of(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+    g = level_starts[level_starts.shape[0] - 2] + face
+    w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+    # Round-off may leave a point on an edge a hair outside: never extrapolate.
+    w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    point_faces[i] = face
+    coordinates[i] = w / (w[0] + w[1] + w[2])
+
+
+@wp.kernel
+def sort_keys_kernel(point_faces: wp.array[wp.int32], keys: wp.array[wp.int32], order: wp.array[wp.int32]):
+    i = wp.tid()
+    keys[i] = point_faces[i]
+    order[i] = i
+
+
+@wp.kernel
+def face_rows_kernel(keys: wp.array[wp.int32], count: wp.int32, row_offsets: wp.array[wp.int32]):
+    """First place of each face among the sorted keys, by bisection."""
+    f = wp.tid()
+    low = int(0)
+    high = int(count)
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < f:
+            low = middle + 1
+        else:
+            high = middle
+    row_offsets[f] = low
+
+
+@wp.kernel
+def interpolate_kernel(
+    faces: wp.array2d[wp.int32],
+    point_faces: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+    values: wp.array[wp.float64],
+    # Data out:
+    at_points: wp.array[wp.float64],
+):
+    i = wp.tid()
+    f, w = point_faces[i], coordinates[i]
+    at_points[i] = w[0] * values[faces[f, 0]] + w[1] * values[faces[f, 1]] + w[2] * values[faces[f, 2]]
+
+
+@wp.kernel
+def gather_scalars_to_faces_kernel(
+    row_offsets: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+    at_points: wp.array[wp.float64],
+    # Data out:
+    corner_sums: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(row_offsets[f], row_offsets[f + 1]):
+        i = order[n]
+        total += at_points[i] * coordinates[i]
+    corner_sums[f] = total
+
+
+@wp.kernel
+def gather_corners_to_nodes_kernel(
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    corner_sums: wp.array[wp.vec3d],
+    # Data out:
+    at_nodes: wp.array[wp.float64],
+):
+    k = wp.tid()
+    total = wp.float64(0.0)
+    for n in range(corner_offsets[k], corner_offsets[k + 1]):
+        f = corners[n] // 3
+        total += corner_sums[f][corners[n] - 3 * f]
+    at_nodes[k] = total
+
+
+@wp.kernel
+def face_gradient_kernel(
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    values: wp.array[wp.float64],
+    # Data out:
+    face_gradients: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    a, b, c = nodes[i], nodes[j], nodes[k]
+    face_gradients[f] = (values[j] - values[i]) * hat_gradient(b, c, a) + (values[k] - values[i]) * hat_gradient(
+        c, a, b
+    )
+
+
+@wp.kernel
+def point_face_gradient_kernel(
+    points: wp.array[wp.vec3d],
+    point_faces: wp.array[wp.int32],
+    face_gradients: wp.array[wp.vec3d],
+    # Data out:
+    at_points: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    at_points[i] = tangential(face_gradients[point_faces[i]], points[i])
+
+
+@wp.func
+def face_weight(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32) -> wp.float64:
+    a = nodes[faces[f, 0]]
+    return wp.length(wp.cross(nodes[faces[f, 1]] - a, nodes[faces[f, 2]] - a))
+
+
+@wp.kernel
+def node_gradient_kernel(
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    face_gradients: wp.array[wp.vec3d],
+    # Data out:
+    node_gradients: wp.array[wp.vec3d],
+):
+    """Area-weighted mean of the gradients around each node, in its tangent plane."""
+    k = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    weights = wp.float64(0.0)
+    for n in range(corner_offsets[k], corner_offsets[k + 1]):
+        f = corners[n] // 3
+        weight = face_weight(nodes, faces, f)
+        total += weight * face_gradients[f]
+        weights += weight
+    node_gradients[k] = tangential(total / weights, nodes[k])
+
+
+@wp.kernel
+def point_node_gradient_kernel(
+    points: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    point_faces: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+    node_gradients: wp.array[wp.vec3d],
+    # Data out:
+    at_points: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    f, w = point_faces[i], coordinates[i]
+    mean = w[0] * node_gradients[faces[f, 0]] + w[1] * node_gradients[faces[f, 1]] + w[2] * node_gradients[faces[f, 2]]
+    at_points[i] = tangential(mean, points[i])
+
+
+@wp.kernel
+def gather_vectors_to_faces_kernel(
+    points: wp.array[wp.vec3d],
+    row_offsets: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    field: wp.array[wp.vec3d],
+    # Data out:
+    face_sums: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(row_offsets[f], row_offsets[f + 1]):
+        i = order[n]
+        total += tangential(field[i], points[i])
+    face_sums[f] = total
+
+
+@wp.kernel
+def gather_corner_vectors_kernel(
+    points: wp.array[wp.vec3d],
+    row_offsets: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+    field: wp.array[wp.vec3d],
+    # Data out:
+    corner_vectors: wp.array2d[wp.vec3d],
+):
+    f = wp.tid()
+    first = wp.vec3d(ZERO, ZERO, ZERO)
+    second = wp.vec3d(ZERO, ZERO, ZERO)
+    third = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(row_offsets[f], row_offsets[f + 1]):
+        i = order[n]
+        v = tangential(field[i], points[i])
+        first += coordinates[i][0] * v
+        second += coordinates[i][1] * v
+        third += coordinates[i][2] * v
+    corner_vectors[f, 0] = first
+    corner_vectors[f, 1] = second
+    corner_vectors[f, 2] = third
+
+
+@wp.kernel
+def node_vector_kernel(
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    corner_vectors: wp.array2d[wp.vec3d],
+    # Data out:
+    node_vectors: wp.array[wp.vec3d],
+):
+    k = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    weights = wp.float64(0.0)
+    for n in range(corner_offsets[k], corner_offsets[k + 1]):
+        f = corners[n] // 3
+        total += corner_vectors[f, corners[n] - 3 * f]
+        weights += face_weight(nodes, faces, f)
+    node_vectors[k] = tangential(total, nodes[k]) / weights
+
+
+@wp.kernel
+def spread_to_faces_kernel(
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    node_vectors: wp.array[wp.vec3d],
+    # Data out:
+    face_sums: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    total = node_vectors[faces[f, 0]] + node_vectors[faces[f, 1]] + node_vectors[faces[f, 2]]
+    face_sums[f] = face_weight(nodes, faces, f) * total
+
+
+@wp.kernel
+def gradient_adjoint_kernel(
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    face_sums: wp.array[wp.vec3d],
+    # Data out:
+    at_nodes: wp.array[wp.float64],
+):
+    k = wp.tid()
+    total = wp.float64(0.0)
+    a = nodes[k]
+    for n in range(corner_offsets[k], corner_offsets[k + 1]):
+        f = corners[n] // 3
+        s = corners[n] - 3 * f
+        b, c = nodes[faces[f, (s + 1) % 3]], nodes[faces[f, (s + 2) % 3]]
+        total += wp.dot(hat_gradient(a, b, c), face_sums[f])
+    at_nodes[k] = total
+
+
+@wp.kernel
+def coarsen_kernel(
+    first: wp.int32,
+    offsets: wp.array[wp.int32],
+    entries: wp.array[wp.int32],
+    fine: wp.array[wp.float64],
+    # Data out:
+    coarse: wp.array[wp.float64],
+):
+    """Sums of a level from those of the next: half of each midpoint's goes to each end of its edge."""
+    k = wp.tid()
+    total = wp.float64(0.0)
+    for n in range(offsets[k], offsets[k + 1]):
+        total += fine[first + entries[n] // 2]
+    coarse[k] = fine[k] + HALF * total
+
+
+@wp.kernel
+def mean_kernel(
+    sums: wp.array[wp.float64],
+    masses: wp.array[wp.float64],
+    smallest: wp.float64,
+    # Data in and out:
+    values: wp.array[wp.float64],
+):
+    """Mean where there is mass; elsewhere what ``values`` holds already."""
+    k = wp.tid()
+    if masses[k] > smallest:
+        values[k] = sums[k] / masses[k]
+
+
+@wp.kernel
+def refine_kernel(first: wp.int32, parents: wp.array2d[wp.int32], values: wp.array[wp.float64]):
+    m = wp.tid()
+    values[first + m] = HALF * (values[parents[m, 0]] + values[parents[m, 1]])

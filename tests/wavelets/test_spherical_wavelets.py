@@ -1,0 +1,284 @@
+"""The hierarchy, the lifted transforms and the sampling operators, against their defining identities."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.geometry import cotangent_laplacian
+from omtwarp.wavelets import (
+    SphereSampler,
+    SphericalWavelets,
+    WaveletPreconditioner,
+    level_for,
+    platonic_solid,
+    sphere_hierarchy,
+)
+from omtwarp.wavelets.hierarchy import SOLIDS
+
+LEVEL = {"icosahedron": 3, "octahedron": 4, "tetrahedron": 4}
+
+
+def smooth_function(x: np.ndarray) -> np.ndarray:
+    return np.exp(x[:, 0]) * np.cos(2 * x[:, 1] + 0.3) + x[:, 2] ** 3
+
+
+def sphere_points(count: int, seed: int = 0) -> np.ndarray:
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    return points / np.linalg.norm(points, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+def test_hierarchy_is_nested_closed_and_outward(solid):
+    hierarchy = sphere_hierarchy(LEVEL[solid], solid)
+    assert hierarchy.vertices.shape == (hierarchy.node_count, 3)
+    np.testing.assert_allclose(np.linalg.norm(hierarchy.vertices, axis=1), 1, atol=1e-15)
+    for j, faces in enumerate(hierarchy.level_faces):
+        nodes = hierarchy.vertices[: hierarchy.node_counts[j]]
+        assert hierarchy.node_counts[j] - 3 * len(faces) // 2 + len(faces) == 2
+        assert faces.max() == hierarchy.node_counts[j] - 1
+        assert (np.linalg.det(nodes[faces]) > 0).all()
+        if j > 0:
+            parent = hierarchy.level_faces[j - 1]
+            for corner in range(3):
+                np.testing.assert_array_equal(faces[corner::4, corner], parent[:, corner])
+            ends = hierarchy.vertices[hierarchy.level_parents[j - 1]]
+            middle = ends.sum(axis=1) / np.linalg.norm(ends.sum(axis=1), axis=1)[:, None]
+            np.testing.assert_allclose(nodes[hierarchy.node_counts[j - 1] :], middle, atol=1e-15)
+    assert hierarchy.node_areas.sum() == pytest.approx(4 * np.pi, rel=1e-13)
+
+
+def test_hierarchy_reaches_level_eight():
+    assert sphere_hierarchy(8).node_count == 10 * 4**8 + 2
+
+
+def test_butterfly_wings_on_a_regular_neighbourhood():
+    """The eight nodes are distinct away from the solid, and the four outer ones touch exactly one wing and one end."""
+    hierarchy = sphere_hierarchy(3)
+    faces = hierarchy.level_faces[2]
+    keys = {tuple(sorted(face)) for face in faces.tolist()}
+    for (a, b), (c, d, *outer) in zip(
+        hierarchy.level_parents[2].tolist(), hierarchy.level_wings[2].tolist(), strict=True
+    ):
+        assert tuple(sorted((a, b, c))) in keys and tuple(sorted((a, b, d))) in keys
+        assert len({a, b, c, d, *outer}) == 8
+        for node in outer:
+            assert sum(tuple(sorted((node, e, w))) in keys for e in (a, b) for w in (c, d)) == 1
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+@pytest.mark.parametrize("butterfly", [False, True])
+def test_perfect_reconstruction(solid, butterfly):
+    hierarchy = sphere_hierarchy(LEVEL[solid], solid)
+    wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device="cpu")
+    values = np.random.default_rng(1).normal(size=hierarchy.node_count)
+    np.testing.assert_allclose(wavelets.inverse(wavelets.forward(values)), values, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(wavelets.forward(wavelets.inverse(values)), values, rtol=0, atol=1e-12)
+
+
+def synthesis_matrix(wavelets: SphericalWavelets) -> np.ndarray:
+    return np.stack([wavelets.wavelet(i) for i in range(wavelets.hierarchy.node_count)], axis=1)
+
+
+@pytest.mark.parametrize("butterfly", [False, True])
+def test_wavelets_have_vanishing_integral_and_local_support(butterfly):
+    hierarchy = sphere_hierarchy(3)
+    wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device="cpu")
+    synthesis = synthesis_matrix(wavelets)
+    integrals = hierarchy.node_areas @ synthesis
+    assert abs(integrals[hierarchy.node_counts[0] :]).max() < 1e-12
+    assert integrals[: hierarchy.node_counts[0]].sum() == pytest.approx(4 * np.pi, rel=1e-12)
+    support = (synthesis != 0).sum(axis=0)
+    assert support[hierarchy.node_levels == 2].max() < 0.1 * hierarchy.node_count
+
+
+@pytest.mark.parametrize("butterfly", [False, True])
+def test_primal_and_dual_are_biorthogonal(butterfly):
+    """Dual functions are the rows of the analysis: <psi~, psi> = identity, and the adjoints are transposes of both."""
+    hierarchy = sphere_hierarchy(2)
+    wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device="cpu")
+    identity = np.eye(hierarchy.node_count)
+    synthesis = synthesis_matrix(wavelets)
+    duals = np.stack([wavelets._on_copy(row, wavelets.analyse_adjoint) for row in identity])
+    np.testing.assert_allclose(duals @ synthesis, identity, rtol=0, atol=1e-12)
+    transposed = np.stack([wavelets._on_copy(row, wavelets.synthesise_adjoint) for row in identity], axis=1)
+    np.testing.assert_allclose(transposed, synthesis.T, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("butterfly", [False, True])
+def test_hat_wavelet_is_the_formula_of_section_3_1(butterfly):
+    hierarchy = sphere_hierarchy(3)
+    wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device="cpu")
+    for level, m in ((0, 3), (1, 17), (2, 100)):
+        node = hierarchy.node_counts[level] + m
+        expected = wavelets.scaling_function(level + 1, node)
+        for k in hierarchy.level_parents[level][m]:
+            share = wavelets.level_integrals[level + 1][node] / (2 * wavelets.level_integrals[level][k])
+            expected = expected - share * wavelets.scaling_function(level, k)
+        np.testing.assert_allclose(wavelets.wavelet(node), expected, rtol=0, atol=1e-14)
+    for level, k in ((1, 5), (2, 80)):
+        integral = hierarchy.node_areas @ wavelets.scaling_function(level, k)
+        assert integral == pytest.approx(wavelets.level_integrals[level][k], rel=1e-12)
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+@pytest.mark.parametrize("butterfly", [False, True])
+def test_constants_have_no_wavelet_coefficients(solid, butterfly):
+    hierarchy = sphere_hierarchy(LEVEL[solid], solid)
+    wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device="cpu")
+    coefficients = wavelets.forward(np.full(hierarchy.node_count, 3.0))
+    np.testing.assert_array_equal(coefficients[hierarchy.node_counts[0] :], 0)
+    np.testing.assert_array_equal(coefficients[: hierarchy.node_counts[0]], 3.0)
+    np.testing.assert_array_equal(wavelets.inverse(coefficients), 3.0)
+
+
+def test_coefficients_of_a_smooth_function_fall_by_four_per_level():
+    """Second order for both: the nodes are not evenly spaced, so the butterfly gains a factor and not an order."""
+    hierarchy = sphere_hierarchy(6)
+    values = smooth_function(hierarchy.vertices)
+    sizes = []
+    for butterfly in (False, True):
+        coefficients = SphericalWavelets(hierarchy, butterfly=butterfly, device="cpu").forward(values)
+        size = np.array([abs(coefficients[hierarchy.node_levels == j]).mean() for j in range(6)])
+        ratios = size[2:-1] / size[3:]
+        assert (ratios > (3 if butterfly else 3.8)).all() and (ratios < 4.2).all(), ratios
+        sizes.append(size)
+    assert sizes[1][-1] < 0.5 * sizes[0][-1], sizes
+
+
+def test_lifting_keeps_the_mean_of_a_truncated_function():
+    """With zero integrals, clearing wavelets leaves the integral alone; without lifting it does not."""
+    from omtwarp._warp import wp
+
+    hierarchy = sphere_hierarchy(4)
+    values = smooth_function(hierarchy.vertices) + np.random.default_rng(0).normal(size=hierarchy.node_count)
+    means = []
+    for lifted in (True, False):
+        wavelets = SphericalWavelets(hierarchy, lifted=lifted, device="cpu")
+        array = wp.array(values, device="cpu")
+        wavelets.analyse(array)
+        wavelets.truncate(array, 1)
+        assert not array.numpy()[hierarchy.node_counts[2] :].any()
+        wavelets.synthesise(array)
+        means.append(hierarchy.node_areas @ array.numpy())
+    assert means[0] == pytest.approx(hierarchy.node_areas @ values, abs=1e-11)
+    assert abs(means[1] - hierarchy.node_areas @ values) > 1e-3
+
+
+@pytest.mark.parametrize("butterfly", [False, True])
+def test_preconditioner_is_symmetric_positive_and_nearly_level_independent(butterfly):
+    """The spectrum of S D S^T L off the constants: its spread bounds the steps a descent needs, and barely grows."""
+    conditions = []
+    for level in (1, 2, 3):
+        hierarchy = sphere_hierarchy(level)
+        preconditioner = WaveletPreconditioner(hierarchy, butterfly=butterfly, device="cpu")
+        laplacian = cotangent_laplacian(hierarchy.vertices, hierarchy.faces).toarray()
+        inverse = np.stack([preconditioner.apply(e) for e in np.eye(hierarchy.node_count)], axis=1)
+        np.testing.assert_allclose(inverse, inverse.T, rtol=0, atol=1e-14)
+        root = np.linalg.cholesky(inverse + 1.0)  # any multiple of the constants may be added: the Laplacian ignores it
+        eigenvalues = np.linalg.eigvalsh(root.T @ laplacian @ root)
+        assert abs(eigenvalues[0]) < 1e-12
+        conditions.append(eigenvalues[-1] / eigenvalues[1])
+    assert conditions[-1] < 10 and conditions[2] < 1.5 * conditions[1], conditions
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), level=st.integers(0, 5))
+def test_points_are_found_and_reproduced(seed, level):
+    """The ray through a point meets its triangle at its coordinates: nodes, edge middles and random points alike."""
+    hierarchy = sphere_hierarchy(5)
+    rng = np.random.default_rng(seed)
+    corners = hierarchy.vertices[hierarchy.level_faces[level][rng.integers(len(hierarchy.level_faces[level]), size=20)]]
+    middles = corners[:, 0] + corners[:, 1]
+    points = np.concatenate(
+        [sphere_points(50, seed), corners[:, 0], middles / np.linalg.norm(middles, axis=1)[:, None]]
+    )
+    sampler = SphereSampler(hierarchy, points, level=level, device="cpu")
+    on_plane = sampler.matrix() @ hierarchy.vertices[: sampler.node_count]
+    np.testing.assert_allclose(on_plane / np.linalg.norm(on_plane, axis=1)[:, None], points, rtol=0, atol=5e-15)
+    assert sampler.coordinates.numpy().min() >= 0
+    np.testing.assert_allclose(sampler.coordinates.numpy().sum(axis=1), 1, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+def test_interpolation_and_its_adjoint(solid):
+    hierarchy = sphere_hierarchy(LEVEL[solid], solid)
+    sampler = SphereSampler(hierarchy, sphere_points(3000), device="cpu")
+    rng = np.random.default_rng(1)
+    values, weights = rng.normal(size=hierarchy.node_count), rng.normal(size=3000)
+    matrix = sampler.matrix()
+    np.testing.assert_allclose(sampler.interpolate(values), matrix @ values, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(sampler.adjoint(weights), matrix.T @ weights, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(sampler.interpolate(np.full(hierarchy.node_count, 2.0)), 2.0, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_gradients_at_points_and_their_adjoint(smooth):
+    errors = []
+    for level in (3, 4):
+        hierarchy = sphere_hierarchy(level)
+        points = sphere_points(2000, 5)
+        sampler = SphereSampler(hierarchy, points, device="cpu")
+        x = hierarchy.vertices
+        gradient = sampler.gradient(x[:, 0] * x[:, 1] + x[:, 2], smooth=smooth)
+        exact = np.stack([points[:, 1], points[:, 0], np.ones(len(points))], axis=1)
+        exact -= np.einsum("ij,ij->i", exact, points)[:, None] * points
+        errors.append(abs(gradient - exact).mean())
+        rng = np.random.default_rng(2)
+        values, field = rng.normal(size=hierarchy.node_count), rng.normal(size=(len(points), 3))
+        left = (field * sampler.gradient(values, smooth=smooth)).sum()
+        adjoint = sampler.gradient_adjoint(field, smooth=smooth)
+        assert left == pytest.approx(values @ adjoint, rel=1e-10)
+        assert abs(adjoint.sum()) < 1e-9
+    order = np.log2(errors[0] / errors[1])
+    assert order > (1.6 if smooth else 0.8), errors
+
+
+def test_restriction_is_a_mean_defined_everywhere():
+    """More nodes than points: constants stay exact, a function comes back, and no node is left without a value."""
+    hierarchy = sphere_hierarchy(5)
+    points = sphere_points(1500, 3)
+    points = points[points[:, 2] < 0.8]
+    sampler = SphereSampler(hierarchy, points, device="cpu")
+    masses = np.random.default_rng(0).uniform(0.5, 1.5, size=len(points))
+    with pytest.raises(OmtwarpError, match="set_masses"):
+        sampler.restrict(masses)
+    sampler.set_masses(masses)
+    np.testing.assert_allclose(sampler.restrict(2.5 * masses), 2.5, rtol=0, atol=1e-13)
+    values = smooth_function(points)
+    restricted = sampler.restrict(masses * values)
+    inside = hierarchy.vertices[:, 2] < 0.7
+    error = abs(restricted - smooth_function(hierarchy.vertices))
+    assert np.isfinite(restricted).all() and error[inside].mean() < 0.05 and error.max() < 2
+    assert values.min() - 1e-12 <= restricted.min() and restricted.max() <= values.max() + 1e-12
+
+
+def test_points_may_move():
+    hierarchy = sphere_hierarchy(4)
+    first, second = sphere_points(300, 1), sphere_points(300, 2)
+    sampler = SphereSampler(hierarchy, first, device="cpu")
+    sampler.locate(second)
+    fresh = SphereSampler(hierarchy, second, device="cpu")
+    values = smooth_function(hierarchy.vertices)
+    np.testing.assert_array_equal(sampler.interpolate(values), fresh.interpolate(values))
+    np.testing.assert_array_equal(sampler.adjoint(second[:, 0]), fresh.adjoint(second[:, 0]))
+    with pytest.raises(OmtwarpError, match="expected 300 points"):
+        sampler.locate(first[:10])
+
+
+def test_level_for_a_budget_of_nodes():
+    assert [level_for(n) for n in (12, 41, 42, 2562, 2561)] == [0, 0, 1, 4, 3]
+    assert level_for(18, "octahedron") == 1
+    assert sphere_hierarchy(level_for(70, "octahedron"), "octahedron").node_count == 66
+
+
+def test_errors_name_what_is_wrong():
+    with pytest.raises(OmtwarpError, match="unknown solid 'cube'"):
+        platonic_solid("cube")
+    with pytest.raises(OmtwarpError, match="outside 0 to 10"):
+        sphere_hierarchy(11)
+    with pytest.raises(OmtwarpError, match="one value per node"):
+        SphericalWavelets(sphere_hierarchy(1), device="cpu").forward(np.zeros(5))
