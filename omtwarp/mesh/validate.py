@@ -61,14 +61,14 @@ def check(vertices: ArrayLike, faces: ArrayLike) -> list[Defect]:
     except OmtwarpError as error:
         return [Defect("not-a-triangle-mesh", 1, -1, str(error), "give vertices [V, 3] and triangles [F, 3]")]
     if len(points) == 0 or len(triangles) == 0:
-        text = f"empty mesh: {_number(len(points), 'vertex', 'vertices')} and {_number(len(triangles), 'face')}"
+        text = f"empty mesh: {number(len(points), 'vertex', 'vertices')} and {number(len(triangles), 'face')}"
         return [Defect("empty", 1, -1, text, "give a mesh with faces")]
     out_of_range = ((triangles < 0) | (triangles >= len(points))).any(axis=1)
     if out_of_range.any():
         first = int(np.argmax(out_of_range))
         text = (
-            f"{_number(out_of_range.sum(), 'face')} with a vertex index out of range, first face {first} "
-            f"{_tuple(triangles[first])} of a mesh with {_number(len(points), 'vertex', 'vertices')}"
+            f"{number(out_of_range.sum(), 'face')} with a vertex index out of range, first face {first} "
+            f"{_tuple(triangles[first])} of a mesh with {number(len(points), 'vertex', 'vertices')}"
         )
         remedy = f"write the file anew, or drop them with {REPAIR}"
         return [Defect("index-out-of-range", int(out_of_range.sum()), first, text, remedy)]
@@ -169,24 +169,24 @@ def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) ->
     if not finite.all():
         first = int(np.argmin(finite))
         count = int((~finite).sum())
-        text = f"{_number(count, 'vertex', 'vertices')} with NaN or infinite coordinates, first vertex {first}"
+        text = f"{number(count, 'vertex', 'vertices')} with NaN or infinite coordinates, first vertex {first}"
         found.append(Defect("non-finite", count, first, text, f"write the file anew, or drop them with {REPAIR}"))
     duplicate = duplicate_faces(faces, len(points))
     if duplicate.any():
         first = int(np.argmax(duplicate))
-        text = f"{_number(duplicate.sum(), 'duplicate face')}, first face {first} {_tuple(faces[first])}"
+        text = f"{number(duplicate.sum(), 'duplicate face')}, first face {first} {_tuple(faces[first])}"
         found.append(Defect("duplicate-faces", int(duplicate.sum()), first, text, f"drop them with {REPAIR}"))
     if finite.all():
         flat = zero_area_faces(unit_coordinates(points), faces)
         if flat.any():
             first = int(np.argmax(flat))
-            text = f"{_number(flat.sum(), 'face')} of zero area, first face {first} {_tuple(faces[first])}"
+            text = f"{number(flat.sum(), 'face')} of zero area, first face {first} {_tuple(faces[first])}"
             found.append(Defect("zero-area", int(flat.sum()), first, text, f"drop or flip them with {REPAIR}"))
     used = np.zeros(len(points), dtype=bool)
     used[faces] = True
     if not used.all():
         first = int(np.argmin(used))
-        text = f"{_number((~used).sum(), 'vertex', 'vertices')} in no face, first vertex {first}"
+        text = f"{number((~used).sum(), 'vertex', 'vertices')} in no face, first vertex {first}"
         found.append(Defect("unused-vertices", int((~used).sum()), first, text, f"drop them with {REPAIR}"))
     return found
 
@@ -203,26 +203,26 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
     if crowded.any():
         a, b = (int(end) for end in topology.edges[np.argmax(crowded)])
         count = int(crowded.sum())
-        text = f"{_number(count, 'non-manifold edge')} (more than two faces), first between vertices {a} and {b}"
+        text = f"{number(count, 'non-manifold edge')} (more than two faces), first between vertices {a} and {b}"
         found.append(Defect("non-manifold-edges", count, a, text, "remove the extra faces in a mesh editor"))
 
     pinched = topology.fans > 1
     if pinched.any():
         first, count = int(np.argmax(pinched)), int(pinched.sum())
-        number = _number(count, "non-manifold vertex", "non-manifold vertices")
-        text = f"{number} (several fans of faces meet in a point), first vertex {first}"
+        several = number(count, "non-manifold vertex", "non-manifold vertices")
+        text = f"{several} (several fans of faces meet in a point), first vertex {first}"
         remedy = "split the vertex, or drop the extra fan, in a mesh editor"
         found.append(Defect("non-manifold-vertices", count, first, text, remedy))
 
     lone = topology.edge_face_count == 1
     if lone.any():
         a, b = (int(end) for end in topology.edges[np.argmax(lone)])
-        holes = _number(topology.hole_count, "hole")
-        edges = _number(lone.sum(), "edge")
+        holes = number(topology.hole_count, "hole")
+        edges = number(lone.sum(), "edge")
         text = f"open boundary: {edges} with one face, in {holes}, first between vertices {a} and {b}"
         copies = _coincident_vertices(points, topology.edges[lone])
         if copies:
-            remedy = f"{_number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
+            remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
         else:
             remedy = f"fill small holes with {REPAIR}, large ones in a mesh editor"
         found.append(Defect("open-boundary", int(lone.sum()), a, text, remedy))
@@ -237,7 +237,7 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
     elif clashing.any():
         a, b = (int(end) for end in topology.edges[np.argmax(clashing)])
         text = (
-            f"inconsistent orientation: {_number(clashing.sum(), 'edge')} between faces that turn opposite ways, "
+            f"inconsistent orientation: {number(clashing.sum(), 'edge')} between faces that turn opposite ways, "
             f"first between vertices {a} and {b}"
         )
         found.append(Defect("inconsistent-orientation", int(clashing.sum()), a, text, f"turn the faces with {REPAIR}"))
@@ -258,13 +258,13 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
         genus = topology.genus
         if genus > 0:
             a, b = (int(end) for end in topology.handle_edge)
-            handles = _number(genus, "handle")
+            handles = number(genus, "handle")
             text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
             remedy = "cut the handles and fill the cuts in a mesh editor: only genus 0 maps to the sphere"
             found.append(Defect("genus", genus, a, text, remedy))
 
     if sound and not found and _signed_volume(points, faces) < 0:
-        text = f"inward orientation: all {_number(len(faces), 'face')} are clockwise seen from outside, first face 0"
+        text = f"inward orientation: all {number(len(faces), 'face')} are clockwise seen from outside, first face 0"
         found.append(Defect("inward-orientation", len(faces), 0, text, f"turn them with {REPAIR}"))
     return found
 
@@ -293,6 +293,11 @@ class Topology:
         self._half_edge_edge[order] = np.repeat(np.arange(len(starts)), self.edge_face_count)
         # Pairs of half-edges that lie side by side in one edge; an edge of n faces gives n - 1 of them.
         self._pairs = np.stack([order[:-1][same], order[1:][same]], axis=1)
+
+    @property
+    def face_edges(self) -> NDArray[np.int64]:
+        """Index of the edge (k, k+1) of every face, shape [F, 3]."""
+        return self._half_edge_edge.reshape(-1, 3)
 
     @cached_property
     def clashing_edges(self) -> NDArray[np.bool_]:
@@ -399,7 +404,7 @@ def _signed_volume(points: NDArray[np.float64], faces: NDArray[np.int64]) -> flo
     return volume if abs(volume) > 1e-12 * float(np.abs(each).sum()) else 0.0
 
 
-def _number(count: int | np.integer, one: str, many: str = "") -> str:
+def number(count: int | np.integer, one: str, many: str = "") -> str:
     """``1 face``, ``7 faces``."""
     return f"{int(count)} {one if count == 1 else many or one + 's'}"
 

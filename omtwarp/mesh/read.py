@@ -1,0 +1,290 @@
+"""Reading a triangle mesh from a file without changing it: vertices and faces in the order in which the file has them.
+
+Formats are read by trimesh, brain surfaces by nibabel. Where a general reader would quietly reorder, split, merge or
+triangulate, the reader here keeps the file's own mesh or says what is in the way.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+
+_REPAIR = "triangulate it in a mesh editor, or with --repair"
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A mesh as a file holds it; not yet checked.
+
+    Attributes:
+        vertices: float64, shape [V, 3].
+        faces: int64, shape [F, 3].
+        notes: what had to be decided while reading, in words; empty for most files.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    notes: tuple[str, ...] = ()
+
+
+def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> MeshFile:
+    """Read a mesh.
+
+    Args:
+        path: a file of any format that trimesh reads (ply, obj, off, stl, glb, gltf, ...), a map or mesh in ``.npz``
+            (``vertices``, ``faces``), GIFTI (``.gii``, ``.gii.gz``) or a FreeSurfer surface of any name; the last two
+            need nibabel.
+        triangulate: cut faces with more than three corners into triangles, and take several geometries together,
+            instead of refusing them.
+
+    Returns:
+        Vertices and faces in the file's order. STL has no vertices of its own: equal corners become one vertex there,
+        in the order in which they first appear.
+
+    Raises:
+        OmtwarpError: a missing or unreadable file, no triangles in it, faces with more than three corners, or several
+            geometries.
+    """
+    file = Path(path)
+    try:
+        data = file.read_bytes()
+    except FileNotFoundError:
+        raise OmtwarpError(f"{file}: no such file") from None
+    except IsADirectoryError:
+        raise OmtwarpError(f"{file}: a directory, not a mesh file") from None
+    except OSError as error:
+        raise OmtwarpError(f"{file}: cannot be read: {error.strerror or error}") from None
+    if not data:
+        raise OmtwarpError(f"{file}: an empty file, not a mesh")
+    suffix = _suffix(file)
+    try:
+        vertices, faces, notes = _reader(suffix, data)(data, file, triangulate)
+        mesh = MeshFile(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64), tuple(notes))
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{file}: {error}") from None
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a parser trips over, the file is not what its suffix says
+        detail = " ".join(str(error).split())[:160] or type(error).__name__
+        raise OmtwarpError(f"{file}: cannot be read as {suffix or 'a mesh'}: {detail}") from None
+    if mesh.vertices.ndim != 2 or mesh.vertices.shape[1] != 3 or mesh.faces.ndim != 2 or mesh.faces.shape[1] != 3:
+        raise OmtwarpError(f"{file}: not a triangle mesh: no list of triangles in it")
+    return mesh
+
+
+_Read = tuple[Any, Any, list[str]]
+
+
+def _suffix(file: Path) -> str:
+    """The suffix that tells the format, in small letters, without the dot."""
+    name = file.name.lower()
+    return "gii" if name.endswith(".gii.gz") else name.rpartition(".")[2] if "." in name else ""
+
+
+def _reader(suffix: str, data: bytes) -> Callable[[bytes, Path, bool], _Read]:
+    """The function that reads a format, known by its suffix or, for FreeSurfer, by its first bytes."""
+    own = {"npz": _read_npz, "ply": _read_ply, "obj": _read_obj, "off": _read_off, "stl": _read_stl, "gii": _read_gifti}
+    if suffix in own:
+        return own[suffix]
+    if data[:3] in (b"\xff\xff\xfe", b"\xff\xff\xff", b"\xff\xff\xfd"):  # triangles, and the two old kinds of quads
+        return _read_freesurfer
+    return _read_scene
+
+
+def _read_npz(data: bytes, file: Path, triangulate: bool) -> _Read:
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        if "vertices" not in arrays or "faces" not in arrays:
+            raise OmtwarpError("no arrays 'vertices' and 'faces' in it")
+        return arrays["vertices"], arrays["faces"], []
+
+
+def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
+    from trimesh.exchange.ply import load_ply
+
+    # Without these two the loader splits vertices along the seams of a texture.
+    try:
+        loaded = load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True)
+    except ValueError as error:
+        if "unexpected length" not in str(error):
+            raise
+        raise OmtwarpError(
+            "the file is not as long as its header says: cut short, or faces with different numbers of corners, which "
+            "a mesh editor can triangulate"
+        ) from None
+    if loaded.get("faces") is None:
+        raise OmtwarpError("not a triangle mesh: it holds points and no faces")
+    faces = np.asarray(loaded["faces"])
+    raw = loaded["metadata"]["_ply_raw"]["face"]
+    for name in getattr(getattr(raw.get("data"), "dtype", None), "names", None) or ():
+        # The loader takes every list of a binary file to be as long as the first.
+        counts = raw["data"][name]
+        if name.startswith("vertex_ind") and counts.dtype.names and (counts["f0"] != faces.shape[1]).any():
+            odd = counts["f0"] != faces.shape[1]
+            raise OmtwarpError(
+                f"not a triangle mesh: faces with different numbers of corners, first face {int(np.argmax(odd))}; "
+                "triangulate it in a mesh editor"
+            )
+    faces, notes = _triangles(faces, raw["length"], triangulate)
+    return loaded["vertices"], faces, notes
+
+
+def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
+    """Object File Format by its lines; what follows coordinates and corners, such as colours, is left."""
+    lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", data).replace(b"\r", b"\n").split(b"\n")]
+    lines = [line for line in lines if line]
+    if lines and lines[0][0].endswith(b"OFF"):
+        lines[0].pop(0)  # the counts may stand beside the keyword
+        lines = lines if lines[0] else lines[1:]
+    vertex_count, face_count = (int(word) for word in lines[0][:2])
+    if len(lines) < 1 + vertex_count + face_count:
+        announced = f"{vertex_count} vertices and {face_count} faces announced"
+        raise OmtwarpError(f"cut short: {announced}, {len(lines) - 1} lines there")
+    vertices = np.array([line[:3] for line in lines[1 : 1 + vertex_count]], dtype=np.float64)
+    polygons = [line[1 : 1 + int(line[0])] for line in lines[1 + vertex_count : 1 + vertex_count + face_count]]
+    return vertices, *_from_polygons(polygons, triangulate)
+
+
+def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
+    """Wavefront OBJ by its ``v`` and ``f`` lines alone.
+
+    Its texture coordinates, normals, materials and groups make a general reader split, drop and reorder vertices.
+    """
+    text = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
+    lines = re.findall(rb"^[ \t]*([vf])[ \t]+([^\n#]*)", text, flags=re.MULTILINE)
+    vertices = np.array([rest.split()[:3] for kind, rest in lines if kind == b"v"], dtype=np.float64)
+    polygons = [[word.partition(b"/")[0] for word in rest.split()] for kind, rest in lines if kind == b"f"]
+    vertices_before = np.cumsum([kind == b"v" for kind, _ in lines])[[kind == b"f" for kind, _ in lines]]
+    return vertices, *_from_polygons(polygons, triangulate, vertices_before)
+
+
+def _from_polygons(
+    polygons: list[list[bytes]], triangulate: bool, vertices_before: NDArray | None = None
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Triangles from lists of corners as a text file has them.
+
+    ``vertices_before`` says that corners count from 1, or if negative back from the last vertex before their face.
+    """
+    if not polygons:
+        raise OmtwarpError("not a triangle mesh: no faces in it")
+    corners = np.array([len(polygon) for polygon in polygons])
+    if (corners < 3).any():
+        raise OmtwarpError(f"not a triangle mesh: face {int(np.argmax(corners < 3))} has fewer than three corners")
+    flat = np.array([int(word) for polygon in polygons for word in polygon], dtype=np.int64)
+    if vertices_before is not None:
+        flat = np.where(flat < 0, flat + np.repeat(vertices_before, corners), flat - 1)
+    if (corners == 3).all():
+        return flat.reshape(-1, 3), []
+    larger = int((corners != 3).sum())
+    if not triangulate:
+        raise _polygons(larger, int(np.argmax(corners != 3)), len(corners))
+    # A fan from every polygon's first corner.
+    fans = corners - 2
+    first = np.repeat(np.cumsum(corners) - corners, fans)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans)
+    return flat[np.stack([first, first + step + 1, first + step + 2], axis=1)], [_cut(larger)]
+
+
+def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
+    import trimesh
+
+    loaded = trimesh.load_scene(io.BytesIO(data), file_type="stl", process=False)
+    corners, faces, _ = _single_geometry(loaded, triangulate)
+    corners = corners[faces.ravel()] + 0.0  # plus zero: makes -0 and 0 the same bits
+    _, first, inverse = np.unique(corners, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)  # vertices in the order of their first appearance
+    place = np.argsort(order)
+    note = f"STL stores no shared vertices: {len(corners)} corners became {len(first)} vertices where equal"
+    return corners[first[order]], place[inverse.reshape(-1)].reshape(-1, 3), [note]
+
+
+def _read_gifti(data: bytes, file: Path, triangulate: bool) -> _Read:
+    nibabel = _nibabel()
+    image = nibabel.load(file)
+    points, triangles = image.get_arrays_from_intent("pointset"), image.get_arrays_from_intent("triangle")
+    if len(points) != 1 or len(triangles) != 1:
+        raise OmtwarpError(f"{len(points)} point sets and {len(triangles)} lists of triangles in it, not one of each")
+    return points[0].data, triangles[0].data, []
+
+
+def _read_freesurfer(data: bytes, file: Path, triangulate: bool) -> _Read:
+    vertices, faces = _nibabel().freesurfer.read_geometry(file)[:2]
+    return vertices, faces, []
+
+
+def _nibabel() -> Any:
+    try:
+        import nibabel
+    except ImportError:
+        raise OmtwarpError("needs nibabel to be read: pip install 'omtwarp[neuro]'") from None
+    return nibabel
+
+
+def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
+    import trimesh
+
+    suffix = _suffix(file)
+    known = {*trimesh.available_formats(), "npz", "gii"} - {"dxf", "xyz"}
+    if suffix not in known:
+        raise OmtwarpError(f"unknown format '.{suffix}': known are {', '.join(sorted(known))}")
+    return _single_geometry(trimesh.load_scene(file, process=False), triangulate)
+
+
+def _single_geometry(scene: Any, together: bool) -> _Read:
+    """The one mesh of a scene, moved to where the scene puts it."""
+    order = list(scene.geometry)
+    placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
+    placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order
+    found = [(name, scene.geometry[name], matrix) for matrix, name, _ in placed]
+    meshes = [entry for entry in found if hasattr(entry[1], "faces")]
+    if not meshes:
+        raise OmtwarpError("not a triangle mesh: no triangles in it")
+    if len(meshes) > 1 and not together:
+        names = ", ".join(str(name) for name, _, _ in meshes[:4]) + (", ..." if len(meshes) > 4 else "")
+        raise OmtwarpError(
+            f"{len(meshes)} geometries in one scene ({names}), first '{meshes[0][0]}'; save the one to be mapped by "
+            "itself, or take the largest with --repair"
+        )
+    vertices, faces, start = [], [], 0
+    for _, mesh, matrix in meshes:
+        points = np.asarray(mesh.vertices, dtype=np.float64)
+        moved = points if np.array_equal(matrix, np.eye(4)) else points @ matrix[:3, :3].T + matrix[:3, 3]
+        vertices.append(moved)
+        faces.append(np.asarray(mesh.faces, dtype=np.int64) + start)
+        start += len(points)
+    notes = [f"took {len(meshes)} geometries together"] if len(meshes) > 1 else []
+    return np.concatenate(vertices), np.concatenate(faces), notes
+
+
+def _triangles(faces: NDArray, polygon_count: int, triangulate: bool) -> tuple[NDArray, list[str]]:
+    """Faces as triangles, from a loader that leaves quads alone or has already cut them."""
+    if faces.ndim == 2 and faces.shape[1] == 3 and len(faces) == polygon_count:
+        return faces, []
+    larger = len(faces) if faces.ndim == 2 and faces.shape[1] != 3 else len(faces) - polygon_count
+    if not triangulate:
+        raise _polygons(larger, 0 if larger == polygon_count else -1, polygon_count)
+    if faces.ndim == 2 and faces.shape[1] > 3:
+        steps = range(1, faces.shape[1] - 1)
+        faces = np.stack([faces[:, [0, k, k + 1]] for k in steps], axis=1).reshape(-1, 3)
+    return faces, [_cut(larger)]
+
+
+def _polygons(count: int, first: int, total: int) -> OmtwarpError:
+    where = f", first face {first}" if first >= 0 else ""
+    return OmtwarpError(f"not a triangle mesh: {count} of {total} faces have more than three corners{where}; {_REPAIR}")
+
+
+def _cut(count: int) -> str:
+    return f"cut {count} faces with more than three corners into triangles"
+
+
+__all__ = ["MeshFile", "read_mesh"]

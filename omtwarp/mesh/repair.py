@@ -1,0 +1,274 @@
+"""Mending a mesh without moving a vertex, and telling what was done and where everything came from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.mesh.validate import Topology, as_arrays, check, duplicate_faces, number, unit_coordinates, zero_area_faces
+
+LARGEST_HOLE = 64
+"""Holes with more edges than this are left open: filling them would be inventing the surface."""
+
+
+class Repaired(NamedTuple):
+    """A mended mesh.
+
+    Attributes:
+        vertices: float64, shape [V, 3].
+        faces: int64, shape [F, 3].
+        actions: what was done, in words and in order; empty if nothing was.
+        vertex_origin: for every vertex its index in the input, int64, shape [V].
+        face_origin: for every face its index in the input, int64, shape [F]; -1 for a face that fills a hole.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    actions: list[str]
+    vertex_origin: NDArray[np.int64]
+    face_origin: NDArray[np.int64]
+
+
+def repair(vertices: ArrayLike, faces: ArrayLike) -> Repaired:
+    """Mend what can be mended without inventing anything: never a vertex is moved or added.
+
+    In this order: faces with impossible vertices are dropped; vertices with equal coordinates on the boundary or at
+    faces of zero area are merged; faces of zero area and duplicates are dropped or flipped away; the largest component
+    is kept; faces are turned to agree; holes of at most :data:`LARGEST_HOLE` edges are filled; the surface is turned
+    outward; unused vertices are dropped. A mesh without defects comes back as it is, and what is left can still have
+    some: :func:`omtwarp.mesh.validate.check` tells.
+
+    Args:
+        vertices: coordinates, shape [V, 3].
+        faces: vertex indices, shape [F, 3].
+
+    Raises:
+        OmtwarpError: arrays that are not those of a triangle mesh.
+    """
+    points, triangles = as_arrays(vertices, faces)
+    work = _Work(points, triangles)
+    if check(points, triangles):
+        work.drop_impossible_faces()
+        work.merge_coincident_vertices()
+        work.drop_repeated_faces()
+        work.flip_flat_faces()
+        work.keep_largest_component()
+        work.turn_to_agree()
+        work.fill_holes()
+        work.turn_outward()
+        work.drop_unused_vertices()
+    return Repaired(work.points, work.faces, work.actions, work.vertex_origin, work.face_origin)
+
+
+class _Work:
+    """The mesh while it is mended; every method mends one thing and notes what it did."""
+
+    def __init__(self, points: NDArray[np.float64], faces: NDArray[np.int64]):
+        self.points, self.faces = points, faces.copy()
+        self.vertex_origin, self.face_origin = np.arange(len(points)), np.arange(len(faces))
+        self.actions: list[str] = []
+
+    def keep(self, faces: NDArray[np.bool_], words: str) -> None:
+        """Keep some faces and say how many others were dropped."""
+        dropped = int((~faces).sum())
+        if dropped:
+            self.faces, self.face_origin = self.faces[faces], self.face_origin[faces]
+            self.actions.append(f"dropped {number(dropped, 'face')} {words}")
+
+    def drop_impossible_faces(self) -> None:
+        wrong = (self.faces < 0) | (self.faces >= len(self.points))
+        self.keep(np.logical_not(wrong.any(axis=1)), "with a vertex index out of range")
+        strange = ~np.isfinite(self.points[self.faces])
+        self.keep(np.logical_not(strange.any(axis=(1, 2))), "with NaN or infinite coordinates")
+
+    def merge_coincident_vertices(self) -> None:
+        """Merge equal vertices where that can mend something; elsewhere they may touch without being one."""
+        if not len(self.faces):
+            return
+        import trimesh
+
+        topology = Topology(self.faces, len(self.points))
+        candidate = np.zeros(len(self.points), dtype=bool)
+        candidate[topology.edges[topology.edge_face_count == 1]] = True
+        used = np.unique(self.faces)
+        unit = np.zeros_like(self.points)
+        unit[used] = unit_coordinates(self.points[used])
+        candidate[self.faces[zero_area_faces(unit, self.faces)]] = True
+        among = np.flatnonzero(candidate)
+        if not len(among):
+            return
+        # Coordinates in units of the extent: trimesh rounds to a fixed number of digits.
+        first, inverse = trimesh.grouping.unique_rows(unit[among], digits=8)
+        target = np.arange(len(self.points))
+        target[among] = among[first[inverse]]
+        merged = int((target != np.arange(len(target))).sum())
+        if merged:
+            self.faces = target[self.faces]
+            self.actions.append(f"merged {number(merged, 'vertex', 'vertices')} with an equal one")
+
+    def drop_repeated_faces(self) -> None:
+        repeated = self.faces == np.roll(self.faces, -1, axis=1)
+        self.keep(np.logical_not(repeated.any(axis=1)), "with a repeated vertex")
+        again = duplicate_faces(self.faces, len(self.points))
+        if again.any():
+            # A face on top of a sound mesh goes alone. Two that hang together in a flap, so that without either no
+            # edge would miss a face, both go.
+            before = duplicate_faces(self.faces[::-1], len(self.points))[::-1]
+            topology = Topology(self.faces, len(self.points))
+            flap = (again ^ before) & (topology.edge_face_count[topology.face_edges] % 2 == 0).all(axis=1)
+            self.keep(~(again | flap), "that were there twice")
+
+    def flip_flat_faces(self) -> None:
+        """Give the longest edge of every triangle without area to its neighbour: the vertex on it gets a fan there."""
+        flipped = 0
+        for _ in range(1000):
+            used = np.unique(self.faces)
+            if not len(used):
+                break
+            unit = np.zeros_like(self.points)
+            unit[used] = unit_coordinates(self.points[used])
+            flat = np.flatnonzero(zero_area_faces(unit, self.faces))
+            if not any(self._flip(unit, int(face)) for face in flat):
+                break
+            flipped += 1
+        if flipped:
+            self.actions.append(f"flipped the longest edge of {number(flipped, 'face')} of zero area")
+
+    def _flip(self, unit: NDArray[np.float64], face: int) -> bool:
+        corners = unit[self.faces[face]]
+        k = int(np.argmax(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)))
+        a, b, c = (int(self.faces[face, (k + j) % 3]) for j in range(3))
+        beside = np.flatnonzero((self.faces == a).any(axis=1) & (self.faces == b).any(axis=1))
+        if len(beside) != 2:
+            return False
+        other = int(beside[beside != face][0])
+        d = int(self.faces[other].sum()) - a - b
+        row = self.faces[other].tolist()
+        if row[(row.index(b) + 1) % 3] != a or ((self.faces == c).any(axis=1) & (self.faces == d).any(axis=1)).any():
+            return False
+        self.faces[face], self.faces[other] = (c, d, b), (c, a, d)
+        return True
+
+    def keep_largest_component(self) -> None:
+        if not len(self.faces):
+            return
+        pieces, labels = Topology(self.faces, len(self.points)).components
+        if pieces > 1:
+            largest = np.argmax(np.bincount(labels))
+            self.keep(labels == largest, f"in {number(pieces - 1, 'smaller component')}")
+
+    def turn_to_agree(self) -> None:
+        if not len(self.faces):
+            return
+        orientable, turn = Topology(self.faces, len(self.points)).orientation
+        if orientable and turn.any():
+            if turn.sum() > len(turn) / 2:
+                turn = ~turn  # the fewer; there is one component left
+            self.faces[turn] = self.faces[turn][:, ::-1]
+            self.actions.append(f"turned {number(turn.sum(), 'face')} to agree with the others")
+
+    def fill_holes(self) -> None:
+        """Fill one hole after the other where that keeps the surface manifold."""
+        if not len(self.faces):
+            return
+        topology = Topology(self.faces, len(self.points))
+        lone = topology.edge_face_count == 1
+        if not lone.any() or topology.clashing_edges.any():
+            return
+        half = np.stack([self.faces.ravel(), np.roll(self.faces, -1, axis=1).ravel()], axis=1)
+        keys = half.min(axis=1) * len(self.points) + half.max(axis=1)
+        boundary = np.isin(keys, topology.edges[lone] @ np.array([len(self.points), 1]))
+        known = set(map(tuple, topology.edges.tolist()))
+        filled, faces_added = 0, 0
+        for loop in _loops(half[boundary]):
+            patch = _patch(self.points, loop, known) if len(loop) <= LARGEST_HOLE else None
+            if patch is None:
+                continue
+            known.update((min(e), max(e)) for t in patch for e in zip(t, t[1:] + t[:1], strict=True))
+            self.faces = np.concatenate([self.faces, np.array(patch)])
+            self.face_origin = np.concatenate([self.face_origin, np.full(len(patch), -1)])
+            filled, faces_added = filled + 1, faces_added + len(patch)
+        if filled:
+            self.actions.append(f"filled {number(filled, 'hole')} with {number(faces_added, 'face')}")
+
+    def turn_outward(self) -> None:
+        if any(defect.kind == "inward-orientation" for defect in check(*self._compact())):
+            self.faces = self.faces[:, ::-1].copy()
+            self.actions.append("turned all faces outward")
+
+    def _compact(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        used, faces = np.unique(self.faces, return_inverse=True)
+        return self.points[used], faces.reshape(-1, 3)
+
+    def drop_unused_vertices(self) -> None:
+        used, faces = np.unique(self.faces, return_inverse=True)
+        dropped = len(self.points) - len(used)
+        if dropped:
+            self.points, self.vertex_origin = self.points[used], self.vertex_origin[used]
+            self.faces = faces.reshape(-1, 3)
+            self.actions.append(f"dropped {number(dropped, 'unused vertex', 'unused vertices')}")
+
+
+def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:
+    """Closed loops around the holes, against the direction of the boundary's half-edges; pinched ones are left out."""
+    following: dict[int, int] = {}
+    pinched = set()
+    for tail, head in half_edges.tolist():
+        if head in following:
+            pinched.add(head)
+        following[head] = tail
+    loops, seen = [], set()
+    for start in following:
+        loop, at = [], start
+        while at not in seen and at in following:
+            seen.add(at)
+            loop.append(at)
+            at = following[at]
+        if len(loop) >= 3 and at == start and not pinched.intersection(loop):
+            loops.append(loop)
+    return loops
+
+
+def _patch(
+    points: NDArray[np.float64], loop: list[int], known: set[tuple[int, int]]
+) -> list[tuple[int, int, int]] | None:
+    """The triangulation of a loop with the least area whose inner edges are all new; None where there is none.
+
+    Source: G. Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12 (1995).
+    """
+    n = len(loop)
+    corners = unit_coordinates(points[loop])
+
+    def free(i: int, j: int) -> bool:
+        beside = j - i == 1 or (i == 0 and j == n - 1)
+        return beside or (min(loop[i], loop[j]), max(loop[i], loop[j])) not in known
+
+    best = np.zeros((n, n))
+    split = np.zeros((n, n), dtype=int)
+    for gap in range(2, n):
+        for i in range(n - gap):
+            j = i + gap
+            if not free(i, j):
+                best[i, j] = np.inf
+                continue
+            between = np.arange(i + 1, j)
+            area = np.linalg.norm(np.cross(corners[between] - corners[i], corners[j] - corners[i]), axis=1)
+            # A triangle without area would only be the next defect.
+            cost = best[i, between] + best[between, j] + np.where(area > 1e-12, area, np.inf)
+            split[i, j] = between[np.argmin(cost)]
+            best[i, j] = cost.min()
+    if not np.isfinite(best[0, n - 1]):
+        return None
+    patch, open_spans = [], [(0, n - 1)]
+    while open_spans:
+        i, j = open_spans.pop()
+        if j - i >= 2:
+            k = int(split[i, j])
+            patch.append((loop[i], loop[k], loop[j]))
+            open_spans += [(i, k), (k, j)]
+    return patch
+
+
+__all__ = ["LARGEST_HOLE", "Repaired", "repair"]

@@ -1,0 +1,154 @@
+"""Repair mends what it says, says what it did, tells where everything came from, and leaves sound meshes alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from omtwarp.mesh import shapes
+from omtwarp.mesh.repair import LARGEST_HOLE, Repaired, repair
+from omtwarp.mesh.validate import check
+
+
+def ball(frequency: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    sphere = shapes.icosphere(frequency)
+    return sphere.vertices.copy(), sphere.faces.astype(np.int64)
+
+
+def assert_mended(given_vertices: np.ndarray, given_faces: np.ndarray, mended: Repaired) -> None:
+    """No defect is left, and the origins lead back to the input."""
+    assert [str(defect) for defect in check(mended.vertices, mended.faces)] == []
+    np.testing.assert_array_equal(mended.vertices, given_vertices[mended.vertex_origin])
+    old = mended.face_origin >= 0
+    was = given_vertices[given_faces[mended.face_origin[old]]]
+    now = mended.vertices[mended.faces[old]]
+    np.testing.assert_allclose(np.sort(was, axis=1), np.sort(now, axis=1), rtol=1e-6, atol=0)
+
+
+def test_a_sound_mesh_comes_back_as_it_is():
+    v, f = ball()
+    mended = repair(v, f)
+    assert mended.actions == []
+    np.testing.assert_array_equal(mended.vertices, v)
+    np.testing.assert_array_equal(mended.faces, f)
+    np.testing.assert_array_equal(mended.vertex_origin, np.arange(len(v)))
+    np.testing.assert_array_equal(mended.face_origin, np.arange(len(f)))
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
+def test_a_soup_of_triangles_is_merged_at_any_scale(scale):
+    v, f = ball()
+    soup = v[f].reshape(-1, 3) * scale
+    faces = np.arange(len(soup)).reshape(-1, 3)
+    mended = repair(soup, faces)
+    assert_mended(soup, faces, mended)
+    assert len(mended.vertices) == len(v)
+    assert mended.actions[0] == "merged 798 vertices with an equal one"
+
+
+def test_equal_vertices_of_a_sound_mesh_stay_apart():
+    """Two caps of a pinched shape touch in one point without being joined there."""
+    v, f = ball()
+    top, bottom = int(np.argmax(v[:, 2])), int(np.argmin(v[:, 2]))
+    v[top] = v[bottom] = 0.0
+    assert repair(v, f).actions == []
+
+
+def test_faces_turned_at_random_agree_again_and_outward():
+    v, f = ball()
+    g = f.copy()
+    turned = np.random.default_rng(1).random(len(f)) < 0.4
+    g[turned] = g[turned][:, ::-1]
+    mended = repair(v, g)
+    assert_mended(v, g, mended)
+    assert mended.actions == [f"turned {turned.sum()} faces to agree with the others"]
+    inward = repair(v, f[:, ::-1])
+    assert inward.actions == ["turned all faces outward"]
+    assert_mended(v, f, inward)
+
+
+@pytest.mark.parametrize("frequency", [4, 12])
+def test_holes_are_filled_without_new_vertices(frequency):
+    """A missing triangle, a missing fan of five, and a cap."""
+    v, f = ball(frequency)
+    near = (v[f].mean(axis=1) @ np.array([0.0, 0.0, 1.0])) > 0.85
+    fan = (f == np.argmin(v[:, 2])).any(axis=1)
+    gone = near | fan
+    gone[np.flatnonzero(~gone)[0]] = True
+    mended = repair(v, f[~gone])
+    assert_mended(v, f[~gone], mended)
+    assert any(action.startswith("filled 3 holes with") for action in mended.actions)
+
+
+def test_a_large_hole_is_left_and_named():
+    v, f = ball(20)
+    half = v[f].mean(axis=1)[:, 2] < 0
+    mended = repair(v, f[half])
+    (defect,) = check(mended.vertices, mended.faces)
+    assert defect.kind == "open-boundary" and defect.count > LARGEST_HOLE
+
+
+def test_the_largest_component_is_kept():
+    v, f = ball()
+    small = shapes.icosphere(2)
+    vertices = np.concatenate([small.vertices + 4, v])
+    faces = np.concatenate([small.faces, f + small.vertex_count])
+    mended = repair(vertices, faces)
+    assert_mended(vertices, faces, mended)
+    assert mended.actions == ["dropped 80 faces in 1 smaller component", "dropped 42 unused vertices"]
+    assert mended.vertex_origin[0] == 42 and mended.face_origin[0] == 80
+
+
+def test_duplicates_impossible_faces_and_unused_vertices_are_dropped():
+    v, f = ball()
+    vertices = np.concatenate([v, [[9.0, 9, 9], [np.nan, 0, 0]]])
+    bad = [f[5], f[9][[1, 0, 2]], [0, 1, 999], [0, 1, len(v) + 1], [3, 3, 4]]
+    faces = np.concatenate([f, bad])
+    mended = repair(vertices, faces)
+    assert_mended(vertices, faces, mended)
+    np.testing.assert_array_equal(mended.faces, f)
+    assert len(mended.actions) == 5
+
+
+def test_a_folded_flap_goes_whole():
+    """Two faces back to back, hung on an edge of a sound mesh, leave nothing behind."""
+    v, f = ball()
+    a, b = f[0, 0], f[0, 1]
+    vertices = np.concatenate([v, [[2.0, 2, 2]]])
+    faces = np.concatenate([f, [[a, b, len(v)], [b, a, len(v)]]])
+    mended = repair(vertices, faces)
+    assert_mended(vertices, faces, mended)
+    np.testing.assert_array_equal(mended.faces, f)
+
+
+def test_a_collapsed_edge_is_merged():
+    v, f = ball()
+    v[f[40, 2]] = v[f[40, 0]]
+    mended = repair(v, f)
+    assert_mended(v, f, mended)
+    assert len(mended.faces) == len(f) - 2
+
+
+def test_a_vertex_on_its_opposite_edge_is_flipped_free():
+    v, f = ball()
+    v[f[40, 2]] = (v[f[40, 0]] + v[f[40, 1]]) / 2
+    mended = repair(v, f)
+    assert [defect.kind for defect in check(mended.vertices, mended.faces)] == []
+    assert mended.actions == ["flipped the longest edge of 1 face of zero area"]
+
+
+@given(seed=st.integers(0, 200), share=st.floats(0.0, 0.15))
+def test_repair_never_fails_and_mending_twice_changes_nothing(seed, share):
+    """Random damage of every kind: repair gives valid arrays, and a second repair of a mended mesh is a no-op."""
+    rng = np.random.default_rng(seed)
+    v, f = ball()
+    f = f[rng.random(len(f)) >= share]
+    turn = rng.random(len(f)) < share
+    f[turn] = f[turn][:, ::-1]
+    v[rng.random(len(v)) < share / 10] = np.nan
+    f[rng.random(len(f)) < share / 10, 0] = 500
+    mended = repair(v, f)
+    assert mended.faces.min(initial=0) >= 0 and mended.faces.max(initial=0) < max(1, len(mended.vertices))
+    if not check(mended.vertices, mended.faces):
+        again = repair(mended.vertices, mended.faces)
+        assert again.actions == []
