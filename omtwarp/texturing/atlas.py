@@ -1,0 +1,290 @@
+"""The three ways of laying the sphere out on a picture: equirectangular, cube map and octahedral map.
+
+An atlas knows where the mesh has to be cut so that no triangle straddles two charts, where a point of a chart lies on
+the picture, and which direction a texel shows, gutters included. Image coordinates are (u, v) in 0..1 with v up.
+
+* ``equirectangular``: one chart; cut along one meridian, from pole to pole. u wraps, so the sampler has to repeat in u.
+* ``cube``: six charts, three by two cells, each an equiangular cube face (the angle, not its tangent, is linear in the
+  picture, which keeps the texels within a factor 1.3 of equal area [1]_). No seam is drawn across a pole.
+* ``octahedral``: the sphere folded out into one square [2]_, the south pole in its four corners.
+
+Cube and octahedral pictures carry a gutter whose texels show what really lies beyond the border, so that bilinear
+filtering and mip maps stay free of seams.
+
+.. [1] C. Ronchi, R. Iacono, P. S. Paolucci, "The 'Cubed Sphere'", J. Comput. Phys. 124 (1996).
+.. [2] Z. Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", JCGT 3 (2014).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.texturing.cutting import ON_CUT, Arc, normalised
+
+Floats = NDArray[np.float64]
+
+ATLASES = ("equirectangular", "cube", "octahedral")
+NORTH, SOUTH = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+QUARTER = np.pi / 4.0
+
+# normal, right and up of the six faces of the cube; right x up = normal, so that nothing is mirrored from outside
+CUBE_FRAMES = np.array(
+    [
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
+        [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
+        [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+        [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    ],
+    dtype=np.float64,
+)
+
+
+class Atlas:
+    """What the three atlases have in common.
+
+    Attributes:
+        name: one of ``ATLASES``.
+        width, height: size of the picture in texels.
+        kind, parameters: what the kernels need to know (see :mod:`omtwarp.texturing.kernels`).
+        wraps: whether u is periodic.
+        corners: directions that must be vertices of the mesh.
+        arcs: where the mesh is cut.
+    """
+
+    name: str
+    kind: int
+    wraps = False
+    gutter = 0
+    corners: tuple[tuple[float, float, float], ...] = ()
+    arcs: tuple[Arc, ...] = ()
+    chart_count = 1
+
+    def __init__(self, width: int, height: int):
+        self.width, self.height = int(width), int(height)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.width}x{self.height})"
+
+    @property
+    def texel_angle(self) -> float:
+        """Roughly the angle, in radians, that a texel covers where the atlas is least stretched."""
+        raise NotImplementedError
+
+    @property
+    def parameters(self) -> tuple[float, float]:
+        """Longitude of the left border (equirectangular), and gutter in texels."""
+        return 0.0, float(self.gutter)
+
+    def charts(self, directions: Floats) -> NDArray[np.int32]:
+        """Chart of every direction, shape [N]."""
+        raise NotImplementedError
+
+    def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
+        """Image coordinates of the corners of triangles that lie in one chart each.
+
+        Args:
+            points: corners, of any length, shape [F, 3, 3].
+            chart: shape [F].
+        """
+        raise NotImplementedError
+
+    def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
+        """Unit vectors of points of charts, shape [N, 3]; uv [N, 2], chart [N]."""
+        raise NotImplementedError
+
+    def uv(self, directions: Floats) -> Floats:
+        """Image coordinates of directions, each in the chart it falls in, shape [N, 2]."""
+        points = np.repeat(np.asarray(directions, dtype=np.float64)[:, None, :], 3, axis=1)
+        return self.corner_uv(points, self.charts(points[:, 0]))[:, 0]
+
+
+class Equirectangular(Atlas):
+    """Longitude and latitude, linear in the picture; the picture's left border is the seam's meridian.
+
+    Attributes:
+        seam: longitude of the cut in radians; π is the customary place.
+    """
+
+    name, kind, wraps = "equirectangular", 0, True
+    corners = (NORTH, SOUTH)
+
+    def __init__(self, width: int, height: int, seam: float = np.pi):
+        super().__init__(width, height)
+        self.seam = float(seam)
+        # The cut is the half-plane y = 0, x < 0 after a turn that brings the seam to longitude π. At π that turn is
+        # the identity, to the bit.
+        turn = np.pi - self.seam
+        self._cos, self._sin = (1.0, 0.0) if turn == 0.0 else (np.cos(turn), np.sin(turn))
+        self.arcs = (Arc((self._sin, self._cos, 0.0), ((-self._cos, self._sin, 0.0),)),)
+
+    @property
+    def texel_angle(self) -> float:
+        return np.pi / self.height
+
+    @property
+    def parameters(self) -> tuple[float, float]:
+        return self.seam - np.pi, 0.0
+
+    def charts(self, directions: Floats) -> NDArray[np.int32]:
+        return np.zeros(len(directions), dtype=np.int32)
+
+    def _turned(self, points: Floats) -> tuple[Floats, Floats, Floats]:
+        x, y, z = points[..., 0], points[..., 1], points[..., 2]
+        return self._cos * x - self._sin * y, self._sin * x + self._cos * y, z
+
+    def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
+        x, y, z = self._turned(points)
+        length = np.sqrt(x * x + y * y + z * z)
+        across = np.hypot(x, y)
+        u = 0.5 + np.arctan2(y, x) / (2.0 * np.pi)
+        v = 0.5 + np.arctan2(z, across) / np.pi
+        # A corner on the seam belongs to the side on which its triangle lies.
+        on_seam = (np.abs(y) <= ON_CUT * length) & (x < 0)
+        east = np.where(on_seam, 0.0, y).sum(axis=1) > 0
+        u = np.where(on_seam, east[:, None].astype(np.float64), u)
+        # A pole has every longitude: in every triangle the one in the middle of what the triangle spans.
+        pole = across <= ON_CUT * length
+        others = np.maximum((~pole).sum(axis=1), 1)
+        mean = np.where(pole, 0.0, u).sum(axis=1) / others
+        u = np.where(pole, mean[:, None], u)
+        v = np.where(pole, (z > 0).astype(np.float64), v)
+        return np.stack([u, v], axis=-1)
+
+    def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
+        lon = (uv[..., 0] - 0.5) * 2.0 * np.pi + (self.seam - np.pi)
+        lat = (uv[..., 1] - 0.5) * np.pi
+        return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+
+
+class Cube(Atlas):
+    """Six equiangular cube faces in three by two cells: +x +y -x above, -y +z -z below."""
+
+    name, kind, chart_count = "cube", 1, 6
+    corners = tuple((x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0))
+
+    def __init__(self, cell: int, gutter: int | None = None):
+        super().__init__(3 * cell, 2 * cell)
+        self.cell = int(cell)
+        self.gutter = max(2, self.cell // 64) if gutter is None else int(gutter)
+        arcs = []
+        for axis in range(3):  # the edges of the cube that run along this axis lie in the planes |a| = |b|
+            a, b = (axis + 1) % 3, (axis + 2) % 3
+            for sa in (-1.0, 1.0):
+                for sb in (-1.0, 1.0):
+                    normal, low, high = np.zeros(3), np.zeros(3), np.zeros(3)
+                    normal[a], normal[b] = sa, -sb
+                    low[a] = high[a] = sa
+                    low[axis], high[axis] = 1.0, -1.0
+                    arcs.append(Arc(tuple(normal), (tuple(low), tuple(high))))
+        self.arcs = tuple(arcs)
+
+    @property
+    def texel_angle(self) -> float:
+        return 2.0 * QUARTER / (self.cell - 2 * self.gutter)
+
+    def charts(self, directions: Floats) -> NDArray[np.int32]:
+        axis = np.argmax(np.abs(directions), axis=-1)
+        value = np.take_along_axis(directions, axis[..., None], axis=-1)[..., 0]
+        return np.array([[0, 2], [1, 3], [4, 5]], dtype=np.int32)[axis, (value < 0).astype(int)]
+
+    def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
+        local = np.einsum("fkj,fij->fki", points, CUBE_FRAMES[chart])
+        angle = np.arctan2(local[..., 1:], local[..., :1])
+        limit = QUARTER * self.cell / (self.cell - 2 * self.gutter)  # a folded triangle must not reach another chart
+        return self._place(np.clip(angle, -limit, limit), chart[:, None])
+
+    def _place(self, angle: Floats, chart: NDArray) -> Floats:
+        inner = self.cell - 2 * self.gutter
+        texel = self.gutter + (angle / QUARTER + 1.0) * (0.5 * inner)
+        column, row = chart % 3, 1 - chart // 3
+        return np.stack(
+            [(column * self.cell + texel[..., 0]) / self.width, (row * self.cell + texel[..., 1]) / self.height], axis=-1
+        )
+
+    def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
+        inner = self.cell - 2 * self.gutter
+        column, row = chart % 3, 1 - chart // 3
+        texel = np.stack([uv[..., 0] * self.width - column * self.cell, uv[..., 1] * self.height - row * self.cell], axis=-1)
+        slope = np.tan(((texel - self.gutter) / (0.5 * inner) - 1.0) * QUARTER)
+        local = np.concatenate([np.ones_like(slope[..., :1]), slope], axis=-1)
+        return normalised(np.einsum("...i,...ij->...j", local, CUBE_FRAMES[chart]))
+
+
+class Octahedral(Atlas):
+    """The octahedron |x| + |y| + |z| = 1 folded out into a square: the north pole in the middle."""
+
+    name, kind, chart_count = "octahedral", 2, 8
+    arcs = (Arc((1.0, 0.0, 0.0)), Arc((0.0, 1.0, 0.0)), Arc((0.0, 0.0, 1.0)))
+    corners = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), NORTH, SOUTH)
+
+    def __init__(self, size: int, gutter: int | None = None):
+        super().__init__(size, size)
+        self.gutter = max(2, int(size) // 128) if gutter is None else int(gutter)
+
+    @property
+    def texel_angle(self) -> float:
+        return np.pi / (self.width - 2 * self.gutter)
+
+    def charts(self, directions: Floats) -> NDArray[np.int32]:
+        negative = np.asarray(directions) < 0
+        return (negative[..., 0] + 2 * negative[..., 1] + 4 * negative[..., 2]).astype(np.int32)
+
+    def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
+        # Signs come from the chart, sizes from the point: a corner on a border goes to its triangle's side.
+        p = np.abs(points) / np.maximum(np.abs(points).sum(axis=-1, keepdims=True), 1e-300)
+        south = (chart & 4 != 0)[:, None]
+        x, y = np.where(south, 1.0 - p[..., 1], p[..., 0]), np.where(south, 1.0 - p[..., 0], p[..., 1])
+        sign = np.stack([1.0 - 2.0 * (chart & 1), 1.0 - (chart & 2)], axis=-1)[:, None, :]
+        inner = (self.width - 2 * self.gutter) / self.width
+        return 0.5 + 0.5 * inner * sign * np.stack([x, y], axis=-1)
+
+    def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
+        inner = (self.width - 2 * self.gutter) / self.width
+        x, y = np.moveaxis((uv - 0.5) * (2.0 / inner), -1, 0)
+        z = 1.0 - np.abs(x) - np.abs(y)
+        fold = z < 0
+        sx, sy = np.where(x < 0, -1.0, 1.0), np.where(y < 0, -1.0, 1.0)
+        folded = np.stack([np.where(fold, (1.0 - np.abs(y)) * sx, x), np.where(fold, (1.0 - np.abs(x)) * sy, y), z], axis=-1)
+        return normalised(folded)
+
+
+def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: float = np.pi) -> Atlas:
+    """An atlas by name.
+
+    Args:
+        name: ``equirectangular``, ``cube`` or ``octahedral``.
+        size: width of the picture in texels; an equirectangular one may be (width, height). By default 2048 for the
+            equirectangular and the cube map and 1536 for the octahedral one: texels of about the same size.
+        seam: longitude of the equirectangular cut, in radians.
+
+    Raises:
+        OmtwarpError: an unknown name, or a size that is not a whole number from 16 to 32768.
+    """
+    if name not in ATLASES:
+        raise OmtwarpError(f"unknown atlas '{name}': use {', '.join(ATLASES[:-1])} or {ATLASES[-1]}")
+    if size is None:
+        size = 1536 if name == "octahedral" else 2048
+    pair = check_size(size)
+    if len(pair) == 2 and name != "equirectangular":
+        raise OmtwarpError(f"texture size {size!r}: the {name} atlas takes a width only")
+    width = pair[0]
+    if name == "equirectangular":
+        return Equirectangular(width, pair[1] if len(pair) == 2 else max(width // 2, 1), seam)
+    return Cube(width // 3) if name == "cube" else Octahedral(width)
+
+
+def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:
+    """One or two sides of a picture in texels.
+
+    Raises:
+        OmtwarpError: not whole numbers from 16 to 32768.
+    """
+    pair = tuple(size) if isinstance(size, (tuple, list, np.ndarray)) else (size,)
+    whole = all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and 16 <= n <= 32768 for n in pair)
+    if not whole or len(pair) not in (1, 2):
+        raise OmtwarpError(f"texture size {size!r}: give whole numbers from 16 to 32768 texels")
+    return tuple(int(n) for n in pair)

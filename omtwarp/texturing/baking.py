@@ -1,0 +1,483 @@
+"""Baking: any function on the sphere into a picture, and pictures back onto the sphere.
+
+A *source* is whatever gives values to directions: the name of a pattern or a :class:`~omtwarp.texturing.patterns.Pattern`,
+an equirectangular (or sinusoidal) picture, or a Python callable from directions [N, 3] to values [N] or [N, C]. Numbers
+at the vertices of a mesh are baked through that mesh (:func:`bake_vertex_values`).
+
+Pictures are float32 arrays [H, W, C], row 0 on top. Texels in which the function changes are supersampled; gutters of an
+atlas see past its borders, pictures for a mesh's own texture coordinates are dilated past the edges of the charts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp._warp import resolve_device, wp
+from omtwarp.errors import OmtwarpError
+from omtwarp.texturing import kernels
+from omtwarp.texturing.atlas import Atlas, make_atlas
+from omtwarp.texturing.image import as_floats, read_image
+from omtwarp.texturing.patterns import Pattern, pattern
+from omtwarp.texturing.projection import check_projection
+from omtwarp.texturing.seams import unwrap
+
+Floats = NDArray[np.float64]
+Picture = NDArray[np.float32]
+
+SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
+CHANGE = 1.5 / 255.0  # neighbouring texels that differ by more are worth more samples
+GROW = 1e-6  # texels by which a triangle may claim a centre outside it
+
+
+class _Source:
+    """Values of directions, on a device."""
+
+    channels: int
+
+    def values(self, directions: wp.array, out: wp.array) -> None:
+        raise NotImplementedError
+
+
+class _PatternSource(_Source):
+    channels = 3
+
+    def __init__(self, given: Pattern):
+        self._pattern = given
+
+    def values(self, directions: wp.array, out: wp.array) -> None:
+        self._pattern.launch(directions, out)
+
+
+class _PictureSource(_Source):
+    """A picture of the sphere in one of the atlases or projections."""
+
+    def __init__(self, picture: NDArray[Any], kind: int, offset: float, gutter: float, device: Any):
+        self.channels = picture.shape[2]
+        self._kind, self._offset, self._gutter = kind, offset, gutter
+        self._picture = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
+
+    def values(self, directions: wp.array, out: wp.array) -> None:
+        wp.launch(
+            kernels.sample_picture_kernel,
+            dim=len(directions),
+            inputs=[self._kind, wp.float64(self._offset), wp.float64(self._gutter), self._picture, directions, out],
+            device=directions.device,
+        )
+
+
+class _CallableSource(_Source):
+    def __init__(self, function: Callable[[Floats], ArrayLike]):
+        self._function = function
+        self.channels = self._call(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])).shape[1]
+
+    def _call(self, directions: Floats) -> Floats:
+        got = np.asarray(self._function(directions), dtype=np.float64)
+        if got.shape[:1] != (len(directions),) or got.ndim > 2:
+            raise OmtwarpError(f"the function to bake gave shape {list(got.shape)} for {len(directions)} directions: give [N] or [N, C]")
+        return got.reshape(len(directions), -1)
+
+    def values(self, directions: wp.array, out: wp.array) -> None:
+        got = self._call(directions.numpy())
+        wp.copy(out, wp.array(np.ascontiguousarray(got), dtype=wp.float64, device=out.device), count=got.size)
+
+
+def _source(given: Any, projection: str, device: Any) -> _Source:
+    check_projection(projection)
+    if isinstance(given, _Source):
+        return given
+    if isinstance(given, Pattern):
+        return _PatternSource(given)
+    if isinstance(given, str) and given in ("circles", "puzzle", "globe", "checker"):
+        return _PatternSource(pattern(given))
+    if callable(given) and not hasattr(given, "__array__"):
+        return _CallableSource(given)
+    return _PictureSource(read_image(given), 0 if projection == "equirectangular" else 3, 0.0, 0.0, device)
+
+
+def _target(atlas: str | Atlas, size: int | tuple[int, int] | None) -> Atlas:
+    return atlas if isinstance(atlas, Atlas) else make_atlas(atlas, size)
+
+
+def bake(
+    source: Any,
+    atlas: str | Atlas = "equirectangular",
+    *,
+    size: int | tuple[int, int] | None = None,
+    projection: str = "equirectangular",
+    supersample: int = 4,
+    device: Any = "auto",
+) -> Picture:
+    """Bake a function on the sphere into the picture of an atlas.
+
+    Args:
+        source: name of a pattern, :class:`Pattern`, picture (path, PIL image, array), or callable from unit vectors
+            [N, 3] to values [N] or [N, C].
+        atlas: ``equirectangular``, ``cube`` or ``octahedral``, or an :class:`~omtwarp.texturing.atlas.Atlas`.
+        size: width in texels (equirectangular: or width, height) where the atlas is given by name.
+        projection: of a picture given as source.
+        supersample: side of the grid of samples in texels where the function changes; 1 takes the middle only.
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+
+    Returns:
+        float32, shape [H, W, C], row 0 on top. Values are not clipped.
+
+    Raises:
+        OmtwarpError: an unknown atlas, projection or device, or a picture that cannot be read.
+    """
+    where = resolve_device(device)
+    target = _target(atlas, size)
+    given = _source(source, projection, where)
+    picture = wp.empty((target.width * target.height, given.channels), dtype=wp.float32, device=where)
+    offset, gutter = target.parameters
+
+    def fill(texels: NDArray[np.int32], samples: int) -> None:
+        def look(part: wp.array, directions: wp.array) -> None:
+            wp.launch(
+                kernels.texel_directions_kernel,
+                dim=len(directions),
+                inputs=[target.kind, target.width, target.height, wp.float64(offset), wp.float64(gutter), part, samples, directions],
+                device=where,
+            )
+
+        _fill(given, texels, samples, look, picture, where)
+
+    fill(np.arange(target.width * target.height, dtype=np.int32), 1)
+    if supersample > 1:
+        fill(_changing(picture, target.width, target.height), int(supersample))
+    return picture.numpy().reshape(target.height, target.width, given.channels)
+
+
+def _fill(given: _Source, texels: NDArray[np.int32], samples: int, look: Any, picture: wp.array, where: Any) -> None:
+    """Evaluate a source in texels, some at a time; ``look`` writes the directions of their samples."""
+    step = max(SAMPLES_AT_ONCE // samples**2, 1)
+    for start in range(0, len(texels), step):
+        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        count = len(part) * samples**2
+        directions = wp.empty(count, dtype=wp.vec3d, device=where)
+        values = wp.empty((count, given.channels), dtype=wp.float64, device=where)
+        look(part, directions)
+        given.values(directions, values)
+        wp.launch(kernels.average_kernel, dim=len(part), inputs=[values, samples, part, picture], device=where)
+
+
+def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
+    flags = wp.empty(width * height, dtype=wp.uint8, device=picture.device)
+    wp.launch(
+        kernels.flag_changes_kernel,
+        dim=width * height,
+        inputs=[picture, width, height, wp.float32(CHANGE), flags],
+        device=picture.device,
+    )
+    return np.flatnonzero(flags.numpy()).astype(np.int32)
+
+
+def sample(picture: Any, directions: ArrayLike, atlas: str | Atlas = "equirectangular", *, device: Any = "auto") -> Floats:
+    """What the picture of an atlas shows in directions: the inverse of :func:`bake`, bilinear between texels.
+
+    Args:
+        picture: as baked, shape [H, W, C]; also a path or a PIL image.
+        directions: shape [N, 3], of any length.
+        atlas: the one it was baked to; by name it is given the size of the picture and the customary gutter.
+
+    Returns:
+        float64, shape [N, C].
+    """
+    where = resolve_device(device)
+    array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
+    source = _picture_source(array, atlas, where)
+    d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
+    out = wp.empty((len(d), source.channels), dtype=wp.float64, device=where)
+    if len(d):
+        source.values(wp.array(d, dtype=wp.vec3d, device=where), out)
+    return out.numpy()
+
+
+def _picture_source(array: NDArray[Any], atlas: str | Atlas, where: Any) -> _PictureSource:
+    height, width = array.shape[:2]
+    target = atlas if isinstance(atlas, Atlas) else make_atlas(atlas, (width, height) if atlas == "equirectangular" else width)
+    if (target.width, target.height) != (width, height):
+        raise OmtwarpError(f"a picture of {width}x{height} texels is not a {target.name} atlas of {target.width}x{target.height}")
+    offset, gutter = target.parameters
+    return _PictureSource(array, target.kind, offset, gutter, where)
+
+
+def resample(
+    picture: Any,
+    atlas: str | Atlas,
+    to: str | Atlas = "equirectangular",
+    *,
+    size: int | tuple[int, int] | None = None,
+    supersample: int = 2,
+    device: Any = "auto",
+) -> Picture:
+    """Carry a picture from one atlas to another; float32, shape [H, W, C]."""
+    where = resolve_device(device)
+    array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
+    return bake(_picture_source(array, atlas, where), to, size=size, supersample=supersample, device=device)
+
+
+class _Layout:
+    """Triangles laid out on a picture: which one owns each texel, and values linear over it."""
+
+    def __init__(self, corner_uv: Floats, width: int, height: int, where: Any):
+        self.width, self.height, self.where = width, height, where
+        texels = np.stack([corner_uv[..., 0] * width, (1.0 - corner_uv[..., 1]) * height], axis=-1)
+        self.corners = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
+        self.owner = wp.full(width * height, 2**31 - 1, dtype=wp.int32, device=where)
+        wp.launch(
+            kernels.own_texels_kernel,
+            dim=len(corner_uv),
+            inputs=[self.corners, 0, height, width, wp.float64(GROW), self.owner],
+            device=where,
+        )
+        self.known = self.owner.numpy() < 2**31 - 1
+
+    def owned(self) -> NDArray[np.int32]:
+        return np.flatnonzero(self.known).astype(np.int32)
+
+    def interpolate(self, values: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
+        wp.launch(
+            kernels.owner_values_kernel,
+            dim=len(texels) * samples**2,
+            inputs=[self.corners, values, self.owner, texels, self.width, samples, out],
+            device=self.where,
+        )
+
+    def dilate(self, picture: wp.array, rings: int) -> wp.array:
+        """Fill texels around the owned ones, one ring after another; -1 fills all."""
+        known = wp.array(self.known.astype(np.uint8), dtype=wp.uint8, device=self.where)
+        other, other_known = wp.empty_like(picture), wp.empty_like(known)
+        ring = 0
+        while ring != rings and not (rings < 0 and known.numpy().all()):
+            wp.launch(
+                kernels.dilate_kernel,
+                dim=self.width * self.height,
+                inputs=[picture, known, self.width, self.height, other, other_known],
+                device=self.where,
+            )
+            picture, other, known, other_known = other, picture, other_known, known
+            ring += 1
+        return picture
+
+
+def _own_uv(uv: ArrayLike, faces: NDArray, uv_faces: ArrayLike | None) -> Floats:
+    coordinates = np.asarray(uv, dtype=np.float64)
+    index = np.asarray(faces if uv_faces is None else uv_faces)
+    if coordinates.ndim == 3 and coordinates.shape == (len(faces), 3, 2):
+        corner = coordinates
+    elif coordinates.ndim == 2 and coordinates.shape[1] == 2 and index.shape == (len(faces), 3):
+        if index.max(initial=-1) >= len(coordinates) or index.min(initial=0) < 0:
+            raise OmtwarpError(f"texture coordinates: a face asks for number {index.max()} of {len(coordinates)}")
+        corner = coordinates[index]
+    else:
+        raise OmtwarpError(f"texture coordinates of shape {list(coordinates.shape)}: give [V, 2], [F, 3, 2], or [T, 2] with uv_faces")
+    if not np.all(np.isfinite(corner)):
+        raise OmtwarpError(f"texture coordinates: {np.count_nonzero(~np.isfinite(corner))} are not finite")
+    return corner
+
+
+def _picture_size(size: int | tuple[int, int]) -> tuple[int, int]:
+    pair = tuple(size) if isinstance(size, (tuple, list)) else (size, size)
+    if len(pair) != 2 or not all(isinstance(n, (int, np.integer)) and 1 <= n <= 32768 for n in pair):
+        raise OmtwarpError(f"texture size {size!r}: give one side, or width and height, from 1 to 32768 texels")
+    return int(pair[0]), int(pair[1])
+
+
+def bake_to_uv(
+    source: Any,
+    sphere: ArrayLike,
+    faces: ArrayLike,
+    uv: ArrayLike,
+    *,
+    uv_faces: ArrayLike | None = None,
+    size: int | tuple[int, int] = 2048,
+    rotation: ArrayLike | None = None,
+    projection: str = "equirectangular",
+    supersample: int = 4,
+    padding: int = 16,
+    device: Any = "auto",
+) -> Picture:
+    """Bake a function on the sphere into a picture for a mesh's own texture coordinates.
+
+    Args:
+        source: as in :func:`bake`, or numbers at the vertices as an array of shape [V] or [V, C] wrapped in
+            :class:`VertexValues`.
+        sphere: the map, unit vectors, shape [V, 3].
+        faces: shape [F, 3].
+        uv: the mesh's texture coordinates in 0..1, v up: [V, 2], one per corner [F, 3, 2], or [T, 2] with ``uv_faces``.
+        uv_faces: shape [F, 3], indices into ``uv``.
+        size: side of the picture, or (width, height), in texels.
+        rotation: turns the function on the sphere, shape [3, 3].
+        padding: texels by which the charts are dilated past their edges; -1 fills the picture.
+
+    Returns:
+        float32, shape [H, W, C]; texels that belong to nothing are 0. Where charts overlap, the face with the lowest
+        number has the texel.
+    """
+    where = resolve_device(device)
+    faces = np.asarray(faces)
+    s = np.asarray(sphere, dtype=np.float64)
+    width, height = _picture_size(size)
+    layout = _Layout(_own_uv(uv, faces, uv_faces), width, height, where)
+    if isinstance(source, VertexValues):
+        return _bake_linear(layout, source.corner_values(faces), supersample, padding)
+    given = _source(source, projection, where)
+    turned = s if rotation is None else s @ np.asarray(rotation, dtype=np.float64)
+    points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
+    picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
+
+    def fill(texels: NDArray[np.int32], samples: int) -> None:
+        def look(part: wp.array, directions: wp.array) -> None:
+            chords = wp.empty((len(directions), 3), dtype=wp.float64, device=where)
+            layout.interpolate(points, part, samples, chords)
+            wp.launch(kernels.vectors_kernel, dim=len(directions), inputs=[chords, directions], device=where)
+
+        _fill(given, texels, samples, look, picture, where)
+
+    fill(layout.owned(), 1)
+    if supersample > 1:
+        changing = _changing(picture, width, height)
+        fill(changing[layout.known[changing]], int(supersample))
+    return layout.dilate(picture, padding).numpy().reshape(height, width, given.channels)
+
+
+class VertexValues:
+    """Numbers at the vertices of a mesh, to be baked: linear over every triangle of the surface.
+
+    Args:
+        values: shape [V] or [V, C], finite.
+    """
+
+    def __init__(self, values: ArrayLike):
+        array = np.asarray(values, dtype=np.float64)
+        if array.ndim not in (1, 2) or not np.all(np.isfinite(array)):
+            raise OmtwarpError(f"values at vertices of shape {list(array.shape)}: give finite numbers, [V] or [V, C]")
+        self.values: Floats = array.reshape(len(array), -1)
+
+    def corner_values(self, faces: NDArray) -> Floats:
+        """Values at the corners of faces, shape [F, 3, C]."""
+        if faces.max(initial=-1) >= len(self.values):
+            raise OmtwarpError(f"values at vertices: {len(self.values)} given for {faces.max() + 1} vertices")
+        return self.values[faces]
+
+
+def _bake_linear(layout: _Layout, corner_values: Floats, supersample: int, padding: int) -> Picture:
+    where = layout.where
+    values = wp.array(np.ascontiguousarray(corner_values), dtype=wp.float64, device=where)
+    channels = corner_values.shape[2]
+    picture = wp.zeros((layout.width * layout.height, channels), dtype=wp.float32, device=where)
+
+    texels, samples = layout.owned(), max(int(supersample), 1)
+    step = max(SAMPLES_AT_ONCE // samples**2, 1)
+    for start in range(0, len(texels), step):
+        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        out = wp.empty((len(part) * samples**2, channels), dtype=wp.float64, device=where)
+        layout.interpolate(values, part, samples, out)
+        wp.launch(kernels.average_kernel, dim=len(part), inputs=[out, samples, part, picture], device=where)
+    return layout.dilate(picture, padding).numpy().reshape(layout.height, layout.width, channels)
+
+
+def bake_vertex_values(
+    values: ArrayLike | VertexValues,
+    sphere: ArrayLike,
+    faces: ArrayLike,
+    atlas: str | Atlas = "equirectangular",
+    *,
+    size: int | tuple[int, int] | None = None,
+    rotation: ArrayLike | None = None,
+    supersample: int = 2,
+    device: Any = "auto",
+) -> Picture:
+    """Bake numbers at the vertices of a mesh into the picture of an atlas, through the mesh's map to the sphere.
+
+    Args:
+        values: shape [V] or [V, C].
+        sphere, faces: the map, [V, 3] and [F, 3].
+        atlas, size: as in :func:`bake`.
+        rotation: turns the picture on the sphere, shape [3, 3].
+
+    Returns:
+        float32, shape [H, W, C]; gutters are filled by dilation.
+    """
+    where = resolve_device(device)
+    target = _target(atlas, size)
+    given = values if isinstance(values, VertexValues) else VertexValues(values)
+    faces = np.asarray(faces, dtype=np.int32)
+    given.corner_values(faces[:0])
+    cut = unwrap(
+        np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
+    )
+    layout = _Layout(cut.uv[cut.faces], target.width, target.height, where)
+    return _bake_linear(layout, (cut.weights @ given.values)[cut.faces], supersample, -1)
+
+
+def uv_to_sphere(
+    picture: Any,
+    sphere: ArrayLike,
+    faces: ArrayLike,
+    uv: ArrayLike,
+    *,
+    uv_faces: ArrayLike | None = None,
+    atlas: str | Atlas = "equirectangular",
+    size: int | tuple[int, int] | None = None,
+    rotation: ArrayLike | None = None,
+    supersample: int = 2,
+    device: Any = "auto",
+) -> Picture:
+    """Resample a texture on a mesh's own coordinates onto the sphere: the inverse of :func:`bake_to_uv`.
+
+    Args:
+        picture: the mesh's texture: a path, a PIL image or an array [H, W, C].
+        sphere, faces: the map, [V, 3] and [F, 3].
+        uv, uv_faces: the mesh's texture coordinates, as in :func:`bake_to_uv`.
+        atlas, size: what to make: by default an equirectangular picture of 2048 x 1024 texels.
+        rotation: turns the resulting picture on the sphere, shape [3, 3].
+
+    Returns:
+        float32, shape [H, W, C].
+    """
+    where = resolve_device(device)
+    target = _target(atlas, size)
+    faces = np.asarray(faces, dtype=np.int32)
+    array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
+    own = _own_uv(uv, faces, uv_faces)
+    cut = unwrap(
+        np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
+    )
+    # A part of a face has the own coordinates of that face: linear, whatever seams the mesh's coordinates have.
+    corner_own = _own_at_parts(cut.weights, cut.faces, cut.source_face, faces, own)
+    layout = _Layout(cut.uv[cut.faces], target.width, target.height, where)
+    values = wp.array(np.ascontiguousarray(corner_own), dtype=wp.float64, device=where)
+    source = wp.array(np.ascontiguousarray(as_floats(array)), dtype=wp.float32, device=where)
+    channels = array.shape[2]
+    out = wp.zeros((target.width * target.height, channels), dtype=wp.float32, device=where)
+    texels, samples = layout.owned(), max(int(supersample), 1)
+    step = max(SAMPLES_AT_ONCE // samples**2, 1)
+    for start in range(0, len(texels), step):
+        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        count = len(part) * samples**2
+        points = wp.empty((count, 2), dtype=wp.float64, device=where)
+        colours = wp.empty((count, channels), dtype=wp.float64, device=where)
+        layout.interpolate(values, part, samples, points)
+        wp.launch(kernels.sample_plane_kernel, dim=count, inputs=[source, points, colours], device=where)
+        wp.launch(kernels.average_kernel, dim=len(part), inputs=[colours, samples, part, out], device=where)
+    return layout.dilate(out, -1).numpy().reshape(target.height, target.width, channels)
+
+
+def _own_at_parts(weights: Any, part_faces: NDArray, source_face: NDArray, faces: NDArray, own: Floats) -> Floats:
+    """Own coordinates of the corners of the parts of faces, shape [M, 3, 2].
+
+    Each corner is a combination of vertices of its source face; its coordinates are the same combination of that
+    face's corners.
+    """
+    matrix = weights.tocsr()
+    rows = part_faces.ravel()
+    corner_face = np.repeat(source_face, 3)
+    share = np.zeros((len(rows), 3))
+    for k in range(3):
+        share[:, k] = np.asarray(matrix[rows, faces[corner_face, k]]).ravel()
+    return np.einsum("ik,ikj->ij", share, own[corner_face]).reshape(-1, 3, 2)

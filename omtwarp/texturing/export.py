@@ -1,0 +1,264 @@
+"""Writing textured meshes: GLB, OBJ with MTL and PNG, and PLY with colours at the vertices.
+
+Every file is written under a temporary name beside its place and renamed when all of them are whole, so that a failure,
+a full disk or Ctrl-C leaves either the old file or none.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+
+if TYPE_CHECKING:
+    from omtwarp.texturing.textured import TexturedSurface
+
+SUFFIXES = (".glb", ".obj", ".ply")
+REPEAT, CLAMP = 10497, 33071  # glTF 2.0, sampler.wrapS and wrapT
+LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
+FLOAT, UNSIGNED_INT = 5126, 5125
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+
+
+def check_suffix(path: str | os.PathLike[str]) -> str:
+    """The suffix of a textured mesh that can be written, lower case.
+
+    Raises:
+        OmtwarpError: another suffix.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise OmtwarpError(f"cannot write '{path}': a textured mesh is written as .glb, .obj (with .mtl and .png) or .ply")
+    return suffix
+
+
+def write_files(files: Iterable[tuple[Path, bytes]]) -> None:
+    """Write several files so that all of them appear whole or none does.
+
+    Raises:
+        OmtwarpError: a folder that is missing or may not be written to, a full disk.
+    """
+    pending: list[tuple[Path, Path]] = []
+    place: Path | None = None
+    try:
+        for place, content in files:
+            if place.is_dir():
+                raise OmtwarpError(f"cannot write '{place}': it is a folder")
+            temporary = place.with_name(f".{place.name}.{os.getpid()}.part")
+            pending.append((temporary, place))
+            with open(temporary, "wb") as stream:
+                stream.write(content)
+        for temporary, place in pending:
+            os.replace(temporary, place)
+    except OSError as error:
+        reason = "the folder does not exist" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
+        raise OmtwarpError(f"cannot write '{place}': {reason}") from error
+    finally:
+        for temporary, _ in pending:
+            temporary.unlink(missing_ok=True)
+
+
+def export(textured: TexturedSurface, path: str | os.PathLike[str]) -> list[Path]:
+    """Write a textured surface in the format of the path's suffix; returns the files written."""
+    place = Path(path)
+    suffix = check_suffix(place)
+    if suffix == ".glb":
+        files = [(place, glb_bytes(textured))]
+    elif suffix == ".ply":
+        files = [(place, ply_bytes(textured))]
+    else:
+        files = obj_files(textured, place)
+    write_files(files)
+    return [name for name, _ in files]
+
+
+def png_bytes(image: NDArray[np.uint8]) -> bytes:
+    """An image as a PNG file."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    level = 6 if image.size < 30_000_000 else 3  # large pictures: a tenth more bytes in a third of the time
+    Image.fromarray(image).save(stream, format="PNG", compress_level=level)
+    return stream.getvalue()
+
+
+def _single(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest > np.finfo(np.float32).max:
+        raise OmtwarpError(f"cannot write {name} up to {largest:.3g} as GLB, which holds 32-bit numbers: scale the mesh down")
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def glb_bytes(textured: TexturedSurface) -> bytes:
+    """A binary glTF 2.0 file: one mesh, one PBR material with the texture embedded, lit from any side the same way."""
+    position = _single("positions", textured.vertices)
+    normal = _single("normals", textured.normals)
+    # glTF's texture coordinates have their origin at the top left.
+    uv = np.ascontiguousarray(np.stack([textured.uv[:, 0], 1.0 - textured.uv[:, 1]], axis=1), dtype=np.float32)
+    index = np.ascontiguousarray(textured.faces, dtype=np.uint32)
+    opaque = textured.image.shape[2] == 3
+    blob = bytearray()
+    views: list[dict[str, Any]] = []
+
+    def view(content: bytes, target: int | None = None) -> int:
+        blob.extend(b"\0" * (-len(blob) % 4))
+        entry: dict[str, Any] = {"buffer": 0, "byteOffset": len(blob), "byteLength": len(content)}
+        if target is not None:
+            entry["target"] = target
+        views.append(entry)
+        blob.extend(content)
+        return len(views) - 1
+
+    def accessor(array: NDArray, kind: str, component: int, target: int, bounds: bool = False) -> dict[str, Any]:
+        count = array.size if kind == "SCALAR" else len(array)
+        entry: dict[str, Any] = {
+            "bufferView": view(array.tobytes(), target),
+            "componentType": component,
+            "count": count,
+            "type": kind,
+        }
+        if bounds:
+            entry["min"] = [float(x) for x in array.min(axis=0)]
+            entry["max"] = [float(x) for x in array.max(axis=0)]
+        return entry
+
+    accessors = [
+        accessor(position, "VEC3", FLOAT, ARRAY_BUFFER, bounds=True),
+        accessor(normal, "VEC3", FLOAT, ARRAY_BUFFER),
+        accessor(uv, "VEC2", FLOAT, ARRAY_BUFFER),
+        accessor(index, "SCALAR", UNSIGNED_INT, ELEMENT_ARRAY_BUFFER),
+    ]
+    picture = view(png_bytes(textured.image))
+    document = {
+        "asset": {"version": "2.0", "generator": "omtwarp"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": "surface"}],
+        "meshes": [
+            {
+                "name": "surface",
+                "primitives": [
+                    {"attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}, "indices": 3, "material": 0, "mode": 4}
+                ],
+            }
+        ],
+        "materials": [
+            {
+                "name": "texture",
+                "pbrMetallicRoughness": {
+                    "baseColorTexture": {"index": 0, "texCoord": 0},
+                    "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
+                    "metallicFactor": 0.0,
+                    "roughnessFactor": 0.65,
+                },
+                "alphaMode": "OPAQUE" if opaque else "BLEND",
+                "doubleSided": False,
+            }
+        ],
+        "textures": [{"sampler": 0, "source": 0}],
+        "samplers": [
+            {
+                "magFilter": LINEAR,
+                "minFilter": LINEAR_MIPMAP_LINEAR,
+                "wrapS": REPEAT if textured.wraps else CLAMP,  # u runs around the sphere
+                "wrapT": CLAMP,  # repeating here would let the poles bleed into each other
+            }
+        ],
+        "images": [{"bufferView": picture, "mimeType": "image/png", "name": "texture"}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(blob) + -len(blob) % 4}],
+    }
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    blob.extend(b"\0" * (-len(blob) % 4))
+    total = 12 + 8 + len(text) + 8 + len(blob)
+    head = struct.pack("<4sII", b"glTF", 2, total)
+    return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + bytes(blob)
+
+
+def _lines(prefix: str, rows: NDArray, form: str) -> str:
+    """Rows as lines of text; one format for the whole array is much quicker than a call per line."""
+    pattern = prefix + " " + " ".join([form] * rows.shape[1]) + "\n"
+    return (pattern * len(rows)) % tuple(rows.ravel().tolist())
+
+
+def obj_files(textured: TexturedSurface, place: Path) -> list[tuple[Path, bytes]]:
+    """An OBJ with its material and picture.
+
+    Positions and normals are written once per vertex of the uncut mesh (the input's vertices first, in their order);
+    only texture coordinates are doubled along the seams, as the format allows.
+    """
+    stem = "_".join(place.stem.split()) or "texture"  # readers end the names in these files at a space
+    material, picture = place.with_name(stem + ".mtl"), place.with_name(stem + ".png")
+    count = int(textured.welded.max(initial=-1)) + 1
+    first = np.zeros(count, dtype=np.int64)
+    first[textured.welded[::-1]] = np.arange(len(textured.welded))[::-1]
+    v, vt = textured.welded[textured.faces] + 1, textured.faces + 1
+    corners = np.stack([v, vt, v], axis=2).reshape(len(v), 9)
+    face = "f %d/%d/%d %d/%d/%d %d/%d/%d\n"
+    text = "".join(
+        [
+            "# omtwarp: surface with a texture from its area-preserving map to the sphere\n",
+            f"# the first {textured.original_vertex_count} vertices are those of the input, in its order\n",
+            f"mtllib {material.name}\no surface\n",
+            _lines("v", textured.vertices[first], "%.9g"),
+            _lines("vt", textured.uv, "%.8f"),
+            _lines("vn", textured.normals[first], "%.5f"),
+            "usemtl texture\ns 1\n",
+            (face * len(corners)) % tuple(corners.ravel().tolist()),
+        ]
+    )
+    lines = [
+        "# omtwarp",
+        "newmtl texture",
+        "Ka 1.000 1.000 1.000",
+        "Kd 1.000 1.000 1.000",
+        "Ks 0.000 0.000 0.000",
+        "d 1.0",
+        "illum 1",
+        "Pr 0.65",
+        "Pm 0.0",
+        # Bilinear filtering must not cross the picture's border where u does not wrap.
+        f"map_Kd {'' if textured.wraps else '-clamp on '}{picture.name}",
+        "",
+    ]
+    return [(picture, png_bytes(textured.image)), (material, "\n".join(lines).encode()), (place, text.encode())]
+
+
+def ply_bytes(textured: TexturedSurface) -> bytes:
+    """A binary PLY of the **input's** vertices and faces, unchanged and in their order, with a colour per vertex."""
+    vertices, faces = textured.original_vertices, textured.original_faces
+    record = np.dtype(
+        [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("alpha", "u1")]
+    )
+    rows = np.empty(len(vertices), dtype=record)
+    for k, name in enumerate("xyz"):
+        rows[name] = vertices[:, k]
+    colours = textured.vertex_colours
+    for k, name in enumerate(("red", "green", "blue", "alpha")):
+        rows[name] = colours[:, k]
+    triangles = np.empty(len(faces), dtype=np.dtype([("n", "u1"), ("v", "<i4", (3,))]))
+    triangles["n"], triangles["v"] = 3, faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment omtwarp: colours of a texture on the area-preserving map to the sphere",
+        f"element vertex {len(vertices)}",
+        *(f"property double {name}" for name in "xyz"),
+        *(f"property uchar {name}" for name in ("red", "green", "blue", "alpha")),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+        "",
+    ]
+    return "\n".join(header).encode() + rows.tobytes() + triangles.tobytes()

@@ -1,0 +1,113 @@
+"""Pictures in and out, with one clear line when a file is not one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+LARGEST_SIDE = 32768
+
+
+def read_image(source: Any) -> NDArray[Any]:
+    """A picture as an array, row 0 on top.
+
+    Args:
+        source: a path, a PIL image, or an array of shape [H, W], [H, W, 1], [H, W, 3] or [H, W, 4]: uint8, or floats
+            in 0..1.
+
+    Returns:
+        uint8, or float32 for float input, shape [H, W, 3] or [H, W, 4].
+
+    Raises:
+        OmtwarpError: the file is missing, empty, not readable or not a picture; the array has another shape or type.
+    """
+    from PIL import Image as pil
+
+    if isinstance(source, (str, os.PathLike)):
+        path = Path(source)
+        if not path.exists():
+            raise OmtwarpError(f"image '{path}' does not exist")
+        if path.is_dir():
+            raise OmtwarpError(f"image '{path}' is a folder, not a picture")
+        try:
+            if path.stat().st_size == 0:
+                raise OmtwarpError(f"image '{path}' is empty (0 bytes)")
+            with pil.open(path) as opened:
+                return _from_pil(opened, f"image '{path}'")
+        except OmtwarpError:
+            raise
+        except PermissionError as error:
+            raise OmtwarpError(f"image '{path}' may not be read: permission denied") from error
+        except pil.UnidentifiedImageError as error:
+            raise OmtwarpError(f"image '{path}' is not a picture in a format that can be read (PNG, JPEG, TIFF, ...)") from error
+        except Exception as error:  # damaged files end in many kinds of error inside the decoders
+            raise OmtwarpError(f"image '{path}' cannot be read: {_first_line(error)}") from error
+    if isinstance(source, pil.Image):
+        return _from_pil(source, "image")
+    return _from_array(source)
+
+
+def _from_pil(image: Image, name: str) -> NDArray[Any]:
+    from PIL import ImageOps
+
+    if max(image.size) > LARGEST_SIDE:
+        raise OmtwarpError(f"{name} is {image.width}x{image.height} texels: no side may be longer than {LARGEST_SIDE}")
+    if image.mode in ("I;16", "I;16L", "I;16B", "I", "F"):  # more than 8 bits: Pillow's own conversion would clip
+        values = np.asarray(image, dtype=np.float32)
+        top = 65535.0 if image.mode != "F" else 1.0
+        return np.repeat(np.clip(values / top, 0.0, 1.0)[..., None], 3, axis=2)
+    turned = ImageOps.exif_transpose(image)
+    alpha = turned.mode in ("RGBA", "LA", "PA") or "transparency" in turned.info
+    return np.asarray(turned.convert("RGBA" if alpha else "RGB"))
+
+
+def _from_array(source: Any) -> NDArray[Any]:
+    try:
+        array = np.asarray(source)
+    except Exception as error:
+        raise OmtwarpError(f"image of type {type(source).__name__}: give a path, a PIL image or an array") from error
+    if array.dtype == object or array.dtype.kind not in "uifb":
+        raise OmtwarpError(f"image of type {type(source).__name__}: give a path, a PIL image or an array")
+    if array.ndim == 2:
+        array = array[..., None]
+    if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
+        raise OmtwarpError(f"image array of shape {list(np.shape(source))}: give [H, W], [H, W, 3] or [H, W, 4]")
+    if array.shape[2] == 1:
+        array = np.repeat(array, 3, axis=2)
+    if array.dtype == np.uint8:
+        return np.ascontiguousarray(array)
+    if array.dtype.kind in "ui":
+        if array.min() < 0 or array.max() > 255:
+            raise OmtwarpError(f"image array of {array.dtype} from {array.min()} to {array.max()}: give 0..255, or floats in 0..1")
+        return array.astype(np.uint8)
+    values = array.astype(np.float32)
+    if not np.all(np.isfinite(values)):
+        raise OmtwarpError(f"image array has {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+    if values.min() < 0 or values.max() > 1:
+        raise OmtwarpError(f"image array of floats from {values.min():g} to {values.max():g}: give 0..1, or uint8")
+    return values
+
+
+def as_floats(image: NDArray[Any]) -> NDArray[np.float32]:
+    """A picture as float32 in 0..1."""
+    return image.astype(np.float32) / np.float32(255.0) if image.dtype == np.uint8 else image.astype(np.float32, copy=False)
+
+
+def as_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """A picture as uint8, rounded to the nearest and clipped."""
+    if image.dtype == np.uint8:
+        return image
+    return np.clip(image * np.float32(255.0) + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -1,0 +1,397 @@
+"""Kernels between texels and directions: where a texel looks, what a picture shows there, and which triangle owns it."""
+
+from omtwarp._warp import HALF, ONE, PI, TWO, ZERO, wp
+
+wp.set_module_options({"enable_backward": False})
+
+FOUR = wp.constant(wp.float64(4.0))
+TINY = wp.constant(wp.float64(1.0e-300))
+
+# Kinds of picture; the first three are the atlases of omtwarp.texturing.atlas.
+EQUIRECTANGULAR = wp.constant(0)
+CUBE = wp.constant(1)
+OCTAHEDRAL = wp.constant(2)
+SINUSOIDAL = wp.constant(3)
+
+
+@wp.func
+def sign_of(x: wp.float64):
+    s = ONE
+    if x < ZERO:
+        s = -ONE
+    return s
+
+
+@wp.func
+def cube_direction(face: int, a: wp.float64, b: wp.float64):
+    """Point of the plane of a face of the cube, a to the right and b up (frames as in omtwarp.texturing.atlas)."""
+    d = wp.vec3d(ONE, a, b)
+    if face == 1:
+        d = wp.vec3d(-a, ONE, b)
+    elif face == 2:
+        d = wp.vec3d(-ONE, -a, b)
+    elif face == 3:
+        d = wp.vec3d(a, -ONE, b)
+    elif face == 4:
+        d = wp.vec3d(-b, a, ONE)
+    elif face == 5:
+        d = wp.vec3d(b, a, -ONE)
+    return d
+
+
+@wp.func
+def picture_direction(
+    kind: int, x: wp.float64, y: wp.float64, width: int, height: int, offset: wp.float64, gutter: wp.float64
+):
+    """Unit vector that a point of a picture shows; x to the right and y **down** in texels. Gutters see past borders."""
+    w = wp.float64(width)
+    h = wp.float64(height)
+    d = wp.vec3d(ONE, ZERO, ZERO)
+    if kind == CUBE:
+        cell = w / wp.float64(3.0)
+        column = wp.clamp(int(wp.floor(x / cell)), 0, 2)
+        row = wp.clamp(int(wp.floor(y / cell)), 0, 1)
+        half = HALF * (cell - TWO * gutter)
+        right = (x - wp.float64(column) * cell - gutter) / half - ONE
+        up = ONE - (y - wp.float64(row) * cell - gutter) / half
+        quarter = PI / FOUR
+        d = cube_direction(row * 3 + column, wp.tan(right * quarter), wp.tan(up * quarter))
+    elif kind == OCTAHEDRAL:
+        half = HALF * (w - TWO * gutter)
+        a = (x - gutter) / half - ONE
+        b = ONE - (y - gutter) / half
+        if wp.abs(a) > ONE:  # beyond the border lies the other half of the same side, back to front
+            a = sign_of(a) * (TWO - wp.abs(a))
+            b = -b
+        if wp.abs(b) > ONE:
+            b = sign_of(b) * (TWO - wp.abs(b))
+            a = -a
+        z = ONE - wp.abs(a) - wp.abs(b)
+        if z < ZERO:
+            d = wp.vec3d((ONE - wp.abs(b)) * sign_of(a), (ONE - wp.abs(a)) * sign_of(b), z)
+        else:
+            d = wp.vec3d(a, b, z)
+    else:
+        lat = (HALF - y / h) * PI
+        lon = (x / w - HALF) * TWO * PI + offset
+        c = wp.cos(lat)
+        d = wp.vec3d(c * wp.cos(lon), c * wp.sin(lon), wp.sin(lat))
+    return wp.normalize(d)
+
+
+@wp.func
+def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.float64, gutter: wp.float64):
+    """Where a picture shows a direction: x to the right and y down in texels."""
+    w = wp.float64(width)
+    h = wp.float64(height)
+    x = ZERO
+    y = ZERO
+    if kind == CUBE:
+        cell = w / wp.float64(3.0)
+        half = HALF * (cell - TWO * gutter)
+        ax = wp.abs(d[0])
+        ay = wp.abs(d[1])
+        az = wp.abs(d[2])
+        face = int(4)
+        a = d[1]
+        b = -d[0]
+        if ax >= ay and ax >= az:
+            face = int(0)
+            b = d[2]
+            if d[0] < ZERO:
+                face = int(2)
+                a = -d[1]
+        elif ay >= az:
+            face = int(1)
+            a = -d[0]
+            b = d[2]
+            if d[1] < ZERO:
+                face = int(3)
+                a = d[0]
+        elif d[2] < ZERO:
+            face = int(5)
+            b = d[0]
+        largest = wp.max(wp.max(ax, ay), wp.max(az, TINY))
+        column = face % 3
+        row = face // 3
+        x = wp.float64(column) * cell + gutter + (wp.atan2(a, largest) * FOUR / PI + ONE) * half
+        y = wp.float64(row) * cell + gutter + (ONE - wp.atan2(b, largest) * FOUR / PI) * half
+    elif kind == OCTAHEDRAL:
+        half = HALF * (w - TWO * gutter)
+        total = wp.max(wp.abs(d[0]) + wp.abs(d[1]) + wp.abs(d[2]), TINY)
+        a = d[0] / total
+        b = d[1] / total
+        if d[2] < ZERO:
+            c = a
+            a = (ONE - wp.abs(b)) * sign_of(c)
+            b = (ONE - wp.abs(c)) * sign_of(b)
+        x = gutter + (a + ONE) * half
+        y = gutter + (ONE - b) * half
+    else:
+        lat = wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
+        lon = wp.atan2(d[1], d[0]) - offset
+        if kind == SINUSOIDAL:
+            lon = lon * wp.cos(lat)
+        u = HALF + lon / (TWO * PI)
+        x = (u - wp.floor(u)) * w
+        if kind == SINUSOIDAL:
+            x = u * w
+        y = (HALF - lat / PI) * h
+    return wp.vec2d(x, y)
+
+
+@wp.func
+def texel(picture: wp.array3d(dtype=wp.float32), kind: int, row: int, column: int, c: int):
+    """A texel's value; an equirectangular picture goes on around the sphere and over the poles."""
+    height = picture.shape[0]
+    width = picture.shape[1]
+    r = row
+    q = column
+    if kind == EQUIRECTANGULAR:
+        if r < 0:
+            r = -1 - r
+            q = q + width // 2
+        elif r >= height:
+            r = 2 * height - 1 - r
+            q = q + width // 2
+        if q < 0:
+            q = q + width
+        q = q % width
+    else:
+        r = wp.clamp(r, 0, height - 1)
+        q = wp.clamp(q, 0, width - 1)
+    return wp.float64(picture[r, q, c])
+
+
+@wp.func
+def bilinear(picture: wp.array3d(dtype=wp.float32), kind: int, x: wp.float64, y: wp.float64, c: int):
+    """Value at a point (in texels, centres at halves) between the four nearest texels."""
+    column = int(wp.floor(x - HALF))
+    row = int(wp.floor(y - HALF))
+    s = x - HALF - wp.float64(column)
+    t = y - HALF - wp.float64(row)
+    top = (ONE - s) * texel(picture, kind, row, column, c) + s * texel(picture, kind, row, column + 1, c)
+    low = (ONE - s) * texel(picture, kind, row + 1, column, c) + s * texel(picture, kind, row + 1, column + 1, c)
+    return (ONE - t) * top + t * low
+
+
+@wp.kernel
+def texel_directions_kernel(
+    kind: int,
+    width: int,
+    height: int,
+    offset: wp.float64,
+    gutter: wp.float64,
+    texels: wp.array(dtype=wp.int32),
+    samples: int,
+    directions: wp.array(dtype=wp.vec3d),
+):
+    """Directions of the samples (a regular grid of samples x samples) of texels given by number, row by row."""
+    i = wp.tid()
+    per_texel = samples * samples
+    number = texels[i // per_texel]
+    k = i % per_texel
+    step = ONE / wp.float64(samples)
+    x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
+    y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
+    directions[i] = picture_direction(kind, x, y, width, height, offset, gutter)
+
+
+@wp.kernel
+def sample_picture_kernel(
+    kind: int,
+    offset: wp.float64,
+    gutter: wp.float64,
+    picture: wp.array3d(dtype=wp.float32),
+    directions: wp.array(dtype=wp.vec3d),
+    out: wp.array2d(dtype=wp.float64),
+):
+    """What a picture of the sphere shows in directions."""
+    i = wp.tid()
+    p = picture_point(kind, directions[i], picture.shape[1], picture.shape[0], offset, gutter)
+    for c in range(picture.shape[2]):
+        out[i, c] = bilinear(picture, kind, p[0], p[1], c)
+
+
+@wp.kernel
+def average_kernel(
+    values: wp.array2d(dtype=wp.float64),
+    samples: int,
+    texels: wp.array(dtype=wp.int32),
+    out: wp.array2d(dtype=wp.float32),
+):
+    """Mean of the samples of every texel, written to the texel's place."""
+    i = wp.tid()
+    per_texel = samples * samples
+    for c in range(values.shape[1]):
+        total = wp.float64(0.0)
+        for k in range(per_texel):
+            total = total + values[i * per_texel + k, c]
+        out[texels[i], c] = wp.float32(total / wp.float64(per_texel))
+
+
+@wp.kernel
+def flag_changes_kernel(
+    picture: wp.array2d(dtype=wp.float32),
+    width: int,
+    height: int,
+    threshold: wp.float32,
+    flags: wp.array(dtype=wp.uint8),
+):
+    """1 where a texel differs from one of its eight neighbours by more than a threshold."""
+    i = wp.tid()
+    row = i // width
+    column = i % width
+    found = int(0)
+    for r in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+        for k in range(3):
+            q = column + k - 1
+            if q < 0:
+                q = q + width
+            if q >= width:
+                q = q - width
+            for c in range(picture.shape[1]):
+                if wp.abs(picture[r * width + q, c] - picture[i, c]) > threshold:
+                    found = int(1)
+    flags[i] = wp.uint8(found)
+
+
+@wp.func
+def edge_side(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64, px: wp.float64, py: wp.float64):
+    return (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+
+
+@wp.kernel
+def own_texels_kernel(
+    corners: wp.array2d(dtype=wp.vec2d),
+    first_row: int,
+    rows: int,
+    width: int,
+    grow: wp.float64,
+    owner: wp.array(dtype=wp.int32),
+):
+    """Each triangle claims the texels whose centres it contains; the lowest number wins, whatever the order of threads.
+
+    ``corners`` are in texels, y down. ``grow`` lets a triangle claim centres up to that many texels outside, so that
+    round-off cannot leave a hole between two triangles.
+    """
+    f = wp.tid()
+    a = corners[f, 0]
+    b = corners[f, 1]
+    c = corners[f, 2]
+    area = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
+    if area == ZERO:
+        return
+    flip = sign_of(area)
+    # Lengths turn the edge functions into distances.
+    ab = wp.length(b - a) * flip
+    bc = wp.length(c - b) * flip
+    ca = wp.length(a - c) * flip
+    low_x = wp.max(int(wp.ceil(wp.min(wp.min(a[0], b[0]), c[0]) - HALF - grow)), 0)
+    high_x = wp.min(int(wp.floor(wp.max(wp.max(a[0], b[0]), c[0]) - HALF + grow)), width - 1)
+    low_y = wp.max(int(wp.ceil(wp.min(wp.min(a[1], b[1]), c[1]) - HALF - grow)), first_row)
+    high_y = wp.min(int(wp.floor(wp.max(wp.max(a[1], b[1]), c[1]) - HALF + grow)), first_row + rows - 1)
+    for row in range(low_y, high_y + 1):
+        for column in range(low_x, high_x + 1):
+            x = wp.float64(column) + HALF
+            y = wp.float64(row) + HALF
+            if edge_side(a[0], a[1], b[0], b[1], x, y) / ab >= -grow:
+                if edge_side(b[0], b[1], c[0], c[1], x, y) / bc >= -grow:
+                    if edge_side(c[0], c[1], a[0], a[1], x, y) / ca >= -grow:
+                        wp.atomic_min(owner, (row - first_row) * width + column, f)
+
+
+@wp.func
+def barycentric(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, x: wp.float64, y: wp.float64, slack: wp.float64):
+    """Barycentric coordinates of a point, drawn back where it lies outside the triangle by more than a slack."""
+    area = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
+    u = edge_side(b[0], b[1], c[0], c[1], x, y) / area
+    v = edge_side(c[0], c[1], a[0], a[1], x, y) / area
+    w = ONE - u - v
+    least = wp.min(wp.min(u, v), w)
+    if least < -slack:  # towards the middle until just the slack is left
+        third = ONE / wp.float64(3.0)
+        t = (third + slack) / (third - least)
+        u = third + t * (u - third)
+        v = third + t * (v - third)
+        w = ONE - u - v
+    return wp.vec3d(u, v, w)
+
+
+@wp.kernel
+def owner_values_kernel(
+    corners: wp.array2d(dtype=wp.vec2d),
+    values: wp.array3d(dtype=wp.float64),
+    owner: wp.array(dtype=wp.int32),
+    texels: wp.array(dtype=wp.int32),
+    width: int,
+    samples: int,
+    out: wp.array2d(dtype=wp.float64),
+):
+    """Values at corners, linear over the owning triangle, at the samples of texels that have an owner.
+
+    Samples next to a border may lie up to half a texel outside the triangle and are extrapolated within reason.
+    """
+    i = wp.tid()
+    per_texel = samples * samples
+    number = texels[i // per_texel]
+    k = i % per_texel
+    step = ONE / wp.float64(samples)
+    x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
+    y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
+    f = owner[number]
+    bary = barycentric(corners[f, 0], corners[f, 1], corners[f, 2], x, y, HALF)
+    for c in range(values.shape[2]):
+        out[i, c] = bary[0] * values[f, 0, c] + bary[1] * values[f, 1, c] + bary[2] * values[f, 2, c]
+
+
+@wp.kernel
+def vectors_kernel(values: wp.array2d(dtype=wp.float64), out: wp.array(dtype=wp.vec3d)):
+    """Rows of three numbers as unit vectors."""
+    i = wp.tid()
+    out[i] = wp.normalize(wp.vec3d(values[i, 0], values[i, 1], values[i, 2]))
+
+
+@wp.kernel
+def sample_plane_kernel(
+    picture: wp.array3d(dtype=wp.float32), points: wp.array2d(dtype=wp.float64), out: wp.array2d(dtype=wp.float64)
+):
+    """Bilinear samples of a picture at texture coordinates (v up), clamped at its borders."""
+    i = wp.tid()
+    x = points[i, 0] * wp.float64(picture.shape[1])
+    y = (ONE - points[i, 1]) * wp.float64(picture.shape[0])
+    for c in range(picture.shape[2]):
+        out[i, c] = bilinear(picture, OCTAHEDRAL, x, y, c)  # a kind that does not wrap
+
+
+@wp.kernel
+def dilate_kernel(
+    picture: wp.array2d(dtype=wp.float32),
+    known: wp.array(dtype=wp.uint8),
+    width: int,
+    height: int,
+    out: wp.array2d(dtype=wp.float32),
+    out_known: wp.array(dtype=wp.uint8),
+):
+    """One ring more: a texel without a value takes the mean of its known neighbours."""
+    i = wp.tid()
+    channels = picture.shape[1]
+    out_known[i] = known[i]
+    for c in range(channels):
+        out[i, c] = picture[i, c]
+    if known[i] == wp.uint8(0):
+        row = i // width
+        column = i % width
+        count = int(0)
+        for r in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+            for q in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+                count = count + int(known[r * width + q])
+        if count > 0:
+            out_known[i] = wp.uint8(1)
+            for c in range(channels):
+                total = wp.float32(0.0)
+                for r in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+                    for q in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+                        if known[r * width + q] == wp.uint8(1):
+                            total = total + picture[r * width + q, c]
+                out[i, c] = total / wp.float32(count)

@@ -1,0 +1,442 @@
+"""Built-in patterns: functions of direction on the sphere, exact at every resolution and without a seam or a pole.
+
+``circles``, ``puzzle``, ``globe`` and ``checker`` are those of section 5 of the paper. A pattern is called with
+directions and gives colours::
+
+    pattern("circles", count=162)(directions)  # [N, 3] -> [N, 3], red, green and blue in 0..1
+
+They need no file and no network. The coastlines of the globe are Natural Earth's (public domain), simplified.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp._warp import resolve_device, wp
+from omtwarp.errors import OmtwarpError
+from omtwarp.texturing import pattern_kernels as kernels
+from omtwarp.texturing.atlas import CUBE_FRAMES
+from omtwarp.texturing.coastlines import coastline_segments
+from omtwarp.texturing.cutting import normalised
+from omtwarp.texturing.projection import direction_from_angles
+
+Floats = NDArray[np.float64]
+
+
+def _colours(*names: str) -> Floats:
+    return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names]) / 255.0
+
+
+class Pattern:
+    """A colour for every direction on the sphere.
+
+    Attributes:
+        name: as in ``PATTERNS``.
+    """
+
+    name: str
+
+    def __call__(self, directions: ArrayLike, device: Any = "cpu") -> Floats:
+        """Colours, float64 in 0..1, shape [N, 3], of directions of any length, shape [N, 3]."""
+        d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
+        where = resolve_device(device)
+        out = wp.empty((len(d), 3), dtype=wp.float64, device=where)
+        if len(d):
+            self.launch(wp.array(d, dtype=wp.vec3d, device=where), out)
+        return out.numpy()
+
+    def launch(self, directions: wp.array, out: wp.array) -> None:
+        """Colour an array of directions (vec3d, shape [N]) into ``out`` (float64, shape [>= N, 3]) on their device."""
+        device = directions.device
+        wp.launch(self._kernel, dim=len(directions), inputs=[directions, *self._inputs(device), out], device=device)
+
+    _kernel: Any
+
+    def _inputs(self, device: Any) -> list[Any]:
+        if not hasattr(self, "_uploaded"):
+            self._uploaded: dict[str, list[Any]] = {}
+        if device.alias not in self._uploaded:
+            self._uploaded[device.alias] = [
+                wp.array(np.ascontiguousarray(x[0]), dtype=x[1], device=device) if isinstance(x, tuple) else x
+                for x in self._tables()
+            ]
+        return self._uploaded[device.alias]
+
+    def _tables(self) -> list[Any]:
+        """Kernel inputs between the directions and the output; (array, Warp dtype) is uploaded once per device."""
+        raise NotImplementedError
+
+
+class Checker(Pattern):
+    """Fields of a chess board, equal in longitude and in latitude.
+
+    Args:
+        columns: fields around the equator, an even number.
+        rows: fields from pole to pole.
+    """
+
+    name = "checker"
+    _kernel = kernels.checker_kernel
+
+    def __init__(self, columns: int = 24, rows: int = 12):
+        if columns < 2 or columns % 2 or rows < 1:
+            raise OmtwarpError(f"checker: {columns} columns and {rows} rows: columns must be even and both positive")
+        self.columns, self.rows = int(columns), int(rows)
+        self.colours = _colours("#f3ede2", "#2f5d73")
+
+    def _tables(self) -> list[Any]:
+        return [self.columns, self.rows, (self.colours, wp.vec3d)]
+
+
+class Circles(Pattern):
+    """Circles (spherical caps) of one size, spread evenly: every one covers the same area of the sphere.
+
+    The centres start from the vertices of a geodesic icosahedron where ``count`` is 10 f² + 2 and from a Fibonacci
+    spiral otherwise, and repel each other until they are even.
+
+    Args:
+        count: how many.
+        coverage: part of the sphere that they cover together.
+
+    Attributes:
+        centres: unit vectors, shape [count, 3].
+        radius: angle in radians; a circle's area is 2π (1 - cos radius).
+        groups: which of the palette's colours each one has, shape [count].
+    """
+
+    name = "circles"
+    _kernel = kernels.circles_kernel
+
+    def __init__(self, count: int = 162, coverage: float = 0.56):
+        if not 4 <= count <= 20_000 or not 0 < coverage < 1:
+            raise OmtwarpError(f"circles: count {count}, coverage {coverage}: give 4 to 20000 circles and a part of 1")
+        self.count = int(count)
+        self.centres = _even_points(self.count)
+        self.radius = float(np.arccos(1.0 - 2.0 * coverage / self.count))
+        near, gap = _neighbours(self.centres, 6)
+        if 2.0 * self.radius >= gap.min():
+            most = 0.5 * self.count * (1.0 - np.cos(gap.min() / 2.0))
+            raise OmtwarpError(f"circles: {self.count} circles over {coverage:.2f} of the sphere touch: at most {most:.2f}")
+        self.palette = _colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
+        self.background = _colours("#f6f1e7")[0]
+        self.groups = _colour_groups(near, len(self.palette))
+
+    def _tables(self) -> list[Any]:
+        rows, columns = 48, 96
+        lat, lon = ((np.arange(rows) + 0.5) / rows - 0.5) * np.pi, ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
+        cells = direction_from_angles(lon[None, :], lat[:, None]).reshape(-1, 3)
+        reach = self.radius + np.pi / rows  # no cell reaches farther than this from its middle
+        from scipy.spatial import cKDTree
+
+        chord = 2.0 * np.sin(min(reach, np.pi) / 2.0) + 1e-9
+        lists = cKDTree(self.centres).query_ball_point(cells, chord, return_sorted=True)
+        offsets = np.concatenate([[0], np.cumsum([len(x) for x in lists])]).astype(np.int32)
+        members = np.concatenate([np.asarray(x, dtype=np.int32) for x in lists] + [np.zeros(1, dtype=np.int32)])
+        inner = self.palette[self.groups]
+        background = wp.vec3d(*self.background)
+        return [
+            columns,
+            rows,
+            (offsets, wp.int32),
+            (members, wp.int32),
+            (self.centres, wp.vec3d),
+            (inner, wp.vec3d),
+            (inner * 0.8, wp.vec3d),
+            wp.float64(self.radius),
+            wp.float64(0.09 * self.radius),
+            background,
+        ]
+
+
+class Puzzle(Pattern):
+    """A jigsaw puzzle: six faces of a cube blown up to the sphere, ``side`` by ``side`` pieces each.
+
+    Args:
+        side: pieces along the side of a face of the cube; 6 side² pieces in all.
+        seed: which pieces have their tabs on which side.
+    """
+
+    name = "puzzle"
+    _kernel = kernels.puzzle_kernel
+
+    def __init__(self, side: int = 5, seed: int = 7):
+        if not 1 <= side <= 64:
+            raise OmtwarpError(f"puzzle: {side} pieces along a side: give 1 to 64")
+        self.side, self.seed = int(side), int(seed)
+        self.palette = _colours("#4f8fa8", "#e9c46a", "#e08e6d", "#86b08a", "#c9ada7", "#f1e3c6")
+        self.line_colour = _colours("#2b2f3a")[0]
+
+    @property
+    def count(self) -> int:
+        """How many pieces there are."""
+        return 6 * self.side**2
+
+    def _points(self, face: NDArray, x: Floats, y: Floats) -> Floats:
+        """Directions of points of faces, in pieces from the lower left corner."""
+        slope = np.tan((np.stack([x, y], axis=-1) / self.side * 2.0 - 1.0) * np.pi / 4.0)
+        local = np.concatenate([np.ones_like(slope[..., :1]), slope], axis=-1)
+        return normalised(np.einsum("...i,...ij->...j", local, CUBE_FRAMES[face]))
+
+    @cached_property
+    def _edges(self) -> tuple[NDArray, NDArray, Floats]:
+        """Neighbour, tab (1: this piece has it, 0: the neighbour) and shift of the tab for every side of every piece."""
+        n = self.side
+        piece = np.arange(self.count)
+        face, row, column = piece // n**2, piece // n % n, piece % n
+
+        def on_edge(s: float) -> Floats:
+            """Points at s along bottom, right, top and left side, as the kernel runs along them, shape [P, 4, 3]."""
+            places = [(s, 0.0), (1.0, s), (s, 1.0), (0.0, s)]
+            return np.stack([self._points(face, column + x, row + y) for x, y in places], axis=1)
+
+        from scipy.spatial import cKDTree
+
+        middle = on_edge(0.5).reshape(-1, 3)
+        _, partner = cKDTree(middle).query(middle, k=2)
+        own = np.arange(len(middle))
+        other = np.where(partner[:, 0] == own, partner[:, 1], partner[:, 0])
+        rng = np.random.default_rng(self.seed)
+        first = np.minimum(own, other)
+        tab = (rng.integers(0, 2, len(own))[first] ^ (own > other)).astype(np.int32)
+        # The two pieces may run along their common side in opposite ways.
+        quarter = on_edge(0.25).reshape(-1, 3)
+        same_way = np.linalg.norm(quarter - quarter[other], axis=1) < 1e-6
+        shift = rng.uniform(-0.07, 0.07, len(own))[first]
+        shift = np.where((own > other) & ~same_way, -shift, shift)
+        return (other // 4).reshape(-1, 4).astype(np.int32), tab.reshape(-1, 4), shift.reshape(-1, 4)
+
+    def _tables(self) -> list[Any]:
+        neighbours, tabs, shifts = self._edges
+        return [
+            (CUBE_FRAMES, wp.mat33d),
+            self.side,
+            (neighbours, wp.int32),
+            (tabs, wp.int32),
+            (shifts, wp.float64),
+            (self.palette[_colour_groups(neighbours, len(self.palette))], wp.vec3d),
+            wp.float64(0.016),
+            wp.vec3d(*self.line_colour),
+        ]
+
+
+class Globe(Pattern):
+    """Land, sea and graticule.
+
+    Args:
+        step: degrees between the lines of the graticule.
+    """
+
+    name = "globe"
+    _kernel = kernels.globe_kernel
+    coast_width, shelf_width, line_width = 0.32, 3.0, 0.3  # degrees
+
+    def __init__(self, step: float = 15.0):
+        if not 1.0 <= step <= 90.0 or 90.0 % step:
+            raise OmtwarpError(f"globe: graticule every {step} degrees: give a divisor of 90, from 1")
+        self.step = float(step)
+        self.palette = _colours("#1d5376", "#3b7894", "#5f9fae", "#c3b585", "#eef1ee", "#4b4a3c", "#f2f0e6")
+
+    def _tables(self) -> list[Any]:
+        columns, rows = 720, 360
+        pieces, real, offsets, members, land = _coast_table(columns, rows, self.shelf_width)
+        return [
+            columns,
+            rows,
+            (offsets, wp.int32),
+            (members, wp.int32),
+            (pieces, wp.vec4d),
+            (real, wp.int32),
+            (land, wp.int32),
+            (self.palette, wp.vec3d),
+            wp.float64(self.coast_width),
+            wp.float64(self.shelf_width),
+            wp.float64(self.step),
+            wp.float64(self.line_width),
+        ]
+
+
+PATTERNS: dict[str, type[Pattern]] = {p.name: p for p in (Circles, Puzzle, Globe, Checker)}
+
+
+@lru_cache(maxsize=16)
+def _default(name: str) -> Pattern:
+    return PATTERNS[name]()
+
+
+def pattern(name: str | Pattern, **options: Any) -> Pattern:
+    """A built-in pattern by name, with the options of its class.
+
+    Raises:
+        OmtwarpError: a name that does not exist, or an option that the pattern does not have.
+    """
+    if isinstance(name, Pattern):
+        return name
+    if name not in PATTERNS:
+        *most, last = PATTERNS
+        raise OmtwarpError(f"unknown pattern '{name}': use {', '.join(most)} or {last}")
+    if not options:
+        return _default(name)
+    try:
+        return PATTERNS[name](**options)
+    except TypeError as error:
+        raise OmtwarpError(f"pattern {name}: {error}") from error
+
+
+def _even_points(count: int) -> Floats:
+    """Points spread evenly over the sphere, shape [count, 3]; the same ones every time."""
+    frequency = round(((count - 2) / 10.0) ** 0.5)
+    if count > 12 and 10 * frequency**2 + 2 == count:
+        points = _geodesic_points(frequency)
+    else:
+        k = np.arange(count) + 0.5
+        points = direction_from_angles(k * np.pi * (3.0 - 5.0**0.5), np.arcsin(1.0 - 2.0 * k / count))
+    # Repulsion by the inverse fourth power of the distance to the nearest few: the closest pair moves apart first.
+    spacing = (4.0 * np.pi / count) ** 0.5
+    for _ in range(120):
+        near, _ = _neighbours(points, min(7, count - 1))
+        apart = points[:, None, :] - points[near]
+        distance = np.linalg.norm(apart, axis=2, keepdims=True)
+        push = (apart / distance * (spacing / distance) ** 4).sum(axis=1)
+        push -= np.einsum("ij,ij->i", push, points)[:, None] * points
+        points = normalised(points + 0.02 * spacing * push)
+    return points
+
+
+def _geodesic_points(frequency: int) -> Floats:
+    """Vertices of an icosahedron with every edge divided into ``frequency``, on the sphere."""
+    import trimesh
+
+    base = trimesh.creation.icosahedron()
+    i, j = np.meshgrid(np.arange(frequency + 1), np.arange(frequency + 1), indexing="ij")
+    inside = i + j <= frequency
+    bary = np.stack([i[inside], j[inside], frequency - i[inside] - j[inside]], axis=1) / frequency
+    points = normalised(np.einsum("bk,fkj->fbj", bary, base.vertices[base.faces]).reshape(-1, 3))
+    _, first = np.unique(np.round(points, 6), axis=0, return_index=True)
+    return points[np.sort(first)]
+
+
+def _neighbours(points: Floats, count: int) -> tuple[NDArray, Floats]:
+    """The nearest other points, nearest first, shape [N, count], and the angles to the very nearest, shape [N]."""
+    from scipy.spatial import cKDTree
+
+    distance, index = cKDTree(points).query(points, k=count + 1)
+    return index[:, 1:], 2.0 * np.arcsin(np.minimum(distance[:, 1] / 2.0, 1.0))
+
+
+def _colour_groups(neighbours: NDArray, colours: int) -> NDArray[np.int32]:
+    """A colour for every cell that none of its neighbours has, as evenly used as that allows, shape [N]."""
+    group = np.full(len(neighbours), -1, dtype=np.int32)
+    used = np.zeros(colours, dtype=np.int64)
+    back: list[list[int]] = [[] for _ in neighbours]
+    for cell, row in enumerate(neighbours):
+        for other in row:
+            back[other].append(cell)
+    order = np.random.default_rng(3).permutation(len(neighbours))
+    for cell in order:  # a few hundred cells of a pattern, not elements of a mesh
+        around = group[np.concatenate([neighbours[cell], np.asarray(back[cell], dtype=np.int64)]).astype(np.int64)]
+        clash = np.bincount(around[around >= 0], minlength=colours)
+        group[cell] = np.lexsort((used, clash))[0]
+        used[group[cell]] += 1
+    return group
+
+
+@lru_cache(maxsize=2)
+def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
+    """A grid over longitude and latitude that says, for each cell, which pieces of coast matter and what its centre is.
+
+    Returns:
+        pieces [S, 4] (two ends, degrees), which of them are coast rather than edge of the map [S], offsets and members
+        of the cells' lists, and whether the centre of every cell is land.
+    """
+    segments = coastline_segments()
+    a, b = segments[:, 0], segments[:, 1]
+    height = 180.0 / rows
+    # Land at the centres, row by row: the number of crossings of the parallel to the west of the centre is odd.
+    centre = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
+    land = np.zeros((rows, columns), dtype=np.int32)
+    for row in range(rows):
+        y = (row + 0.5) * height - 90.0 + 1e-7  # between the hundredths of a degree of the data
+        cut = (a[:, 1] < y) != (b[:, 1] < y)
+        x = a[cut, 0] + (y - a[cut, 1]) / (b[cut, 1] - a[cut, 1]) * (b[cut, 0] - a[cut, 0])
+        land[row] = np.searchsorted(np.sort(x), centre) & 1
+    edge = (np.abs(a[:, 0]) >= 179.995) & (np.abs(b[:, 0]) >= 179.995)
+    edge |= (a[:, 1] <= -89.995) & (b[:, 1] <= -89.995)
+    # Copies beyond ±180 degrees let the distance to the coast see across the map's edge.
+    west, east = (segments[..., 0].min(axis=1) < -150) & ~edge, (segments[..., 0].max(axis=1) > 150) & ~edge
+    pieces = np.concatenate([segments, segments[west] + (360.0, 0.0), segments[east] - (360.0, 0.0)])
+    real = np.concatenate([~edge, np.ones(west.sum() + east.sum(), dtype=bool)]).astype(np.int32)
+
+    low, high = pieces.min(axis=1), pieces.max(axis=1)
+    farthest = np.minimum(np.maximum(np.abs(low[:, 1]), np.abs(high[:, 1])) + reach, 88.0)
+    wide = reach / np.cos(np.deg2rad(farthest))
+    wide, tall = np.where(real == 1, wide, 1e-6), np.where(real == 1, reach, 1e-6)
+    first = np.stack([(low[:, 0] - wide + 180.0) * columns / 360.0, (low[:, 1] - tall + 90.0) / height], axis=1)
+    last = np.stack([(high[:, 0] + wide + 180.0) * columns / 360.0, (high[:, 1] + tall + 90.0) / height], axis=1)
+    limit = np.array([columns - 1, rows - 1])
+    seen = np.all((last >= 0) & (first <= limit + 1), axis=1)
+    first, last = (np.clip(np.floor(x), 0, limit).astype(np.int64) for x in (first, last))
+    size = np.where(seen[:, None], last - first + 1, 0)
+    number = size.prod(axis=1)
+    piece = np.repeat(np.arange(len(pieces)), number)
+    local = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    x = first[piece, 0] + local % np.maximum(size[piece, 0], 1)
+    y = first[piece, 1] + local // np.maximum(size[piece, 0], 1)
+    cell = y * columns + x
+    order = np.argsort(cell, kind="stable")
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=rows * columns))]).astype(np.int32)
+    members = piece[order].astype(np.int32)
+    return pieces.reshape(-1, 4), real, offsets, members, land.ravel()
+
+
+def rasterize(
+    source: str | Pattern,
+    width: int = 2048,
+    height: int | None = None,
+    projection: str = "equirectangular",
+    *,
+    supersample: int = 4,
+    device: Any = "auto",
+) -> NDArray[np.uint8]:
+    """A pattern as a picture of the whole sphere, supersampled.
+
+    Args:
+        source: name of a pattern, or a pattern.
+        width, height: in texels; the height is half the width by default.
+        projection: ``equirectangular``, or ``sinusoidal``: a picture for ``texture(..., projection="sinusoidal")``, with
+            the texels outside the two bounding curves filled from the nearest point inside.
+        supersample: side of the grid of samples per texel where the colour changes.
+
+    Returns:
+        uint8, shape [height, width, 3], north on top.
+    """
+    from omtwarp.texturing.atlas import Equirectangular, check_size
+    from omtwarp.texturing.baking import bake
+    from omtwarp.texturing.image import as_bytes
+    from omtwarp.texturing.projection import check_projection
+
+    check_projection(projection)
+    width, height = check_size((width, max(width // 2, 1) if height is None else height))
+    given = pattern(source)
+    if projection == "equirectangular":
+        target = Equirectangular(width, height)
+        return as_bytes(bake(given, target, supersample=supersample, device=device))
+    return as_bytes(_rasterize_sinusoidal(given, width, height, supersample, device))
+
+
+def _rasterize_sinusoidal(given: Pattern, width: int, height: int, supersample: int, device: Any) -> NDArray[np.float32]:
+    picture = np.empty((height, width, 3), dtype=np.float32)
+    x = ((np.arange(width * supersample) + 0.5) / (width * supersample) - 0.5) * 2.0 * np.pi
+    rows = max(1, (1 << 19) // (width * supersample**2))
+    for start in range(0, height, rows):
+        stop = min(start + rows, height)
+        sub = np.arange(start * supersample, stop * supersample)
+        lat = (0.5 - (sub + 0.5) / (height * supersample)) * np.pi
+        lon = np.clip(x[None, :] / np.cos(lat)[:, None], -np.pi, np.pi)
+        colours = given(direction_from_angles(lon, lat[:, None]).reshape(-1, 3), device)
+        blocks = colours.reshape(stop - start, supersample, width, supersample, 3)
+        picture[start:stop] = blocks.mean(axis=(1, 3))
+    return picture

@@ -1,0 +1,193 @@
+"""Texture coordinates from a map to the sphere: no smeared triangle, no pinch at a pole, no line at the seam.
+
+One pair of texture coordinates per mesh vertex cannot describe a sphere: longitude jumps, a pole has every longitude, and
+the six charts of a cube do not meet. So the mesh is cut along the borders of the charts (exactly: triangles that cross a
+border are divided there), the poles become vertices, and where the picture's coordinates are too far from linear over a
+triangle (always next to a pole) the triangle is divided until the error is a fraction of a texel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from omtwarp.texturing.atlas import Atlas
+from omtwarp.texturing.cutting import CutMesh, normalised
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# Corners, edge midpoints and the middle: where the linear coordinates are compared with the exact ones.
+PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 / 3, 1 / 3]])
+MOST_PASSES = 24
+LONGEST_EDGE = 0.25  # radians: above this the probes could miss how far from linear the coordinates are
+
+
+@dataclass
+class Unwrapped:
+    """A mesh cut along the charts of an atlas, with one pair of texture coordinates per vertex.
+
+    The first V vertices are the original ones in their order; copies of them and the vertices that the cuts made follow.
+
+    Attributes:
+        faces: int32, shape [M, 3].
+        uv: float64, shape [N, 2], v up.
+        sphere: unit vectors in the frame of the map (not turned), shape [N, 3].
+        source_vertex: the original vertex that each vertex is or is a copy of, -1 for one made by a cut, shape [N].
+        source_face: the original face that each face is a part of, shape [M].
+        chart: chart of each face, shape [M].
+        welded: for each vertex the vertex of the uncut mesh (original ones first, then those made), shape [N]: vertices
+            with the same number lie at the same place and differ only in their texture coordinates.
+        weights: sparse, shape [N, V]: each vertex as a combination of original ones; ``weights @ x`` carries any
+            quantity at the original vertices over.
+    """
+
+    faces: Ints
+    uv: Floats
+    sphere: Floats
+    source_vertex: Ints
+    source_face: Ints
+    chart: Ints
+    welded: Ints
+    weights: sparse.csr_matrix
+
+
+def unwrap(
+    sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None = None, tolerance: float | None = None
+) -> Unwrapped:
+    """Cut a spherical mesh along the borders of an atlas and give every vertex its texture coordinates.
+
+    Args:
+        sphere: the map, unit vectors, shape [V, 3].
+        faces: shape [F, 3].
+        atlas: where the charts are.
+        rotation: turns the texture on the sphere, shape [3, 3].
+        tolerance: largest angle, in radians, between the direction that linear texture coordinates give and the
+            map's own; a third of a texel by default. Infinity adds no vertices but those on the cuts.
+
+    Returns:
+        The cut mesh. Its surface and its map are the same as before, to round-off.
+    """
+    turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
+    sphere = np.asarray(sphere, dtype=np.float64)
+    mesh = CutMesh(sphere @ turn if rotation is not None else sphere, faces)
+    for corner in atlas.corners:
+        mesh.insert(np.asarray(corner) / np.linalg.norm(corner))
+    for arc in atlas.arcs:
+        mesh.cut(arc)
+    _refine(mesh, atlas, atlas.texel_angle / 3.0 if tolerance is None else tolerance)
+    chart = _face_charts(mesh, atlas)
+    corner_uv = atlas.corner_uv(mesh.points[mesh.faces], chart)
+    return _split_vertices(mesh, corner_uv, chart, turn, len(sphere))
+
+
+def _face_charts(mesh: CutMesh, atlas: Atlas, which: NDArray | slice = slice(None)) -> Ints:
+    return atlas.charts(mesh.points[mesh.faces[which]].sum(axis=1))
+
+
+def _refine(mesh: CutMesh, atlas: Atlas, tolerance: float) -> None:
+    """Divide triangles until texture coordinates are linear over each to within an angle."""
+    if not np.isfinite(tolerance):
+        return
+    limit = 4 * len(mesh.faces) + 100_000  # a folded or collapsed map must not be refined without end
+    fresh = np.ones(len(mesh.faces), dtype=bool)
+    for _ in range(MOST_PASSES):
+        which = np.flatnonzero(fresh)
+        points = mesh.points[mesh.faces[which]]
+        chart = _face_charts(mesh, atlas, which)
+        uv = atlas.corner_uv(points, chart)
+        error = np.empty((len(which), len(PROBES)))
+        for k, bary in enumerate(PROBES):
+            got = atlas.uv_directions(np.einsum("k,fkj->fj", bary, uv), chart)
+            want = normalised(np.einsum("k,fkj->fj", bary, points))
+            error[:, k] = np.linalg.norm(got - want, axis=1)
+        bad = error > tolerance
+        edges = bad[:, :3]
+        directions = normalised(points)
+        edges |= np.linalg.norm(directions - np.roll(directions, -1, axis=1), axis=2) > LONGEST_EDGE
+        # Only the middle is wrong: the longest edge is divided.
+        lengths = np.linalg.norm(points - np.roll(points, -1, axis=1), axis=2)
+        alone = bad[:, 3] & ~edges.any(axis=1)
+        edges[alone, np.argmax(lengths[alone], axis=1)] = True
+        face, corner = np.nonzero(edges)
+        if len(face) == 0 or len(mesh.faces) > limit:
+            return
+        fresh = mesh.split_half_edges(which[face], corner, np.full(len(face), 0.5))
+
+
+def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats, count: int) -> Unwrapped:
+    """One vertex per different (vertex, texture coordinates); the first copy of every original vertex keeps its number."""
+    vertex = mesh.faces.ravel()
+    flat = corner_uv.reshape(-1, 2)
+    order = np.lexsort((flat[:, 1], flat[:, 0], vertex))
+    v, uv = vertex[order], flat[order]
+    new = np.ones(len(v), dtype=bool)
+    new[1:] = (v[1:] != v[:-1]) | np.any(uv[1:] != uv[:-1], axis=1)
+    group = np.cumsum(new) - 1
+    owner, owner_uv = v[new], uv[new]
+    main = np.ones(len(owner), dtype=bool)
+    main[1:] = owner[1:] != owner[:-1]
+    # Main copies take the numbers of their vertices (every vertex has a face); the rest follow.
+    number = np.empty(len(owner), dtype=np.int64)
+    number[main] = owner[main]
+    total = len(mesh.points)
+    number[~main] = total + np.arange(np.count_nonzero(~main))
+    faces = np.empty(len(vertex), dtype=np.int32)
+    faces[order] = number[group]
+    welded = np.empty(total + np.count_nonzero(~main), dtype=np.int32)
+    out_uv = np.zeros((len(welded), 2))
+    welded[:total] = np.arange(total)  # also covers an unused vertex, should there be one
+    welded[number] = owner
+    out_uv[number] = owner_uv
+    source = np.where(welded < count, welded, -1).astype(np.int32)
+    return Unwrapped(
+        faces=faces.reshape(-1, 3),
+        uv=out_uv,
+        sphere=(normalised(mesh.points) @ turn.T)[welded],
+        source_vertex=source,
+        source_face=mesh.source_face,
+        chart=chart,
+        welded=welded,
+        weights=mesh.weights[welded],
+    )
+
+
+def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats, *, candidates: int = 180) -> float:
+    """Longitude of the meridian that shows least on the surface, in radians in (-π, π].
+
+    The measure is the length of the meridian's image on the surface, weighted by how much of the space around each
+    piece is open: a short line in a fold is better than a long one across a forehead.
+
+    Args:
+        vertices: shape [V, 3].
+        faces: shape [F, 3].
+        sphere: the map, in the frame in which longitude is meant, shape [V, 3].
+        candidates: how many meridians are compared, evenly spaced.
+    """
+    from omtwarp.texturing.openness import face_openness
+
+    weight = 0.1 + face_openness(vertices, faces)
+    scale = np.ptp(vertices, axis=0).max()
+    x = (vertices - vertices.min(axis=0)) / scale
+    longitudes = (np.arange(candidates) + 1) / candidates * 2.0 * np.pi - np.pi
+    costs = np.empty(candidates)
+    for k, longitude in enumerate(longitudes):
+        c, s = np.cos(longitude), np.sin(longitude)
+        height = sphere[:, 1] * c - sphere[:, 0] * s
+        along = sphere[:, 0] * c + sphere[:, 1] * s
+        side = (height >= 0)[faces]
+        crossing = np.flatnonzero(side.any(axis=1) & ~side.all(axis=1))
+        crossing = crossing[along[faces[crossing]].sum(axis=1) > 0]
+        corner = faces[crossing]
+        lonely = np.where(side[crossing].sum(axis=1) == 1, np.argmax(side[crossing], 1), np.argmin(side[crossing], 1))
+        rows = np.arange(len(crossing))
+        tip, a, b = corner[rows, lonely], corner[rows, (lonely + 1) % 3], corner[rows, (lonely + 2) % 3]
+        ends = []
+        for other in (a, b):
+            t = (height[tip] / (height[tip] - height[other]))[:, None]
+            ends.append((1.0 - t) * x[tip] + t * x[other])
+        costs[k] = (np.linalg.norm(ends[0] - ends[1], axis=1) * weight[crossing]).sum()
+    return float(longitudes[np.argmin(costs)])

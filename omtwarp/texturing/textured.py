@@ -1,0 +1,306 @@
+"""A surface with a texture, from its map to the sphere."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
+from omtwarp.texturing.image import as_bytes, read_image
+from omtwarp.texturing.projection import check_projection, rotation_matrix
+from omtwarp.texturing.seams import least_visible_meridian, unwrap
+
+if TYPE_CHECKING:
+    import trimesh
+    from PIL.Image import Image
+
+    from omtwarp.texturing.patterns import Pattern
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+@dataclass
+class TexturedSurface:
+    """A mesh cut along the seams of its texture, and the texture.
+
+    The surface is the input's, to round-off. The input's vertices come first, in their order; copies of them at seams
+    and the few vertices made by cuts follow.
+
+    Attributes:
+        vertices: float64, shape [N, 3], in the units of the input.
+        faces: int32, shape [M, 3].
+        uv: texture coordinates, float64, shape [N, 2], v up (0 is the bottom row of the image).
+        normals: unit vectors, shape [N, 3], from the uncut mesh: the same on both sides of a seam.
+        image: uint8, shape [H, W, 3], or [H, W, 4] where something is transparent; row 0 on top.
+        sphere: the map at every vertex, unit vectors, shape [N, 3].
+        source_vertex: the input's vertex that each vertex is or is a copy of, -1 for one made by a cut, shape [N].
+        source_face: the input's face that each face is a part of, shape [M].
+        welded: vertices with the same number are the same point of the uncut mesh, shape [N].
+        chart: chart of the atlas that each face lies in, shape [M].
+        atlas: how the sphere is laid out on the image.
+        rotation: the texture's rotation on the sphere, shape [3, 3].
+        original_vertices, original_faces, original_sphere: the input.
+    """
+
+    vertices: Floats
+    faces: Ints
+    uv: Floats
+    normals: Floats
+    image: NDArray[np.uint8]
+    sphere: Floats
+    source_vertex: Ints
+    source_face: Ints
+    welded: Ints
+    chart: Ints
+    atlas: Atlas
+    rotation: Floats
+    original_vertices: Floats = field(repr=False)
+    original_faces: Ints = field(repr=False)
+    original_sphere: Floats = field(repr=False)
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        return (
+            f"TexturedSurface({self.original_vertex_count} vertices cut into {len(self.vertices)}, "
+            f"{len(self.faces)} faces, {self.atlas.name} texture {width}x{height})"
+        )
+
+    @property
+    def original_vertex_count(self) -> int:
+        """How many vertices the input has: they are the first ones."""
+        return len(self.original_vertices)
+
+    @property
+    def wraps(self) -> bool:
+        """Whether the image is periodic in u, so that a sampler has to repeat there (and clamp in v)."""
+        return self.atlas.wraps
+
+    @property
+    def vertex_colours(self) -> NDArray[np.uint8]:
+        """Red, green, blue and alpha of the texture at the input's vertices, uint8, shape [V, 4]."""
+        from omtwarp.texturing.baking import sample
+
+        values = sample(self.image, self.original_sphere @ self.rotation, self.atlas, device="cpu")
+        colours = np.full((len(values), 4), 255, dtype=np.uint8)
+        colours[:, : values.shape[1]] = as_bytes(values.astype(np.float32))
+        return colours
+
+    def pil(self) -> Image:
+        """The texture as a PIL image."""
+        from PIL import Image
+
+        return Image.fromarray(self.image)
+
+    def trimesh(self) -> trimesh.Trimesh:
+        """The cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
+        import trimesh
+
+        material = trimesh.visual.material.PBRMaterial(
+            name="texture",
+            baseColorTexture=self.pil(),
+            baseColorFactor=[255, 255, 255, 255],
+            metallicFactor=0.0,
+            roughnessFactor=0.65,
+        )
+        return trimesh.Trimesh(
+            vertices=self.vertices,
+            faces=self.faces,
+            vertex_normals=self.normals,
+            visual=trimesh.visual.TextureVisuals(uv=self.uv, material=material),
+            process=False,
+            validate=False,
+        )
+
+    def export(self, path: str | os.PathLike[str]) -> list[Path]:
+        """Write the textured surface.
+
+        ``.glb`` embeds the texture in a PBR material; ``.obj`` is written with its ``.mtl`` and ``.png`` beside it;
+        ``.ply`` holds the input's vertices and faces unchanged, with the texture's colour at every vertex.
+
+        Returns:
+            The files written.
+
+        Raises:
+            OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
+        """
+        from omtwarp.texturing.export import export
+
+        return export(self, path)
+
+
+def texture(
+    result: Any,
+    image: Any = None,
+    *,
+    pattern: str | Pattern | None = None,
+    projection: str = "equirectangular",
+    atlas: str = "equirectangular",
+    rotate: ArrayLike | str | None = None,
+    seam_longitude: float | str = 180.0,
+    size: int | tuple[int, int] | None = None,
+    device: Any = "auto",
+) -> TexturedSurface:
+    """Texture a surface through its map to the sphere (section 5 of the paper).
+
+    Args:
+        result: a :class:`~omtwarp.result.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three
+            as a tuple.
+        image: a path, a PIL image or an array [H, W, 3]; its left and right borders are longitude -180 and 180 degrees,
+            its top is the north pole (+z).
+        pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``, or a :class:`~omtwarp.texturing.patterns.Pattern`.
+            With neither image nor pattern: circles of equal size, which show at a glance whether areas are preserved.
+        projection: of the image: ``equirectangular``, or ``sinusoidal`` for the paper's correction of the longitude by
+            cos(latitude), for pictures that were not made for a sphere.
+        atlas: layout of the texture: ``equirectangular``, ``cube`` (six charts) or ``octahedral``.
+        rotate: turns the texture on the sphere: yaw, or yaw, pitch and roll in degrees, or a rotation matrix [3, 3];
+            ``auto`` turns it about the poles until its left and right borders lie where they show least.
+        seam_longitude: degrees (of the texture) at which the equirectangular atlas is cut, 180 being the image's own
+            borders; ``auto`` takes the meridian that is shortest and most hidden on the surface.
+        size: width of the texture in texels, or (width, height) for the equirectangular atlas. By default the image's
+            own size, or 2048 for a pattern.
+        device: ``auto``, ``cpu`` or ``cuda:N``, for the baking.
+
+    Returns:
+        The textured surface; ``.export("name.glb")`` writes it.
+
+    Raises:
+        OmtwarpError: an unusable image, map or option.
+    """
+    vertices, faces, sphere = _map_of(result)
+    if image is not None and pattern is not None:
+        raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
+    check_projection(projection)
+    if isinstance(rotate, str):
+        if rotate != "auto":
+            raise OmtwarpError(f"rotate '{rotate}': give degrees, a matrix, or auto")
+        # The texture's own borders, at longitude 180 degrees before the turn, go to the least visible meridian.
+        rotation = rotation_matrix(np.rad2deg(least_visible_meridian(vertices, faces, sphere)) - 180.0)
+    else:
+        rotation = rotation_matrix(rotate)
+    seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if atlas == "equirectangular" else np.pi
+
+    picture = None if image is None else read_image(image)
+    if size is None and picture is not None:
+        size = _natural_size(picture, atlas)
+    layout = make_atlas(atlas, size, seam=seam)
+    verbatim = (
+        picture is not None
+        and isinstance(layout, Equirectangular)
+        and projection == "equirectangular"
+        and picture.shape[:2] == (layout.height, layout.width)
+    )
+    if isinstance(layout, Equirectangular) and picture is not None and verbatim:
+        # The image itself, to the byte: a moved seam shifts its columns by a whole number.
+        columns = round((seam - np.pi) / (2.0 * np.pi) * layout.width)
+        layout = make_atlas(atlas, size, seam=np.pi + 2.0 * np.pi * columns / layout.width)  # type: ignore[assignment]
+        texels = np.roll(as_bytes(picture), -columns, axis=1)
+    else:
+        from omtwarp.texturing.baking import bake
+
+        source = picture if picture is not None else (pattern if pattern is not None else "circles")
+        if isinstance(source, str):
+            from omtwarp.texturing.patterns import pattern as by_name
+
+            source = by_name(source)
+        texels = as_bytes(bake(source, layout, projection=projection, device=device))
+    if texels.shape[2] == 4 and texels[..., 3].min() == 255:
+        texels = texels[..., :3]
+
+    cut = unwrap(sphere, faces, layout, rotation=rotation)
+    normals = cut.weights @ vertex_normals(vertices, faces)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
+    return TexturedSurface(
+        vertices=cut.weights @ vertices,
+        faces=cut.faces,
+        uv=cut.uv,
+        normals=normals,
+        image=np.ascontiguousarray(texels),
+        sphere=cut.sphere,
+        source_vertex=cut.source_vertex,
+        source_face=cut.source_face,
+        welded=cut.welded,
+        chart=cut.chart,
+        atlas=layout,
+        rotation=rotation,
+        original_vertices=vertices,
+        original_faces=faces,
+        original_sphere=sphere,
+    )
+
+
+def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
+    """Unit normals at vertices, shape [V, 3]: the mean of the faces' normals, weighted by area.
+
+    Zero where the faces around a vertex cancel or have no area.
+    """
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)  # squares stay in range at any scale
+    p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
+    weighted = np.cross(p1 - p0, p2 - p0)
+    total = np.stack(
+        [np.bincount(faces.ravel(), np.repeat(weighted[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
+    )
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total / np.where(length > 0, length, 1.0)
+
+
+def _map_of(result: Any) -> tuple[Floats, Ints, Floats]:
+    if isinstance(result, (tuple, list)) and len(result) == 3:
+        parts = result
+    else:
+        try:
+            parts = (result.vertices, result.faces, result.sphere)
+        except AttributeError as error:
+            raise OmtwarpError(
+                f"cannot texture a {type(result).__name__}: give the result of map_to_sphere, or (vertices, faces, sphere)"
+            ) from error
+    vertices = np.ascontiguousarray(parts[0], dtype=np.float64)
+    faces = np.ascontiguousarray(parts[1], dtype=np.int32)
+    sphere = np.ascontiguousarray(parts[2], dtype=np.float64)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or sphere.shape != vertices.shape:
+        raise OmtwarpError(
+            f"the map has {list(sphere.shape)} sphere points for {list(vertices.shape)} vertices: they must match, [V, 3] each"
+        )
+    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
+        raise OmtwarpError(f"faces of shape {list(faces.shape)}: give triangles, [F, 3]")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise OmtwarpError(f"a face asks for vertex {int(faces.max())} of {len(vertices)}")
+    bad = np.flatnonzero(~(np.isfinite(sphere).all(axis=1) & np.isfinite(vertices).all(axis=1)))
+    if len(bad):
+        raise OmtwarpError(f"{len(bad)} vertices have coordinates that are not finite, first vertex {bad[0]}")
+    length = np.linalg.norm(sphere, axis=1)
+    bad = np.flatnonzero(length < 1e-6)
+    if len(bad):
+        raise OmtwarpError(f"{len(bad)} points of the map lie at the centre of the sphere, first vertex {bad[0]}: remake the map")
+    if np.any(np.abs(length - 1.0) > 1e-12):
+        sphere = sphere / length[:, None]
+    return vertices, faces, sphere
+
+
+def _seam(given: float | str, vertices: Floats, faces: Ints, sphere: Floats, rotation: Floats) -> float:
+    if isinstance(given, str):
+        if given != "auto":
+            raise OmtwarpError(f"seam longitude '{given}': give degrees, or auto")
+        return least_visible_meridian(vertices, faces, sphere @ rotation)
+    if not np.isfinite(given):
+        raise OmtwarpError(f"seam longitude {given}: give degrees, or auto")
+    degrees = (float(given) + 180.0) % 360.0 - 180.0
+    return np.pi if degrees in (-180.0, 180.0) else float(np.deg2rad(degrees))
+
+
+def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
+    """Texels of about the size of the image's own."""
+    height, width = picture.shape[:2]
+    if atlas == "equirectangular":
+        return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))
+    if atlas == "octahedral":
+        return int(min(max(0.75 * width, 256), 16384))
+    return int(min(max(width, 384), 16384))
