@@ -59,17 +59,17 @@ def insert_vertices(
     best = wp.vec3d()
     best_margin = wp.float64(-2.0)
     for p in range(count):
-        np = normals[begin + p]
+        first = normals[begin + p]
         for q in range(p + 1, count):
-            nq = normals[begin + q]
-            x = wp.normalize(np + nq)
+            second = normals[begin + q]
+            x = wp.normalize(first + second)
             margin = least_dot(x, normals, begin, count)
             if margin > best_margin:
                 best_margin = margin
                 best = x
             for r in range(q + 1, count):
-                y = wp.normalize(wp.cross(nq - np, normals[begin + r] - np))
-                if wp.dot(y, np) < ZERO:
+                y = wp.normalize(wp.cross(second - first, normals[begin + r] - first))
+                if wp.dot(y, first) < ZERO:
                     y = -y
                 margin = least_dot(y, normals, begin, count)
                 if margin > best_margin:
@@ -91,7 +91,6 @@ def triangle_coefficients(
     half_edge_faces: wp.array[wp.int32],
     face_masses: wp.array[wp.float64],
     points: wp.array[wp.vec3d],
-    mass_scale: wp.float64,
     rounding: wp.float64,
     # Data out:
     coefficients: wp.array[wp.vec4d],
@@ -116,7 +115,7 @@ def triangle_coefficients(
         # Heron: 16 area^2; the added metric keeps it away from 0.
         root = wp.sqrt(wp.max(TWO * (a * b + b * c + c * a) - (a * a + b * b + c * c), _TINY))
         coefficients[h] = wp.vec4d(
-            (b + c - a) / root, (c + a - b) / root, (a + b - c) / root, mass_scale * face_masses[half_edge_faces[h]]
+            (b + c - a) / root, (c + a - b) / root, (a + b - c) / root, face_masses[half_edge_faces[h]]
         )
 
 
