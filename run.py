@@ -1,0 +1,234 @@
+#!/usr/bin/env python3
+"""Set everything up and run it, with nothing but Python's standard library.
+
+    python3 run.py demo [options]     map, texture and draw a shape made by the package itself; figures in out/
+    python3 run.py test [options]     lint, type check and test; options go to pytest
+    python3 run.py COMMAND ...        any other command of omtwarp: map, texture, preview, check, benchmark, ...
+
+The first call makes a virtual environment in .venv, installs the package there and sees to the software OpenGL that the
+previews use; later calls only run. On Debian and Ubuntu missing system packages are installed with apt where that is
+allowed (as root, or with a sudo that asks for nothing), and OpenGL is otherwise unpacked into .gl without any rights.
+Without OpenGL previews fall back to the package's own ray caster.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+GL = ROOT / ".gl"
+PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+GL_LIBRARIES = ("libEGL.so.1", "libGL.so.1")
+GL_PACKAGES = ("libegl1", "libgl1")
+EXTRAS = {"test": "test"}  # of every other command: preview,report
+
+
+class SetupError(Exception):
+    """A step of the set-up that failed, and what to do about it."""
+
+
+def main(arguments: list[str]) -> int:
+    """Set up what a command needs, run it, and return its exit status."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(__doc__.strip())
+        return 0 if arguments else 2
+    command, options = arguments[0], arguments[1:]
+    try:
+        if sys.version_info < (3, 11):  # noqa: UP036 (this script is the one that meets an older Python)
+            raise SetupError(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
+        make_environment()
+        install(EXTRAS.get(command, "preview,report"))
+        environment = {**os.environ, **opengl()}
+    except SetupError as error:
+        print(f"run.py: error: {error}", file=sys.stderr)
+        return 1
+    # Compiled kernels stay in the checkout: nothing is shared with other versions, and nothing is compiled twice.
+    environment.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
+    if command == "test":
+        return test(options, environment)
+    return run(["-m", "omtwarp", command, *options], environment)
+
+
+def test(options: list[str], environment: dict[str, str]) -> int:
+    """Everything that has to be green, the quickest first."""
+    # Two processes share two cores: threads of a linear algebra library inside them would only get in each other's way.
+    environment |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    steps = {
+        "lint": ["-m", "ruff", "check", "."],
+        "types": ["-m", "mypy"],
+        # Each test process would compile every kernel for itself: compile them once before.
+        "kernels": ["-m", "omtwarp._prewarm"],
+        "tests": ["-m", "pytest", "-n", "2", *options],
+    }
+    for name, step in steps.items():
+        say(f"{name}: python {' '.join(step)}")
+        status = run(step, environment)
+        if status:
+            say(f"{name} failed with status {status}")
+            return status
+    return 0
+
+
+def make_environment() -> None:
+    """A virtual environment that works, made anew if there is none."""
+    works = "import pip, sys; sys.exit(sys.version_info < (3, 11))"
+    if PYTHON.exists() and quiet([PYTHON, "-c", works]).returncode == 0:
+        return
+    if quiet([sys.executable, "-c", "import ensurepip, venv"]).returncode != 0:
+        # Debian splits these off.
+        say("installing Python's venv module")
+        if not apt_install(["python3-venv"], "python3-venv"):
+            version = f"{sys.version_info.major}.{sys.version_info.minor}"
+            apt_install([f"python{version}-venv"], f"python{version}-venv")
+        if quiet([sys.executable, "-c", "import ensurepip, venv"]).returncode != 0:
+            raise SetupError(
+                "this Python has no venv module: install it (apt-get install python3-venv), or make the environment "
+                f"yourself (uv venv --seed {VENV}; or virtualenv {VENV}) and run this again"
+            )
+    say(f"making a virtual environment in {VENV.name}")
+    shutil.rmtree(VENV, ignore_errors=True)
+    made = quiet([sys.executable, "-m", "venv", VENV])
+    if made.returncode != 0:
+        shutil.rmtree(VENV, ignore_errors=True)
+        raise SetupError(f"the virtual environment could not be made: {last_line(made)}")
+
+
+def install(extras: str) -> None:
+    """The package and what it depends on, unless they were installed since pyproject.toml last changed."""
+    state = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + str(ROOT).encode()).hexdigest()
+
+    def stamp(extras: str) -> Path:
+        return VENV / f".installed-{extras.replace(',', '-')}"
+
+    if any(mark.exists() and mark.read_text() == state for mark in (stamp(extras), stamp("test"))):
+        return
+    say(f"installing omtwarp[{extras}] and its dependencies (the first time only; a minute or so)")
+    command = [PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", f".[{extras}]"]
+    if subprocess.call([str(word) for word in command], cwd=ROOT) != 0:
+        raise SetupError("pip could not install the dependencies (its message is above); is there a network?")
+    stamp(extras).write_text(state)
+
+
+def opengl() -> dict[str, str]:
+    """See to a software OpenGL; returns the environment variables that make it found."""
+    if not sys.platform.startswith("linux"):
+        return {}
+    if not have_opengl() and not GL.exists():
+        say("installing OpenGL (libegl1, libgl1) for the previews")
+        if not apt_install(list(GL_PACKAGES), "OpenGL") and not unpack_opengl():
+            say("no OpenGL: previews use the ray caster (for OpenGL: apt-get install libegl1 libgl1)")
+    if have_opengl() or not GL.exists():
+        return {}
+    library = next(GL.glob("usr/lib/*/libEGL.so.1"), GL / "none").parent
+    paths = [str(library), os.environ.get("LD_LIBRARY_PATH", "")]
+    return {
+        "LD_LIBRARY_PATH": ":".join(path for path in paths if path),
+        "LIBGL_DRIVERS_PATH": str(library / "dri"),
+        "__EGL_VENDOR_LIBRARY_DIRS": str(GL / "usr/share/glvnd/egl_vendor.d"),
+    }
+
+
+def have_opengl() -> bool:
+    """Whether the system's loader finds the two libraries that a preview without a display needs."""
+    try:
+        for name in GL_LIBRARIES:
+            ctypes.CDLL(name)
+    except OSError:
+        return False
+    return True
+
+
+def apt_install(packages: list[str], what: str) -> bool:
+    """Install Debian packages as root or with a sudo that asks for no password."""
+    if not shutil.which("apt-get"):
+        return False
+    prefix: list[str] = []
+    if os.geteuid() != 0:
+        if not shutil.which("sudo") or quiet(["sudo", "-n", "true"]).returncode != 0:
+            return False
+        prefix = ["sudo", "-n"]
+    apt = [*prefix, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq", "-o", "Acquire::Retries=3"]
+    command = [*apt, "install", "-y", "--no-install-recommends", *packages]
+    done = quiet(command)
+    if done.returncode != 0:  # lists that are missing or out of date
+        updated = quiet([*apt, "update"])
+        done = quiet(command) if updated.returncode == 0 else updated
+    if done.returncode != 0:
+        say(f"apt-get could not install {what}: {last_line(done)}")
+    return done.returncode == 0
+
+
+def unpack_opengl() -> bool:
+    """The same packages without any rights: apt only resolves and downloads, dpkg-deb only unpacks, all into .gl."""
+    if not all(map(shutil.which, ("apt-get", "dpkg-deb"))):
+        return False
+    work = ROOT / ".gl-download"
+    shutil.rmtree(work, ignore_errors=True)
+    for folder in ("lists/partial", "archives/partial", "unpacked"):
+        (work / folder).mkdir(parents=True)
+    options = [
+        "-qq",
+        *("-o", f"Dir::State::Lists={work / 'lists'}"),
+        *("-o", f"Dir::Cache={work}"),
+        *("-o", f"Dir::Cache::Archives={work / 'archives'}"),
+        *("-o", "Dir::State::status=/var/lib/dpkg/status"),
+        *("-o", "Debug::NoLocking=1"),
+        *("-o", "Acquire::Retries=3"),
+    ]
+    try:
+        for step in (["update"], ["install", "-y", "--no-install-recommends", "--download-only", *GL_PACKAGES]):
+            done = quiet(["apt-get", *options, *step])
+            if done.returncode != 0:
+                say(f"apt-get could not download OpenGL: {last_line(done)}")
+                return False
+        archives = sorted((work / "archives").glob("*.deb"))
+        if not archives or any(quiet(["dpkg-deb", "-x", deb, work / "unpacked"]).returncode for deb in archives):
+            return False
+        (work / "unpacked").rename(GL)
+        return True
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def run(arguments: list[str], environment: dict[str, str]) -> int:
+    """Run the environment's Python in the caller's directory, its output passed through."""
+    where = ROOT if arguments[:2] != ["-m", "omtwarp"] else None
+    process = subprocess.Popen([str(PYTHON), *arguments], env=environment, cwd=where)
+    while True:
+        try:
+            status = process.wait()
+            return status if status >= 0 else 128 - status
+        except KeyboardInterrupt:
+            pass  # the terminal has sent it to the process as well, which ends in its own way
+
+
+def quiet(command: list) -> subprocess.CompletedProcess:
+    """Run something whose output matters only if it fails."""
+    return subprocess.run(
+        [str(word) for word in command],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+
+
+def last_line(done: subprocess.CompletedProcess) -> str:
+    lines = [line.strip() for line in done.stdout.splitlines() if line.strip()]
+    return lines[-1] if lines else f"exit status {done.returncode}"
+
+
+def say(text: str) -> None:
+    print(f"run.py: {text}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

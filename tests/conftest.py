@@ -1,0 +1,51 @@
+"""What all tests share: the device fixture, strict launches, repeatable properties and no network."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# Kernels compiled by the tests stay in the checkout. Before anything imports Warp.
+os.environ.setdefault("WARP_CACHE_PATH", str(Path(__file__).parent.parent / ".warp"))
+
+# The same examples on every run, and no clock: a busy machine must not turn a green test red.
+settings.register_profile(
+    "omtwarp", derandomize=True, deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("omtwarp")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A launch with an array of another device is an error in every test."""
+    import warp
+
+    warp.config.launch_array_access_mode = warp.config.LaunchArrayAccessMode.STRICT
+
+
+@pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+def device(request: pytest.FixtureRequest) -> str:
+    """A device to run on: the CPU, and the first CUDA device where there is one."""
+    if request.param == "cpu":
+        return "cpu"
+    from omtwarp._warp import wp
+
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    return "cuda:0"
+
+
+@pytest.fixture(autouse=True)
+def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing in the package or its tests may reach for the network."""
+    connect = socket.socket.connect
+
+    def local_only(self: socket.socket, address):
+        if self.family in (socket.AF_INET, socket.AF_INET6):
+            raise AssertionError(f"a test tried to connect to {address}")
+        return connect(self, address)
+
+    monkeypatch.setattr(socket.socket, "connect", local_only)
