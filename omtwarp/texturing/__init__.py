@@ -29,7 +29,7 @@ _HOMES = {
     "rotation_matrix": "projection",
 }
 
-__all__ = [  # noqa: F822
+__all__ = [
     "ATLASES",
     "PATTERNS",
     "Pattern",

@@ -43,6 +43,10 @@ CUBE_FRAMES = np.array(
 )
 
 
+def _triple(values: Floats) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
 class Atlas:
     """What the three atlases have in common.
 
@@ -118,7 +122,8 @@ class Equirectangular(Atlas):
         # The cut is the half-plane y = 0, x < 0 after a turn that brings the seam to longitude π. At π that turn is
         # the identity, to the bit.
         turn = np.pi - self.seam
-        self._cos, self._sin = (1.0, 0.0) if turn == 0.0 else (np.cos(turn), np.sin(turn))
+        self._cos = 1.0 if turn == 0.0 else float(np.cos(turn))
+        self._sin = 0.0 if turn == 0.0 else float(np.sin(turn))
         self.arcs = (Arc((self._sin, self._cos, 0.0), ((-self._cos, self._sin, 0.0),)),)
 
     @property
@@ -179,7 +184,7 @@ class Cube(Atlas):
                     normal[a], normal[b] = sa, -sb
                     low[a] = high[a] = sa
                     low[axis], high[axis] = 1.0, -1.0
-                    arcs.append(Arc(tuple(normal), (tuple(low), tuple(high))))
+                    arcs.append(Arc(_triple(normal), (_triple(low), _triple(high))))
         self.arcs = tuple(arcs)
 
     @property
@@ -202,13 +207,16 @@ class Cube(Atlas):
         texel = self.gutter + (angle / QUARTER + 1.0) * (0.5 * inner)
         column, row = chart % 3, 1 - chart // 3
         return np.stack(
-            [(column * self.cell + texel[..., 0]) / self.width, (row * self.cell + texel[..., 1]) / self.height], axis=-1
+            [(column * self.cell + texel[..., 0]) / self.width, (row * self.cell + texel[..., 1]) / self.height],
+            axis=-1,
         )
 
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
         inner = self.cell - 2 * self.gutter
         column, row = chart % 3, 1 - chart // 3
-        texel = np.stack([uv[..., 0] * self.width - column * self.cell, uv[..., 1] * self.height - row * self.cell], axis=-1)
+        texel = np.stack(
+            [uv[..., 0] * self.width - column * self.cell, uv[..., 1] * self.height - row * self.cell], axis=-1
+        )
         slope = np.tan(((texel - self.gutter) / (0.5 * inner) - 1.0) * QUARTER)
         local = np.concatenate([np.ones_like(slope[..., :1]), slope], axis=-1)
         return normalised(np.einsum("...i,...ij->...j", local, CUBE_FRAMES[chart]))
@@ -248,7 +256,9 @@ class Octahedral(Atlas):
         z = 1.0 - np.abs(x) - np.abs(y)
         fold = z < 0
         sx, sy = np.where(x < 0, -1.0, 1.0), np.where(y < 0, -1.0, 1.0)
-        folded = np.stack([np.where(fold, (1.0 - np.abs(y)) * sx, x), np.where(fold, (1.0 - np.abs(x)) * sy, y), z], axis=-1)
+        folded = np.stack(
+            [np.where(fold, (1.0 - np.abs(y)) * sx, x), np.where(fold, (1.0 - np.abs(x)) * sy, y), z], axis=-1
+        )
         return normalised(folded)
 
 

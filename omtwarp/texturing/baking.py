@@ -1,11 +1,12 @@
 """Baking: any function on the sphere into a picture, and pictures back onto the sphere.
 
-A *source* is whatever gives values to directions: the name of a pattern or a :class:`~omtwarp.texturing.patterns.Pattern`,
-an equirectangular (or sinusoidal) picture, or a Python callable from directions [N, 3] to values [N] or [N, C]. Numbers
-at the vertices of a mesh are baked through that mesh (:func:`bake_vertex_values`).
+A *source* is whatever gives values to directions: the name of a pattern or a
+:class:`~omtwarp.texturing.patterns.Pattern`, an equirectangular (or sinusoidal) picture, or a Python callable from
+directions [N, 3] to values [N] or [N, C]. Numbers at the vertices of a mesh are baked through that mesh
+(:func:`bake_vertex_values`).
 
-Pictures are float32 arrays [H, W, C], row 0 on top. Texels in which the function changes are supersampled; gutters of an
-atlas see past its borders, pictures for a mesh's own texture coordinates are dilated past the edges of the charts.
+Pictures are float32 arrays [H, W, C], row 0 on top. Texels in which the function changes are supersampled; gutters of
+an atlas see past its borders, pictures for a mesh's own texture coordinates are dilated past the edges of the charts.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class _PictureSource(_Source):
     def __init__(self, picture: NDArray[Any], kind: int, offset: float, gutter: float, device: Any):
         self.channels = picture.shape[2]
         self._kind, self._offset, self._gutter = kind, offset, gutter
-        self._picture = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
+        self._picture: Any = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
 
     def values(self, directions: wp.array, out: wp.array) -> None:
         wp.launch(
@@ -77,7 +78,9 @@ class _CallableSource(_Source):
     def _call(self, directions: Floats) -> Floats:
         got = np.asarray(self._function(directions), dtype=np.float64)
         if got.shape[:1] != (len(directions),) or got.ndim > 2:
-            raise OmtwarpError(f"the function to bake gave shape {list(got.shape)} for {len(directions)} directions: give [N] or [N, C]")
+            raise OmtwarpError(
+                f"the function to bake gave shape {list(got.shape)} for {len(directions)} directions, not [N] or [N, C]"
+            )
         return got.reshape(len(directions), -1)
 
     def values(self, directions: wp.array, out: wp.array) -> None:
@@ -139,7 +142,16 @@ def bake(
             wp.launch(
                 kernels.texel_directions_kernel,
                 dim=len(directions),
-                inputs=[target.kind, target.width, target.height, wp.float64(offset), wp.float64(gutter), part, samples, directions],
+                inputs=[
+                    target.kind,
+                    target.width,
+                    target.height,
+                    wp.float64(offset),
+                    wp.float64(gutter),
+                    part,
+                    samples,
+                    directions,
+                ],
                 device=where,
             )
 
@@ -155,7 +167,7 @@ def _fill(given: _Source, texels: NDArray[np.int32], samples: int, look: Any, pi
     """Evaluate a source in texels, some at a time; ``look`` writes the directions of their samples."""
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
-        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        part: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         count = len(part) * samples**2
         directions = wp.empty(count, dtype=wp.vec3d, device=where)
         values = wp.empty((count, given.channels), dtype=wp.float64, device=where)
@@ -175,7 +187,9 @@ def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
     return np.flatnonzero(flags.numpy()).astype(np.int32)
 
 
-def sample(picture: Any, directions: ArrayLike, atlas: str | Atlas = "equirectangular", *, device: Any = "auto") -> Floats:
+def sample(
+    picture: Any, directions: ArrayLike, atlas: str | Atlas = "equirectangular", *, device: Any = "auto"
+) -> Floats:
     """What the picture of an atlas shows in directions: the inverse of :func:`bake`, bilinear between texels.
 
     Args:
@@ -198,9 +212,15 @@ def sample(picture: Any, directions: ArrayLike, atlas: str | Atlas = "equirectan
 
 def _picture_source(array: NDArray[Any], atlas: str | Atlas, where: Any) -> _PictureSource:
     height, width = array.shape[:2]
-    target = atlas if isinstance(atlas, Atlas) else make_atlas(atlas, (width, height) if atlas == "equirectangular" else width)
+    target = (
+        atlas
+        if isinstance(atlas, Atlas)
+        else make_atlas(atlas, (width, height) if atlas == "equirectangular" else width)
+    )
     if (target.width, target.height) != (width, height):
-        raise OmtwarpError(f"a picture of {width}x{height} texels is not a {target.name} atlas of {target.width}x{target.height}")
+        raise OmtwarpError(
+            f"a picture of {width}x{height} texels is not a {target.name} atlas of {target.width}x{target.height}"
+        )
     offset, gutter = target.parameters
     return _PictureSource(array, target.kind, offset, gutter, where)
 
@@ -226,7 +246,7 @@ class _Layout:
     def __init__(self, corner_uv: Floats, width: int, height: int, where: Any):
         self.width, self.height, self.where = width, height, where
         texels = np.stack([corner_uv[..., 0] * width, (1.0 - corner_uv[..., 1]) * height], axis=-1)
-        self.corners = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
+        self.corners: Any = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
         self.owner = wp.full(width * height, 2**31 - 1, dtype=wp.int32, device=where)
         wp.launch(
             kernels.own_texels_kernel,
@@ -249,7 +269,7 @@ class _Layout:
 
     def dilate(self, picture: wp.array, rings: int) -> wp.array:
         """Fill texels around the owned ones, one ring after another; -1 fills all."""
-        known = wp.array(self.known.astype(np.uint8), dtype=wp.uint8, device=self.where)
+        known: Any = wp.array(self.known.astype(np.uint8), dtype=wp.uint8, device=self.where)
         other, other_known = wp.empty_like(picture), wp.empty_like(known)
         ring = 0
         while ring != rings and not (rings < 0 and known.numpy().all()):
@@ -274,7 +294,9 @@ def _own_uv(uv: ArrayLike, faces: NDArray, uv_faces: ArrayLike | None) -> Floats
             raise OmtwarpError(f"texture coordinates: a face asks for number {index.max()} of {len(coordinates)}")
         corner = coordinates[index]
     else:
-        raise OmtwarpError(f"texture coordinates of shape {list(coordinates.shape)}: give [V, 2], [F, 3, 2], or [T, 2] with uv_faces")
+        raise OmtwarpError(
+            f"texture coordinates of shape {list(coordinates.shape)}: give [V, 2], [F, 3, 2], or [T, 2] with uv_faces"
+        )
     if not np.all(np.isfinite(corner)):
         raise OmtwarpError(f"texture coordinates: {np.count_nonzero(~np.isfinite(corner))} are not finite")
     return corner
@@ -327,7 +349,7 @@ def bake_to_uv(
         return _bake_linear(layout, source.corner_values(faces), supersample, padding)
     given = _source(source, projection, where)
     turned = s if rotation is None else s @ np.asarray(rotation, dtype=np.float64)
-    points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
+    points: Any = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
     picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
 
     def fill(texels: NDArray[np.int32], samples: int) -> None:
@@ -367,14 +389,14 @@ class VertexValues:
 
 def _bake_linear(layout: _Layout, corner_values: Floats, supersample: int, padding: int) -> Picture:
     where = layout.where
-    values = wp.array(np.ascontiguousarray(corner_values), dtype=wp.float64, device=where)
+    values: Any = wp.array(np.ascontiguousarray(corner_values), dtype=wp.float64, device=where)
     channels = corner_values.shape[2]
     picture = wp.zeros((layout.width * layout.height, channels), dtype=wp.float32, device=where)
 
     texels, samples = layout.owned(), max(int(supersample), 1)
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
-        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        part: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         out = wp.empty((len(part) * samples**2, channels), dtype=wp.float64, device=where)
         layout.interpolate(values, part, samples, out)
         wp.launch(kernels.average_kernel, dim=len(part), inputs=[out, samples, part, picture], device=where)
@@ -451,14 +473,14 @@ def uv_to_sphere(
     # A part of a face has the own coordinates of that face: linear, whatever seams the mesh's coordinates have.
     corner_own = _own_at_parts(cut.weights, cut.faces, cut.source_face, faces, own)
     layout = _Layout(cut.uv[cut.faces], target.width, target.height, where)
-    values = wp.array(np.ascontiguousarray(corner_own), dtype=wp.float64, device=where)
-    source = wp.array(np.ascontiguousarray(as_floats(array)), dtype=wp.float32, device=where)
+    values: Any = wp.array(np.ascontiguousarray(corner_own), dtype=wp.float64, device=where)
+    source: Any = wp.array(np.ascontiguousarray(as_floats(array)), dtype=wp.float32, device=where)
     channels = array.shape[2]
     out = wp.zeros((target.width * target.height, channels), dtype=wp.float32, device=where)
     texels, samples = layout.owned(), max(int(supersample), 1)
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
-        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        part: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         count = len(part) * samples**2
         points = wp.empty((count, 2), dtype=wp.float64, device=where)
         colours = wp.empty((count, channels), dtype=wp.float64, device=where)

@@ -1,8 +1,8 @@
 """Coastlines of the world, simplified to 1:110 million, for the built-in globe.
 
 Made from Natural Earth (naturalearthdata.com), which is in the public domain: the outlines of the countries with every
-border between two countries dropped, rounded to a hundredth of a degree. Kept as text, so that the package needs neither
-a data file nor the network.
+border between two countries dropped, rounded to a hundredth of a degree. Kept as text, so that the package needs no
+data file.
 """
 
 import base64

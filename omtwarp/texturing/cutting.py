@@ -1,10 +1,10 @@
 """A copy of a spherical mesh that can be cut along great circles and refined without ever opening a crack.
 
-A map to the sphere is linear inside every triangle before it is brought back to unit length: the point with barycentric
-coordinates b lies in the direction of ``b0 s0 + b1 s1 + b2 s2``. The point before normalisation is called the chord point
-here. Every vertex that is added is a fixed combination of the vertices of **one** original triangle, the same one for the
-surface and for the chord points; so the surface does not change, the map does not change, and because edges are split
-(never faces alone) both triangles of an edge always agree.
+A map to the sphere is linear inside every triangle before it is brought back to unit length: the point with
+barycentric coordinates b lies in the direction of ``b0 s0 + b1 s1 + b2 s2``. The point before normalisation is called
+the chord point here. Every vertex that is added is a fixed combination of the vertices of **one** original triangle, the
+same one for the surface and for the chord points; so the surface does not change, the map does not change, and because
+edges are split (never faces alone) both triangles of an edge always agree.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-ON_CUT = 1e-9  # sine of the angle below which a point counts as lying on a cut: far below any texel, far above round-off
+ON_CUT = (
+    1e-9  # sine of the angle below which a point counts as lying on a cut: far below any texel, far above round-off
+)
 
 
 @dataclass(frozen=True)
 class Arc:
-    """A piece of a great circle: the points of the plane ``normal · p = 0`` with ``h · p > 0`` for every half-space h."""
+    """A piece of a great circle: the points with ``normal · p = 0`` and ``h · p > 0`` for every half-space h."""
 
     normal: tuple[float, float, float]
     half_spaces: tuple[tuple[float, float, float], ...] = ()

@@ -37,7 +37,9 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
-        raise OmtwarpError(f"cannot write '{path}': a textured mesh is written as .glb, .obj (with .mtl and .png) or .ply")
+        raise OmtwarpError(
+            f"cannot write '{path}': a textured mesh is written as .glb, .obj (with .mtl and .png) or .ply"
+        )
     return suffix
 
 
@@ -60,7 +62,11 @@ def write_files(files: Iterable[tuple[Path, bytes]]) -> None:
         for temporary, place in pending:
             os.replace(temporary, place)
     except OSError as error:
-        reason = "the folder does not exist" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
+        reason = (
+            "the folder does not exist"
+            if isinstance(error, FileNotFoundError)
+            else (error.strerror or str(error)).lower()
+        )
         raise OmtwarpError(f"cannot write '{place}': {reason}") from error
     finally:
         for temporary, _ in pending:
@@ -94,7 +100,9 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
 def _single(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
     largest = float(np.abs(values).max(initial=0.0))
     if largest > np.finfo(np.float32).max:
-        raise OmtwarpError(f"cannot write {name} up to {largest:.3g} as GLB, which holds 32-bit numbers: scale the mesh down")
+        raise OmtwarpError(
+            f"cannot write {name} up to {largest:.3g} as GLB, which holds 32-bit numbers: scale the mesh down"
+        )
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
@@ -147,7 +155,12 @@ def glb_bytes(textured: TexturedSurface) -> bytes:
             {
                 "name": "surface",
                 "primitives": [
-                    {"attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}, "indices": 3, "material": 0, "mode": 4}
+                    {
+                        "attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2},
+                        "indices": 3,
+                        "material": 0,
+                        "mode": 4,
+                    }
                 ],
             }
         ],
@@ -183,7 +196,9 @@ def glb_bytes(textured: TexturedSurface) -> bytes:
     blob.extend(b"\0" * (-len(blob) % 4))
     total = 12 + 8 + len(text) + 8 + len(blob)
     head = struct.pack("<4sII", b"glTF", 2, total)
-    return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + bytes(blob)
+    return (
+        head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + bytes(blob)
+    )
 
 
 def _lines(prefix: str, rows: NDArray, form: str) -> str:

@@ -48,7 +48,9 @@ def read_image(source: Any) -> NDArray[Any]:
         except PermissionError as error:
             raise OmtwarpError(f"image '{path}' may not be read: permission denied") from error
         except pil.UnidentifiedImageError as error:
-            raise OmtwarpError(f"image '{path}' is not a picture in a format that can be read (PNG, JPEG, TIFF, ...)") from error
+            raise OmtwarpError(
+                f"image '{path}' is not a picture in a format that can be read (PNG, JPEG, TIFF, ...)"
+            ) from error
         except Exception as error:  # damaged files end in many kinds of error inside the decoders
             raise OmtwarpError(f"image '{path}' cannot be read: {_first_line(error)}") from error
     if isinstance(source, pil.Image):
@@ -87,7 +89,9 @@ def _from_array(source: Any) -> NDArray[Any]:
         return np.ascontiguousarray(array)
     if array.dtype.kind in "ui":
         if array.min() < 0 or array.max() > 255:
-            raise OmtwarpError(f"image array of {array.dtype} from {array.min()} to {array.max()}: give 0..255, or floats in 0..1")
+            raise OmtwarpError(
+                f"image array of {array.dtype} from {array.min()} to {array.max()}: give 0..255, or floats in 0..1"
+            )
         return array.astype(np.uint8)
     values = array.astype(np.float32)
     if not np.all(np.isfinite(values)):
@@ -99,7 +103,11 @@ def _from_array(source: Any) -> NDArray[Any]:
 
 def as_floats(image: NDArray[Any]) -> NDArray[np.float32]:
     """A picture as float32 in 0..1."""
-    return image.astype(np.float32) / np.float32(255.0) if image.dtype == np.uint8 else image.astype(np.float32, copy=False)
+    return (
+        image.astype(np.float32) / np.float32(255.0)
+        if image.dtype == np.uint8
+        else image.astype(np.float32, copy=False)
+    )
 
 
 def as_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -1,4 +1,5 @@
-"""Kernels between texels and directions: where a texel looks, what a picture shows there, and which triangle owns it."""
+# mypy: ignore-errors
+"""Kernels between texels and directions: where a texel looks, what a picture shows, which triangle owns a texel."""
 
 from omtwarp._warp import HALF, ONE, PI, TWO, ZERO, wp
 
@@ -43,7 +44,7 @@ def cube_direction(face: int, a: wp.float64, b: wp.float64):
 def picture_direction(
     kind: int, x: wp.float64, y: wp.float64, width: int, height: int, offset: wp.float64, gutter: wp.float64
 ):
-    """Unit vector that a point of a picture shows; x to the right and y **down** in texels. Gutters see past borders."""
+    """Unit vector that a point of a picture shows; x to the right, y **down**, in texels. Gutters see past borders."""
     w = wp.float64(width)
     h = wp.float64(height)
     d = wp.vec3d(ONE, ZERO, ZERO)

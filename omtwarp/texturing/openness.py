@@ -6,40 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp._warp import wp
-
-wp.set_module_options({"enable_backward": False})
+from omtwarp.texturing.openness_kernels import openness_kernel
 
 RAYS = 24
 RAY_BUDGET = 400_000  # about half a second on one CPU core
-
-
-@wp.kernel
-def openness_kernel(
-    mesh: wp.uint64,
-    origins: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    rays: int,
-    openness: wp.array(dtype=wp.float32),
-):
-    """Part of the cosine-weighted rays from a point that leave the surface behind them."""
-    i = wp.tid()
-    n = normals[i]
-    helper = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(n[0]) > 0.7:
-        helper = wp.vec3(0.0, 1.0, 0.0)
-    t = wp.normalize(wp.cross(n, helper))
-    b = wp.cross(n, t)
-    free = int(0)
-    for k in range(rays):
-        # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
-        r = wp.sqrt((float(k) + 0.5) / float(rays))
-        angle = float(k) * 2.3999632 + float(i) * 0.7548777
-        up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
-        direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
-        query = wp.mesh_query_ray(mesh, origins[i], direction, 4.0)
-        if not query.result:
-            free += 1
-    openness[i] = float(free) / float(rays)
 
 
 def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -1,3 +1,4 @@
+# mypy: ignore-errors
 """Kernels that colour directions on the sphere with the built-in patterns.
 
 Every pattern is a function of the direction alone, exact at any resolution: nothing here knows of texels.

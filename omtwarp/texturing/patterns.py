@@ -120,14 +120,19 @@ class Circles(Pattern):
         near, gap = _neighbours(self.centres, 6)
         if 2.0 * self.radius >= gap.min():
             most = 0.5 * self.count * (1.0 - np.cos(gap.min() / 2.0))
-            raise OmtwarpError(f"circles: {self.count} circles over {coverage:.2f} of the sphere touch: at most {most:.2f}")
+            raise OmtwarpError(
+                f"circles: {self.count} circles over {coverage:.2f} of the sphere touch: at most {most:.2f}"
+            )
         self.palette = _colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
         self.background = _colours("#f6f1e7")[0]
         self.groups = _colour_groups(near, len(self.palette))
 
     def _tables(self) -> list[Any]:
         rows, columns = 48, 96
-        lat, lon = ((np.arange(rows) + 0.5) / rows - 0.5) * np.pi, ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
+        lat, lon = (
+            ((np.arange(rows) + 0.5) / rows - 0.5) * np.pi,
+            ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi,
+        )
         cells = direction_from_angles(lon[None, :], lat[:, None]).reshape(-1, 3)
         reach = self.radius + np.pi / rows  # no cell reaches farther than this from its middle
         from scipy.spatial import cKDTree
@@ -175,7 +180,7 @@ class Puzzle(Pattern):
         """How many pieces there are."""
         return 6 * self.side**2
 
-    def _points(self, face: NDArray, x: Floats, y: Floats) -> Floats:
+    def _points(self, face: NDArray, x: NDArray, y: NDArray) -> Floats:
         """Directions of points of faces, in pieces from the lower left corner."""
         slope = np.tan((np.stack([x, y], axis=-1) / self.side * 2.0 - 1.0) * np.pi / 4.0)
         local = np.concatenate([np.ones_like(slope[..., :1]), slope], axis=-1)
@@ -183,7 +188,7 @@ class Puzzle(Pattern):
 
     @cached_property
     def _edges(self) -> tuple[NDArray, NDArray, Floats]:
-        """Neighbour, tab (1: this piece has it, 0: the neighbour) and shift of the tab for every side of every piece."""
+        """Neighbour, tab (1: own, 0: its) and shift of the tab, for every side of every piece."""
         n = self.side
         piece = np.arange(self.count)
         face, row, column = piece // n**2, piece // n % n, piece % n
@@ -406,8 +411,8 @@ def rasterize(
     Args:
         source: name of a pattern, or a pattern.
         width, height: in texels; the height is half the width by default.
-        projection: ``equirectangular``, or ``sinusoidal``: a picture for ``texture(..., projection="sinusoidal")``, with
-            the texels outside the two bounding curves filled from the nearest point inside.
+        projection: ``equirectangular``, or ``sinusoidal``: a picture for ``texture(..., projection="sinusoidal")``,
+            with the texels outside the two bounding curves filled from the nearest point inside.
         supersample: side of the grid of samples per texel where the colour changes.
 
     Returns:
@@ -427,7 +432,9 @@ def rasterize(
     return as_bytes(_rasterize_sinusoidal(given, width, height, supersample, device))
 
 
-def _rasterize_sinusoidal(given: Pattern, width: int, height: int, supersample: int, device: Any) -> NDArray[np.float32]:
+def _rasterize_sinusoidal(
+    given: Pattern, width: int, height: int, supersample: int, device: Any
+) -> NDArray[np.float32]:
     picture = np.empty((height, width, 3), dtype=np.float32)
     x = ((np.arange(width * supersample) + 0.5) / (width * supersample) - 0.5) * 2.0 * np.pi
     rows = max(1, (1 << 19) // (width * supersample**2))

@@ -1,7 +1,7 @@
 """Where a direction on the sphere lies on a picture of the sphere, and back.
 
 Image coordinates are (u, v) in 0..1 with u growing to the east (to the right) and v growing to the **north** (up), as
-texture coordinates do: (0, 0) is the bottom left corner of the picture, and row 0 of the array is v = 1, the north pole.
+texture coordinates do: (0, 0) is the bottom left corner of the picture, and row 0 of the array is v = 1, the north.
 Longitude is ``atan2(y, x)`` in (-π, π], latitude is ``asin(z)``.
 """
 
@@ -42,9 +42,9 @@ def direction_from_angles(longitude: ArrayLike, latitude: ArrayLike) -> Floats:
 def direction_to_image(directions: ArrayLike, projection: str = "equirectangular") -> Floats:
     """Image coordinates of directions.
 
-    ``sinusoidal`` is the correction of section 5 of the paper: the longitude is scaled by the cosine of the latitude, so
-    that the picture is not stretched sideways next to the poles. It uses the part of the picture between the two curves
-    u = (1 ± cos(latitude)) / 2.
+    ``sinusoidal`` is the correction of section 5 of the paper: the longitude is scaled by the cosine of the latitude,
+    so that the picture is not stretched sideways next to the poles. It uses the part of the picture between the two
+    curves u = (1 ± cos(latitude)) / 2.
 
     Args:
         directions: vectors of any length, shape [..., 3].
@@ -94,7 +94,9 @@ def rotation_matrix(rotate: ArrayLike | None) -> Floats:
         given = np.empty(0)
     if given.shape == (3, 3):
         if not np.allclose(given @ given.T, np.eye(3), atol=1e-6) or np.linalg.det(given) < 0:
-            raise OmtwarpError("rotate: the 3x3 matrix is not a rotation: its rows must be orthonormal, its determinant 1")
+            raise OmtwarpError(
+                "rotate: the 3x3 matrix is not a rotation: its rows must be orthonormal, its determinant 1"
+            )
         u, _, vt = np.linalg.svd(given)  # the nearest exact rotation: the 1e-6 above must not reach the texture
         return u @ vt
     angles = np.atleast_1d(given)

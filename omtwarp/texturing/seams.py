@@ -1,9 +1,9 @@
 """Texture coordinates from a map to the sphere: no smeared triangle, no pinch at a pole, no line at the seam.
 
-One pair of texture coordinates per mesh vertex cannot describe a sphere: longitude jumps, a pole has every longitude, and
-the six charts of a cube do not meet. So the mesh is cut along the borders of the charts (exactly: triangles that cross a
-border are divided there), the poles become vertices, and where the picture's coordinates are too far from linear over a
-triangle (always next to a pole) the triangle is divided until the error is a fraction of a texel.
+One pair of texture coordinates per mesh vertex cannot describe a sphere: longitude jumps, a pole has every longitude,
+and the six charts of a cube do not meet. So the mesh is cut along the borders of the charts (exactly: triangles that
+cross a border are divided there), the poles become vertices, and where the picture's coordinates are too far from
+linear over a triangle (always next to a pole) the triangle is divided until the error is a fraction of a texel.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LONGEST_EDGE = 0.25  # radians: above this the probes could miss how far from li
 class Unwrapped:
     """A mesh cut along the charts of an atlas, with one pair of texture coordinates per vertex.
 
-    The first V vertices are the original ones in their order; copies of them and the vertices that the cuts made follow.
+    The first V vertices are the original ones in their order; their copies and the vertices made by cuts follow.
 
     Attributes:
         faces: int32, shape [M, 3].
@@ -119,7 +119,7 @@ def _refine(mesh: CutMesh, atlas: Atlas, tolerance: float) -> None:
 
 
 def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats, count: int) -> Unwrapped:
-    """One vertex per different (vertex, texture coordinates); the first copy of every original vertex keeps its number."""
+    """One vertex per pair of vertex and texture coordinates; the first copy of every vertex keeps its number."""
     vertex = mesh.faces.ravel()
     flat = corner_uv.reshape(-1, 2)
     order = np.lexsort((flat[:, 1], flat[:, 0], vertex))

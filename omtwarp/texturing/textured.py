@@ -242,7 +242,9 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     Zero where the faces around a vertex cancel or have no area.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)  # squares stay in range at any scale
+    scaled = (vertices - low) / max(
+        float((high - low).max()), np.finfo(float).tiny
+    )  # squares stay in range at any scale
     p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
     weighted = np.cross(p1 - p0, p2 - p0)
     total = np.stack(
@@ -260,14 +262,14 @@ def _map_of(result: Any) -> tuple[Floats, Ints, Floats]:
             parts = (result.vertices, result.faces, result.sphere)
         except AttributeError as error:
             raise OmtwarpError(
-                f"cannot texture a {type(result).__name__}: give the result of map_to_sphere, or (vertices, faces, sphere)"
+                f"cannot texture a {type(result).__name__}: give a result of map_to_sphere, or its arrays"
             ) from error
     vertices = np.ascontiguousarray(parts[0], dtype=np.float64)
     faces = np.ascontiguousarray(parts[1], dtype=np.int32)
     sphere = np.ascontiguousarray(parts[2], dtype=np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or sphere.shape != vertices.shape:
         raise OmtwarpError(
-            f"the map has {list(sphere.shape)} sphere points for {list(vertices.shape)} vertices: they must match, [V, 3] each"
+            f"sphere points of shape {list(sphere.shape)}, vertices of shape {list(vertices.shape)}: give [V, 3] each"
         )
     if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
         raise OmtwarpError(f"faces of shape {list(faces.shape)}: give triangles, [F, 3]")
@@ -279,7 +281,9 @@ def _map_of(result: Any) -> tuple[Floats, Ints, Floats]:
     length = np.linalg.norm(sphere, axis=1)
     bad = np.flatnonzero(length < 1e-6)
     if len(bad):
-        raise OmtwarpError(f"{len(bad)} points of the map lie at the centre of the sphere, first vertex {bad[0]}: remake the map")
+        raise OmtwarpError(
+            f"{len(bad)} points of the map lie at the centre of the sphere, first vertex {bad[0]}: remake the map"
+        )
     if np.any(np.abs(length - 1.0) > 1e-12):
         sphere = sphere / length[:, None]
     return vertices, faces, sphere

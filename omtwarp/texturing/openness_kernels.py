@@ -1,0 +1,35 @@
+# mypy: ignore-errors
+"""Kernel for the openness of a surface. Single precision: it is an estimate, and ray queries have no other."""
+
+from omtwarp._warp import wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def openness_kernel(
+    mesh: wp.uint64,
+    origins: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    rays: int,
+    openness: wp.array(dtype=wp.float32),
+):
+    """Part of the cosine-weighted rays from a point that leave the surface behind them."""
+    i = wp.tid()
+    n = normals[i]
+    helper = wp.vec3(1.0, 0.0, 0.0)
+    if wp.abs(n[0]) > 0.7:
+        helper = wp.vec3(0.0, 1.0, 0.0)
+    t = wp.normalize(wp.cross(n, helper))
+    b = wp.cross(n, t)
+    free = int(0)
+    for k in range(rays):
+        # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
+        r = wp.sqrt((float(k) + 0.5) / float(rays))
+        angle = float(k) * 2.3999632 + float(i) * 0.7548777
+        up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
+        direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
+        query = wp.mesh_query_ray(mesh, origins[i], direction, 4.0)
+        if not query.result:
+            free += 1
+    openness[i] = float(free) / float(rays)
