@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.decimation import Hierarchy, Level, Removal, integers, simplify
+from omtwarp.embedding.decimation import Level, Removal, integers, simplify
 from omtwarp.embedding.decimation_kernels import MAX_VALENCE
 from omtwarp.embedding.hierarchical_kernels import insert_vertices, relax_vertices, triangle_coefficients
 from omtwarp.embedding.predicates import count_flips
@@ -61,89 +61,79 @@ def hierarchical_embedding(
         raise OmtwarpError(f"the weight of area must be a positive number, not {area_weight}")
     where = resolve_device(device)
     hierarchy = simplify(surface, where)
-    sphere = _embed(surface, hierarchy, area_weight, where, progress)
+    embedding = _Embedding(surface, hierarchy.levels[-1], hierarchy.tetrahedron, area_weight, where)
+    for level, removal in zip(hierarchy.levels[-2::-1], hierarchy.removals[::-1], strict=True):
+        embedding.insert(removal)
+        embedding.enter(level)
+        embedding.relax(removal.vertices)
+        embedding.sweep(_SMALL_SWEEPS if len(level.vertices) < _SMALL_LEVEL else _SWEEPS)
+        if progress is not None:
+            progress(len(level.vertices) / surface.vertex_count)
+    embedding.sweep(_FINAL_SWEEPS)
+    sphere = embedding.sphere.numpy().copy()
     flips = count_flips(sphere, surface.faces)
     if flips:
         raise OmtwarpError(f"the coarse-to-fine embedding has {flips} triangle(s) that float64 cannot keep positive")
     return sphere
 
 
-def _embed(
-    surface: Surface,
-    hierarchy: Hierarchy,
-    area_weight: float,
-    device: wp.Device,
-    progress: Callable[[float], None] | None,
-) -> NDArray[np.float64]:
-    count = surface.vertex_count
-    start = np.zeros((count, 3))
-    corners = hierarchy.levels[-1].vertices
-    start[corners] = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3.0)
-    if np.linalg.det(start[hierarchy.tetrahedron[0]]) < 0:
-        start[corners[:2]] = start[corners[1::-1]]
-    colour = np.zeros(count, dtype=np.int32)
-    colour[corners] = np.arange(4)
-    sphere: wp.array = wp.array(start, dtype=wp.vec3d, device=device)
-    colours = integers(colour, device)
-    points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
-    coarser = _Relaxation(hierarchy.levels[-1], points, sphere, colours, area_weight, device)
-    for level, removal in zip(hierarchy.levels[-2::-1], hierarchy.removals[::-1], strict=True):
-        _insert(removal, sphere, colours, coarser, device)
-        coarser = _Relaxation(level, points, sphere, colours, area_weight, device)
-        coarser.relax_only(removal.vertices)
-        coarser.sweep(_SMALL_SWEEPS if len(level.vertices) < _SMALL_LEVEL else _SWEEPS)
-        if progress is not None:
-            progress(len(level.vertices) / count)
-    coarser.sweep(_FINAL_SWEEPS)
-    return sphere.numpy().copy()
+class _Embedding:
+    """Positions on the sphere of one level's vertices; no call leaves a triangle of that level flipped.
 
-
-def _insert(removal: Removal, sphere: wp.array, colours: wp.array, coarser: _Relaxation, device: wp.Device) -> None:
-    """Put removed vertices back; where a kernel is too thin for float64, relax the coarser map and try again."""
-    size = len(removal.vertices)
-    vertices = integers(removal.vertices, device)
-    rings = integers(removal.rings, device)
-    valences = integers(removal.valences, device)
-    normals: wp.array = wp.empty(size * MAX_VALENCE, dtype=wp.vec3d, device=device)
-    least: wp.array = wp.empty(size, dtype=wp.float64, device=device)
-    for _ in range(_INSERTION_ATTEMPTS):
-        wp.launch(
-            insert_vertices,
-            dim=size,
-            inputs=[vertices, rings, valences, normals, sphere, colours],
-            outputs=[least],
-            device=device,
-        )
-        worst = least.numpy().min()
-        if worst > _LEAST_DETERMINANT:
-            return
-        coarser.sweep(_SMALL_SWEEPS)
-    raise OmtwarpError(
-        f"the coarse-to-fine embedding found no room for a vertex among {len(coarser.level.vertices)} others "
-        f"(determinant {worst:.1e}): float64 cannot separate them"
-    )
-
-
-class _Relaxation:
-    """Moves of one level's vertices, colour by colour, that lower its energy and flip nothing."""
+    Attributes:
+        sphere: Unit vectors of all vertices of the input, those placed so far valid.
+        colours: Colours of these vertices; neighbours' differ. Vertices of a round are no neighbours, and edges between
+            older vertices only vanish on the way to finer levels: a colour given once stays valid.
+    """
 
     def __init__(
-        self,
-        level: Level,
-        points: wp.array,
-        sphere: wp.array,
-        colours: wp.array,
-        area_weight: float,
-        device: wp.Device,
+        self, surface: Surface, level: Level, tetrahedron: NDArray[np.int32], area_weight: float, device: wp.Device
     ):
-        self.area_weight = area_weight
-        self.level = level
-        self.sphere = sphere
+        start = np.zeros((surface.vertex_count, 3))
+        start[level.vertices] = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3.0)
+        if np.linalg.det(start[tetrahedron[0]]) < 0:
+            start[level.vertices] *= -1.0
+        colours = np.zeros(surface.vertex_count, dtype=np.int32)
+        colours[level.vertices] = np.arange(4)
         self.device = device
-        self.vertices, self.offsets, self.heads, self.thirds = (
-            integers(x, device) for x in (level.vertices, level.offsets, level.heads, level.thirds)
+        self.area_weight = area_weight
+        self.points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
+        self.sphere: wp.array = wp.array(start, dtype=wp.vec3d, device=device)
+        self.colours = integers(colours, device)
+        self.enter(level)
+
+    def insert(self, removal: Removal) -> None:
+        """Put removed vertices back; where a kernel is too thin for float64, relax the coarser map and try again."""
+        size = len(removal.vertices)
+        vertices, rings, valences = (
+            integers(x, self.device) for x in (removal.vertices, removal.rings, removal.valences)
         )
-        self.coefficients: wp.array = wp.empty(len(level.heads), dtype=wp.vec4d, device=device)
+        normals: wp.array = wp.empty(size * MAX_VALENCE, dtype=wp.vec3d, device=self.device)
+        least: wp.array = wp.empty(size, dtype=wp.float64, device=self.device)
+        for _ in range(_INSERTION_ATTEMPTS):
+            wp.launch(
+                insert_vertices,
+                dim=size,
+                inputs=[vertices, rings, valences, normals, self.sphere, self.colours],
+                outputs=[least],
+                device=self.device,
+            )
+            worst = least.numpy().min()
+            if worst > _LEAST_DETERMINANT:
+                return
+            self.sweep(_SMALL_SWEEPS)
+        raise OmtwarpError(
+            f"the coarse-to-fine embedding found no room for a vertex among {len(self.level.vertices)} others "
+            f"(determinant {worst:.1e}): float64 cannot separate them"
+        )
+
+    def enter(self, level: Level) -> None:
+        """Take up a level whose vertices all have their places."""
+        self.level = level
+        self.vertices, self.offsets, self.heads, self.thirds = (
+            integers(x, self.device) for x in (level.vertices, level.offsets, level.heads, level.thirds)
+        )
+        self.coefficients: wp.array = wp.empty(len(level.heads), dtype=wp.vec4d, device=self.device)
         wp.launch(
             triangle_coefficients,
             dim=len(level.vertices),
@@ -152,38 +142,44 @@ class _Relaxation:
                 self.offsets,
                 self.heads,
                 self.thirds,
-                integers(level.half_edge_faces, device),
-                wp.array(level.face_masses, dtype=wp.float64, device=device),
-                points,
+                integers(level.half_edge_faces, self.device),
+                wp.array(level.face_masses, dtype=wp.float64, device=self.device),
+                self.points,
                 _ROUNDING,
             ],
             outputs=[self.coefficients],
-            device=device,
+            device=self.device,
         )
-        colour = colours.numpy()[level.vertices]
-        order = np.argsort(colour, kind="stable").astype(np.int32)
+        colour = self.colours.numpy()[level.vertices]
+        self.slots = integers(np.argsort(colour, kind="stable"), self.device)
         ends = np.cumsum(np.bincount(colour))
-        slots = integers(order, device)
-        self.classes = [
-            slots[begin:end] for begin, end in zip(np.append(0, ends[:-1]), ends, strict=True) if end > begin
+        # Recorded launches: on small levels a launch costs more than its kernel.
+        self.moves = [
+            self._move(self.slots[begin:end])
+            for begin, end in zip(np.append(0, ends[:-1]), ends, strict=True)
+            if end > begin
         ]
 
-    def relax_only(self, vertices: NDArray[np.int32]) -> None:
+    def relax(self, vertices: NDArray[np.int32]) -> None:
         """Move these vertices, no two of which are neighbours."""
-        slots = np.searchsorted(self.level.vertices, vertices).astype(np.int32)
-        self._relax(integers(slots, self.device))
+        slots = integers(np.searchsorted(self.level.vertices, vertices), self.device)
+        self._move(slots).launch()
 
     def sweep(self, times: int) -> None:
-        """Move every vertex ``times`` times."""
+        """Move every vertex ``times`` times, colour by colour."""
         for _ in range(times):
-            for slots in self.classes:
-                self._relax(slots)
+            for move in self.moves:
+                move.launch()
 
-    def _relax(self, slots: wp.array) -> None:
-        wp.launch(
+    def _move(self, slots: wp.array) -> wp.Launch:
+        """A recorded launch that moves the vertices in these slots of the level; the caller keeps ``slots`` alive."""
+        move = wp.launch(
             relax_vertices,
             dim=len(slots),
             inputs=[slots, self.vertices, self.offsets, self.heads, self.thirds, self.coefficients, self.area_weight],
             outputs=[self.sphere],
             device=self.device,
+            record_cmd=True,
         )
+        assert move is not None
+        return move
