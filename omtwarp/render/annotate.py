@@ -1,0 +1,148 @@
+"""What stands beside the surface: backdrop, colour bar, captions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from omtwarp.render.colors import backdrop, colormap_table
+from omtwarp.render.scene import ScalarField
+
+
+def compose(
+    picture: NDArray[np.uint8],
+    size: tuple[int, int],
+    background: object,
+    transparent: bool,
+    hidden: tuple[int, int, int] = (255, 255, 255),
+) -> Image.Image:
+    """Lay a drawn surface (colours multiplied by coverage) over the background, at the left of a canvas.
+
+    ``hidden`` is the colour of pixels that are fully transparent: that of the text to come, whose smooth edges would
+    otherwise be blended with black.
+
+    Returns:
+        RGB, or RGBA where it is to be transparent.
+    """
+    width, height = size
+    drawn = np.zeros((height, width, 4), dtype=np.float32)
+    drawn[: picture.shape[0], : picture.shape[1]] = picture
+    coverage = drawn[..., 3:] / 255.0
+    if transparent:
+        colors = np.where(coverage > 0, drawn[..., :3] / np.maximum(coverage, 1e-6), np.asarray(hidden, np.float32))
+        return Image.fromarray(_bytes(np.concatenate([colors, drawn[..., 3:]], axis=2)))
+    behind = backdrop(background, width, height).astype(np.float32) * 255.0
+    return Image.fromarray(_bytes(drawn[..., :3] + (1.0 - coverage) * behind))
+
+
+def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.rint(np.clip(values, 0.0, 255.0)).astype(np.uint8)
+
+
+def ink(background: object, transparent: bool) -> tuple[int, int, int]:
+    """Dark or light text, whichever can be read on the background; mid-grey where that is unknown."""
+    if transparent:
+        return (110, 116, 124)
+    mean = backdrop(background, 1, 16).mean(axis=(0, 1)) @ np.array([0.299, 0.587, 0.114])
+    return (38, 44, 52) if mean > 0.5 else (226, 230, 235)
+
+
+def font(size: float) -> Any:
+    """Pillow's own font; its old bitmap font where Pillow was built without FreeType."""
+    try:
+        return ImageFont.load_default(size=max(size, 8.0))
+    except TypeError:
+        return ImageFont.load_default()
+
+
+def bar_width(size: tuple[int, int]) -> int:
+    """Pixels that a colour bar takes at the right of a picture."""
+    return max(64, round(0.17 * min(size)))
+
+
+def draw_color_bar(image: Image.Image, scalar: ScalarField, color: tuple[int, int, int]) -> None:
+    """Draw the colour map, its values and its label into the right end of a picture."""
+    width, height = image.size
+    room = bar_width(image.size)
+    text = font(min(image.size) / 44.0)
+    left, right = width - room + round(0.12 * room), width - room + round(0.30 * room)
+    top, bottom = round(0.16 * height), round(0.84 * height)
+    table = colormap_table(scalar.colormap, max(2, bottom - top))[::-1]
+    strip = np.repeat(table[:, None, :], right - left, axis=1)
+    image.paste(Image.fromarray(np.ascontiguousarray(strip)).convert(image.mode), (left, top))
+    draw = ImageDraw.Draw(image)
+    draw.rectangle((left - 1, top - 1, right, bottom), outline=color)
+    low, high = scalar.limits()
+    for value in ticks(low, high, scalar.logarithmic):
+        part = np.log(value / low) / np.log(high / low) if scalar.logarithmic else (value - low) / (high - low)
+        y = bottom - 1 - part * (bottom - 1 - top)
+        draw.line((right, y, right + 0.05 * room, y), fill=color)
+        draw.text((right + 0.09 * room, y), f"{value:.4g}", font=text, fill=color, anchor="lm")
+    if scalar.label:
+        # Over the bar where there is room to its right, else ending at the picture's border.
+        fits = left + draw.textlength(scalar.label, font=text) < width - 0.04 * room
+        place = (left, top - 0.025 * height) if fits else (width - 0.04 * room, top - 0.025 * height)
+        draw.text(place, scalar.label, font=text, fill=color, anchor="lb" if fits else "rb")
+
+
+def ticks(low: float, high: float, logarithmic: bool = False) -> list[float]:
+    """Round values between two limits, about five of them: multiples of 1, 2 or 5 times a power of ten."""
+    if logarithmic:
+        first, last = int(np.floor(np.log10(low))), int(np.ceil(np.log10(high)))
+        for mantissas in ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 5, 7)):
+            values = [m * 10.0**power for power in range(first, last + 1) for m in mantissas]
+            inside = [value for value in values if low * (1 - 1e-9) <= value <= high * (1 + 1e-9)]
+            if len(inside) >= 4:
+                return inside[:: max(1, len(inside) // 6)]
+        # Less than a factor of two or so: the logarithm is nearly straight.
+    raw = (high - low) / 5.0
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999)
+    first_step, last_step = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
+    return [float(k * step) for k in range(first_step, last_step + 1)]
+
+
+def grid(
+    images: list[Image.Image],
+    captions: list[str],
+    *,
+    columns: int | None = None,
+    background: object = "white",
+    transparent: bool = False,
+    title: str = "",
+) -> Image.Image:
+    """Put pictures of one size side by side, each over its caption."""
+    count = len(images)
+    columns = columns or (count if count <= 3 else int(np.ceil(np.sqrt(count))))
+    columns = max(1, min(columns, count))
+    rows = -(-count // columns)
+    width, height = max(image.width for image in images), max(image.height for image in images)
+    letters = max(11.0, min(width, height) / 24.0)
+    band = round(2.0 * letters) if any(captions) else 0
+    head = round(2.6 * letters) if title else 0
+    size = (columns * width, head + rows * (height + band))
+    if transparent:
+        canvas = Image.new("RGBA", size, (0, 0, 0, 0))
+    else:
+        behind = np.broadcast_to(backdrop(background, size[0], size[1]), (size[1], size[0], 3))
+        canvas = Image.fromarray(np.rint(behind * 255).astype(np.uint8))
+    draw = ImageDraw.Draw(canvas)
+    color = ink(background, transparent)
+    for k, image in enumerate(images):
+        x, y = (k % columns) * width, head + (k // columns) * (height + band)
+        place = (x + (width - image.width) // 2, y)
+        # Panels come transparent where the background runs through the whole sheet.
+        if image.mode == "RGBA":
+            canvas.paste(image, place) if transparent else canvas.paste(image, place, image)
+        else:
+            canvas.paste(image, place)
+        if band and captions[k]:
+            draw.text(
+                (x + width / 2, y + height + band * 0.42), captions[k], font=font(letters), fill=color, anchor="mm"
+            )
+    if head:
+        draw.text((size[0] / 2, head * 0.55), title, font=font(letters * 1.25), fill=color, anchor="mm")
+    return canvas

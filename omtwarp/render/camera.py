@@ -1,0 +1,239 @@
+"""Cameras: directions of view, framing that fills the picture, turntables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+
+# Azimuth and elevation in degrees.
+VIEWS: dict[str, tuple[float, float]] = {
+    "front": (0.0, 0.0),
+    "back": (180.0, 0.0),
+    "left": (-90.0, 0.0),
+    "right": (90.0, 0.0),
+    "top": (0.0, 90.0),
+    "bottom": (0.0, -90.0),
+    "three-quarter": (-30.0, 18.0),
+}
+SIX_VIEWS = ("front", "back", "left", "right", "top", "bottom")
+DEFAULT_FRONT = {"x": "+z", "y": "+z", "z": "-y"}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where the picture is taken from.
+
+    The distance is chosen so that the surface fills the picture; ``zoom`` enlarges it from there.
+
+    Attributes:
+        azimuth: degrees around the upward axis; 0 looks at the front, 90 at the subject's right-hand picture side.
+        elevation: degrees above the horizon, -90 to 90.
+        roll: degrees the camera is turned about its own axis.
+        zoom: 1 fills the picture; 2 shows everything twice as large.
+        field_of_view: vertical opening in degrees (perspective only).
+        projection: ``"perspective"`` or ``"orthographic"``.
+        margin: empty border as a part of the picture.
+    """
+
+    azimuth: float = VIEWS["three-quarter"][0]
+    elevation: float = VIEWS["three-quarter"][1]
+    roll: float = 0.0
+    zoom: float = 1.0
+    field_of_view: float = 24.0
+    projection: str = "perspective"
+    margin: float = 0.05
+
+    def __post_init__(self) -> None:
+        numbers = (self.azimuth, self.elevation, self.roll, self.zoom, self.field_of_view, self.margin)
+        possible = self.zoom > 0 and 0 < self.field_of_view < 170 and 0 <= self.margin < 0.5
+        if not np.all(np.isfinite(numbers)) or not possible:
+            raise OmtwarpError(
+                "the camera needs finite angles, zoom > 0, a field of view in (0, 170) degrees and a margin in [0, 0.5)"
+            )
+        if self.projection not in ("perspective", "orthographic"):
+            raise OmtwarpError(f"unknown projection '{self.projection}': use perspective or orthographic")
+
+    def looking(self, azimuth: float, elevation: float) -> Camera:
+        """The same camera from another direction."""
+        return replace(self, azimuth=float(azimuth), elevation=float(elevation))
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A camera placed before normalised geometry: everything a backend needs to project.
+
+    Attributes:
+        pose: camera to world, float64 [4, 4]; the camera looks along its -z axis, y is up.
+        perspective: False is a parallel projection.
+        half_width: half the picture's width at distance 1 (perspective) or anywhere (parallel).
+        half_height: the same for its height.
+        near: distance of the near plane.
+        far: distance of the far plane.
+    """
+
+    pose: NDArray[np.float64]
+    perspective: bool
+    half_width: float
+    half_height: float
+    near: float
+    far: float
+
+
+def as_view(view: str | tuple[float, float] | Camera, base: Camera) -> Camera:
+    """A view by name, as (azimuth, elevation) in degrees, as the text ``"AZ,EL"``, or a :class:`Camera` itself.
+
+    Raises:
+        OmtwarpError: it is none of these.
+    """
+    if isinstance(view, Camera):
+        return view
+    if isinstance(view, str):
+        if view in VIEWS:
+            return base.looking(*VIEWS[view])
+        try:
+            azimuth, elevation = (float(part) for part in view.split(","))
+        except ValueError:
+            raise OmtwarpError(
+                f"unknown view '{view}': use {', '.join(VIEWS)}, or azimuth,elevation in degrees such as 30,20"
+            ) from None
+        return base.looking(azimuth, elevation)
+    try:
+        azimuth, elevation = view
+        return base.looking(float(azimuth), float(elevation))
+    except (TypeError, ValueError):
+        raise OmtwarpError(
+            f"{view!r} is not a view: use a name, (azimuth, elevation) in degrees, or a Camera"
+        ) from None
+
+
+def as_views(views: object, base: Camera) -> list[Camera]:
+    """One view or several; ``"six"`` is front, back, left, right, top and bottom, None the camera itself."""
+    if views is None:
+        return [base]
+    if isinstance(views, str) and views == "six":
+        return [as_view(view, base) for view in SIX_VIEWS]
+    pair = isinstance(views, tuple) and len(views) == 2 and isinstance(views[0], (int, float))
+    if isinstance(views, (str, Camera)) or pair:
+        return [as_view(views, base)]  # type: ignore[arg-type]
+    if not isinstance(views, Sequence) or len(views) == 0:
+        raise OmtwarpError(f"{views!r} is not a list of views: use names, (azimuth, elevation) pairs or cameras")
+    return [as_view(view, base) for view in views]
+
+
+def turntable(base: Camera, frames: int) -> list[Camera]:
+    """Cameras that go once around the upward axis in equal steps; the last step leads back to the first.
+
+    Raises:
+        OmtwarpError: fewer than one frame.
+    """
+    if frames < 1:
+        raise OmtwarpError(f"a turntable of {frames} frames is none: ask for 1 or more")
+    return [replace(base, azimuth=base.azimuth + 360.0 * k / frames) for k in range(frames)]
+
+
+def axis_vector(name: str) -> NDArray[np.float64]:
+    """The unit vector of an axis such as ``"z"``, ``"+z"`` or ``"-y"``.
+
+    Raises:
+        OmtwarpError: the text names no axis.
+    """
+    letter = name[-1:].lower()
+    if letter not in ("x", "y", "z") or name[:-1] not in ("", "+", "-"):
+        raise OmtwarpError(f"'{name}' is not an axis: use x, y or z with an optional sign")
+    vector = np.zeros(3)
+    vector["xyz".index(letter)] = -1.0 if name.startswith("-") else 1.0
+    return vector
+
+
+def camera_axes(camera: Camera, up: str = "y", front: str | None = None) -> NDArray[np.float64]:
+    """The camera's right, up and backward directions as columns, float64 [3, 3].
+
+    Args:
+        camera: gives azimuth, elevation and roll.
+        up: the axis that points upwards in the picture.
+        front: the axis that points at the viewer in the front view; None takes +z, or -y where z is up.
+
+    Raises:
+        OmtwarpError: the two axes are parallel.
+    """
+    upward = axis_vector(up)
+    forward = axis_vector(front or DEFAULT_FRONT[up[-1].lower()])
+    if abs(upward @ forward) > 0.5:
+        raise OmtwarpError(f"the upward axis '{up}' and the front axis '{front}' must be different axes")
+    right = np.cross(upward, forward)
+    azimuth, elevation, roll = np.radians([camera.azimuth, camera.elevation, camera.roll])
+    level = np.cos(azimuth) * forward + np.sin(azimuth) * right
+    backward = np.cos(elevation) * level + np.sin(elevation) * upward
+    # The derivative of `backward` along the meridian: it stays defined straight above and below.
+    above = np.cos(elevation) * upward - np.sin(elevation) * level
+    side = np.cross(above, backward)
+    side, above = np.cos(roll) * side + np.sin(roll) * above, np.cos(roll) * above - np.sin(roll) * side
+    return np.column_stack([side, above, backward])
+
+
+def frame(
+    points: NDArray[np.float64],
+    cameras: Sequence[Camera],
+    aspect: float,
+    *,
+    up: str = "y",
+    front: str | None = None,
+    centred: bool = False,
+) -> list[Shot]:
+    """Place cameras so that the points fill the picture, all at one scale.
+
+    Every point gives four inequalities on the distance, one for each side of the picture, linear in the distance and
+    the sideways shift; the smallest distance that meets them is the mean of the two opposite maxima, and their
+    difference is the shift that centres the picture.
+
+    Args:
+        points: normalised positions, shape [N, 3], around the origin.
+        cameras: directions of view; they share the distance of the one that needs most.
+        aspect: width over height.
+        up: the upward axis.
+        front: the axis of the front view.
+        centred: keep the origin in the middle, as a turntable must.
+    """
+    shots: list[Shot] = []
+    placed: list[tuple[Camera, NDArray[np.float64], NDArray[np.float64], float]] = []
+    for camera in cameras:
+        axes = camera_axes(camera, up, front)
+        seen = points @ axes
+        x, y, z = seen.T
+        scale = 1.0 / (1.0 - 2.0 * camera.margin)
+        if camera.projection == "perspective":
+            tall = np.tan(np.radians(camera.field_of_view) / 2.0) / scale
+            wide = tall * aspect
+            if centred:
+                shift, distance = np.zeros(2), float(np.max(z + np.maximum(np.abs(x) / wide, np.abs(y) / tall)))
+            else:
+                right, left = np.max(z + x / wide), np.max(z - x / wide)
+                top, bottom = np.max(z + y / tall), np.max(z - y / tall)
+                distance = float(max(right + left, top + bottom) / 2.0)
+                shift = np.array([(right - left) / 2.0 * wide, (top - bottom) / 2.0 * tall])
+        else:
+            if centred:
+                shift, distance = np.zeros(2), float(scale * max(np.max(np.abs(x)) / aspect, np.max(np.abs(y))))
+            else:
+                shift = np.array([x.max() + x.min(), y.max() + y.min()]) / 2.0
+                distance = float(scale * max(np.ptp(x) / aspect, np.ptp(y)) / 2.0)
+        placed.append((camera, axes, shift, distance))
+    shared = max(distance for *_, distance in placed)
+    for camera, axes, shift, _ in placed:
+        depth = points @ axes[:, 2]
+        perspective = camera.projection == "perspective"
+        half_height = np.tan(np.radians(camera.field_of_view) / 2.0) if perspective else max(shared, 1e-9)
+        half_height = half_height / camera.zoom
+        distance = max(shared, float(depth.max()) + 1e-3) if perspective else 3.0
+        pose = np.eye(4)
+        pose[:3, :3] = axes
+        pose[:3, 3] = axes @ np.array([shift[0], shift[1], distance])
+        near = max((distance - float(depth.max())) * 0.5, 1e-3)
+        far = (distance - float(depth.min())) * 1.2 + 0.1
+        shots.append(Shot(pose, perspective, float(half_height * aspect), float(half_height), near, far))
+    return shots

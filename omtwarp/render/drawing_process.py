@@ -1,0 +1,74 @@
+"""The drawing process: reads jobs from standard input, draws them with pyrender, writes pictures to standard output.
+
+An OpenGL driver may crash, hang, or quarrel with other users of OpenGL in a process, and it reads environment variables
+that must be set before it is loaded. So it lives in a process of its own, which the caller can time and end.
+Messages are pickles behind their length; both ends are the same program.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import struct
+import sys
+from typing import Any, BinaryIO
+
+_LENGTH = struct.Struct(">Q")
+
+
+def send(stream: BinaryIO, message: Any) -> None:
+    """Write one message."""
+    data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
+    stream.write(_LENGTH.pack(len(data)))
+    stream.write(data)
+    stream.flush()
+
+
+def receive(stream: BinaryIO) -> Any:
+    """Read one message.
+
+    Raises:
+        EOFError: the other end is gone.
+    """
+    return pickle.loads(_exactly(stream, _LENGTH.unpack(_exactly(stream, _LENGTH.size))[0]))
+
+
+def _exactly(stream: BinaryIO, count: int) -> bytes:
+    data = stream.read(count)
+    if data is None or len(data) < count:
+        raise EOFError
+    return data
+
+
+def main() -> None:
+    """Serve until standard input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle; it closes the pipe
+    replies = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever a driver prints must not mix with the replies
+    jobs = sys.stdin.buffer
+    try:
+        from omtwarp.render.pyrender_compat import GLUnavailable
+
+        try:
+            from omtwarp.render.pyrender_backend import GLRenderer
+
+            renderer = GLRenderer()
+        except GLUnavailable as error:
+            send(replies, ("unavailable", str(error)))
+            return
+    except Exception as error:
+        send(replies, ("unavailable", f"OpenGL could not be started: {type(error).__name__}: {error}"))
+        return
+    send(replies, ("ready", renderer.device))
+    while True:
+        try:
+            job = receive(jobs)
+        except EOFError:
+            break
+        try:
+            answer: tuple[str, Any] = ("pictures", renderer.draw(job))
+        except Exception as error:
+            answer = ("failed", f"{type(error).__name__}: {error}".splitlines()[0])
+        send(replies, answer)
+    renderer.close()

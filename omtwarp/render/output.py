@@ -1,0 +1,132 @@
+"""Writing pictures and films: whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from omtwarp.errors import OmtwarpError
+
+STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
+FILM_FORMATS = (".gif", ".mp4")
+OPAQUE_FORMATS = (".jpg", ".jpeg", ".mp4")
+
+
+def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool) -> Path:
+    """Find out before the work whether its result can be written.
+
+    Raises:
+        OmtwarpError: unknown suffix, a suffix that cannot hold the picture, or a directory that cannot be written to.
+    """
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix not in STILL_FORMATS and suffix not in FILM_FORMATS:
+        raise OmtwarpError(
+            f"unknown picture format '{suffix}' of '{target}': use .png, .jpg, .webp or .tif; .gif or .mp4 for films"
+        )
+    if film and suffix not in FILM_FORMATS:
+        raise OmtwarpError(f"'{target}' cannot hold a film: use .gif or .mp4")
+    if not film and suffix == ".mp4":
+        raise OmtwarpError(f"'{target}' is a film: ask for turntable frames, or use .png")
+    if transparent and suffix in OPAQUE_FORMATS:
+        raise OmtwarpError(f"'{target}' cannot be transparent: use .png, .webp or .gif")
+    if target.is_dir():
+        raise OmtwarpError(f"cannot write '{target}': it is a directory")
+    folder = target.parent
+    if not folder.is_dir():
+        raise OmtwarpError(f"cannot write '{target}': the directory '{folder}' does not exist")
+    if not os.access(folder, os.W_OK) or (target.exists() and not os.access(target, os.W_OK)):
+        raise OmtwarpError(f"cannot write '{target}': permission denied")
+    if suffix == ".mp4":
+        _ffmpeg()
+    return target
+
+
+def save_still(image: Any, path: str | os.PathLike[str]) -> None:
+    """Write one picture.
+
+    Raises:
+        OmtwarpError: the file cannot be written.
+    """
+    target = Path(path)
+    kind = STILL_FORMATS.get(target.suffix.lower(), "GIF")
+    if kind == "JPEG":
+        _write(target, lambda file: image.convert("RGB").save(file, kind, quality=93, subsampling=0))
+    else:
+        _write(target, lambda file: image.save(file, kind))
+
+
+def save_film(frames: Sequence[Any], path: str | os.PathLike[str], fps: float) -> None:
+    """Write frames as an endless GIF or as an MP4 (H.264).
+
+    Raises:
+        OmtwarpError: the file cannot be written, or an MP4 is asked for without ffmpeg.
+    """
+    target = Path(path)
+    if target.suffix.lower() == ".gif":
+        _write(target, lambda file: _gif(frames, file, fps))
+    else:
+        _write(target, lambda file: _mp4(frames, file, fps))
+
+
+def _write(target: Path, save: Any) -> None:
+    """Save beside the target and rename, so that no half-written file is ever seen under its name."""
+    # The suffix stays at the end: ffmpeg goes by it.
+    partial = target.with_name(f".{target.stem}.{os.getpid()}.part{target.suffix}")
+    try:
+        save(partial)
+        os.replace(partial, target)
+    except OSError as error:
+        raise OmtwarpError(f"cannot write '{target}': {error.strerror or error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _gif(frames: Sequence[Any], file: Path, fps: float) -> None:
+    from PIL import Image
+
+    # One palette for all frames, or colours would flicker as the surface turns; made from a strip of small copies.
+    clear = frames[0].mode == "RGBA"
+    width = 128
+    height = max(1, round(width * frames[0].height / frames[0].width))
+    some = frames[:: max(1, len(frames) // 16)]
+    strip = Image.new("RGB", (width * len(some), height))
+    for k, shown in enumerate(some):
+        strip.paste(shown.convert("RGB").resize((width, height)), (k * width, 0))
+    palette = strip.quantize(255, method=Image.Quantize.MEDIANCUT)
+    pages = []
+    for shown in frames:
+        page = shown.convert("RGB").quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
+        if clear:  # GIF knows no half-transparent pixel
+            page.paste(255, mask=shown.getchannel("A").point(lambda alpha: 255 if alpha < 128 else 0))
+        pages.append(page)
+    extra = {"transparency": 255, "disposal": 2} if clear else {}
+    duration = max(20, round(100 / fps) * 10)  # GIF counts hundredths of a second
+    pages[0].save(
+        file, "GIF", save_all=True, append_images=pages[1:], duration=duration, loop=0, optimize=False, **extra
+    )
+
+
+def _ffmpeg() -> Any:
+    try:
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        raise OmtwarpError("an .mp4 needs ffmpeg: pip install imageio-ffmpeg, or write a .gif") from None
+    return imageio_ffmpeg
+
+
+def _mp4(frames: Sequence[Any], file: Path, fps: float) -> None:
+    width, height = (frames[0].width // 2 * 2, frames[0].height // 2 * 2)  # H.264 halves the colours' resolution
+    writer = _ffmpeg().write_frames(
+        str(file), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
+    )
+    writer.send(None)
+    try:
+        for shown in frames:
+            writer.send(shown.convert("RGB").crop((0, 0, width, height)).tobytes())
+    finally:
+        writer.close()

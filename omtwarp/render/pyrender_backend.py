@@ -1,0 +1,273 @@
+"""Draws with pyrender, offscreen through EGL: on a GPU where there is one, with Mesa's llvmpipe on the CPU elsewhere.
+
+Everything here runs in the drawing process. It imports pyrender, so import it only there, after
+:func:`omtwarp.render.pyrender_compat.import_pyrender`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from omtwarp.render import shaders
+from omtwarp.render.camera import Shot
+from omtwarp.render.colors import parse_color
+from omtwarp.render.pyrender_compat import INSTALL_GL, GLUnavailable, import_pyrender
+from omtwarp.render.scene import Part, RenderJob
+
+pyrender = import_pyrender()
+
+from OpenGL import GL  # noqa: E402
+from pyrender.renderer import Renderer  # noqa: E402
+from pyrender.shader_program import ShaderProgram, ShaderProgramCache  # noqa: E402
+
+SURFACELESS = "surfaceless"
+
+
+class _Program(ShaderProgram):  # type: ignore[misc]
+    """A program from :mod:`omtwarp.render.shaders` instead of pyrender's files, with uniforms of our own."""
+
+    uniforms: dict[str, Any]
+
+    def _load(self, shader_filename: str) -> str:
+        source = shaders.VERTEX if shader_filename.endswith(".vert") else shaders.FRAGMENT
+        defines = "".join(f"#define {name} {value}\n" for name, value in self.defines.items())
+        return f"#version 330 core\n{defines}{source}"
+
+    def _bind(self) -> None:
+        super()._bind()
+        for name, value in self.uniforms.items():
+            self.set_uniform(name, value)
+
+
+class _Programs(ShaderProgramCache):  # type: ignore[misc]
+    """Programs by their defines; ``defines`` and ``uniforms`` hold for every program of the job in hand."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.defines: dict[str, Any] = {}
+        self.uniforms: dict[str, Any] = {}
+
+    def get_program(
+        self,
+        vertex_shader: str,
+        fragment_shader: str,
+        geometry_shader: str | None = None,
+        defines: dict[str, Any] | None = None,
+    ) -> _Program:
+        every = {**(defines or {}), **self.defines}
+        key = tuple(sorted(every.items()))
+        if key not in self._program_cache:
+            self._program_cache[key] = _Program(vertex_shader, fragment_shader, defines=every)
+        program: _Program = self._program_cache[key]
+        program.uniforms = self.uniforms
+        return program
+
+
+class _Renderer(Renderer):  # type: ignore[misc]
+    """pyrender's renderer without the depth image, whose read-back and conversion cost as much as a small scene."""
+
+    def _read_main_framebuffer(self, scene: Any, flags: int) -> NDArray[np.uint8]:
+        width, height = self._main_fb_dims
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb_ms)
+        GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, self._main_fb)
+        GL.glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL.GL_COLOR_BUFFER_BIT, GL.GL_LINEAR)
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb)
+        GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+        data = GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE)
+        return np.frombuffer(data, dtype=np.uint8).reshape(height, width, 4)[::-1]
+
+
+class _Texture(pyrender.Texture):  # type: ignore[misc, name-defined]
+    """An sRGB texture: filtering then averages light, not its encoding, and the shader is spared the decoding."""
+
+    mipmaps = True
+
+    def _add_to_context(self) -> None:
+        self._texid = GL.glGenTextures(1)
+        GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
+        GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
+        height, width = self.source.shape[:2]
+        pixels = np.ascontiguousarray(self.source[::-1])
+        GL.glTexImage2D(
+            GL.GL_TEXTURE_2D, 0, GL.GL_SRGB8_ALPHA8, width, height, 0, GL.GL_RGB, GL.GL_UNSIGNED_BYTE, pixels
+        )
+        if self.mipmaps:
+            GL.glGenerateMipmap(GL.GL_TEXTURE_2D)
+        smaller = GL.GL_LINEAR_MIPMAP_LINEAR if self.mipmaps else GL.GL_LINEAR
+        for name, value in (
+            (GL.GL_TEXTURE_MAG_FILTER, GL.GL_LINEAR),
+            (GL.GL_TEXTURE_MIN_FILTER, smaller),
+            (GL.GL_TEXTURE_WRAP_S, self.sampler.wrapS),
+            (GL.GL_TEXTURE_WRAP_T, self.sampler.wrapT),
+        ):
+            GL.glTexParameteri(GL.GL_TEXTURE_2D, name, value)
+        GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+
+
+class GLRenderer:
+    """One OpenGL context and its renderer, for many jobs.
+
+    Raises:
+        GLUnavailable: no device gives a context.
+    """
+
+    def __init__(self) -> None:
+        self._platform = _open_context()
+        self._renderer = _Renderer(64, 64)
+        self._programs = _Programs()
+        self._renderer._program_cache = self._programs
+        self.largest_texture = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE))
+        self.largest_picture = int(GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE))
+        name = GL.glGetString(GL.GL_RENDERER)
+        self.device = name.decode(errors="replace") if name else "unknown"
+
+    def draw(self, job: RenderJob) -> list[NDArray[np.uint8]]:
+        """Draw every shot.
+
+        Returns:
+            One picture per shot, uint8 [height, width, 4], colours multiplied by their coverage.
+        """
+        self._platform.make_current()
+        samples = max(1, min(job.samples, self.largest_picture // max(job.width, job.height)))
+        self._renderer.viewport_width, self._renderer.viewport_height = job.width * samples, job.height * samples
+        wires = job.wireframe
+        self._programs.defines = {"UNLIT": 1} if job.light.unlit else {}
+        self._programs.uniforms = {
+            "sky": np.full(3, job.light.sky),
+            "ground": np.full(3, job.light.ground),
+            "edge_color": parse_color(wires.color),
+            "edge_width": float(wires.width * samples),
+            "edge_opacity": float(wires.opacity),
+        }
+        meshes = [self._mesh(part, job.light.roughness) for part in job.parts]
+        pictures = []
+        for shot in job.shots:
+            scene = pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0], ambient_light=[0.0, 0.0, 0.0])
+            for mesh in meshes:
+                scene.add(mesh)
+            scene.add(_camera(shot, job.width / job.height), pose=shot.pose)
+            for way, power in job.light.unit_directions():
+                light = pyrender.DirectionalLight(color=[1.0, 1.0, 1.0], intensity=power)
+                scene.add(light, pose=_facing(shot.pose[:3, :3] @ way))
+            # A part's defines differ by its mipmaps alone, and at most one part has an image.
+            if any(part.image is not None and not part.mipmaps for part in job.parts):
+                self._programs.defines["SINGLE_LEVEL"] = 1
+            pixels = self._renderer.render(scene, pyrender.RenderFlags.OFFSCREEN | pyrender.RenderFlags.RGBA)
+            pictures.append(_averaged(pixels, samples))
+        # An empty scene makes the renderer free the meshes and textures of this job.
+        self._renderer._update_context(pyrender.Scene(), pyrender.RenderFlags.NONE)
+        return pictures
+
+    def _mesh(self, part: Part, roughness: float) -> Any:
+        texture = None
+        if part.image is not None:
+            wrap = GL.GL_REPEAT if part.repeat else GL.GL_CLAMP_TO_EDGE
+            vertical = wrap if part.kind == "uv" else GL.GL_CLAMP_TO_EDGE  # nothing lies beyond a pole
+            sampler = pyrender.Sampler(wrapS=wrap, wrapT=vertical)
+            texture = _Texture(source=_fitted(part.image, self.largest_texture), source_channels="RGB", sampler=sampler)
+            texture.mipmaps = part.mipmaps
+        material = pyrender.MetallicRoughnessMaterial(
+            baseColorTexture=texture,
+            baseColorFactor=[*(float(channel) for channel in part.tint), 1.0],
+            metallicFactor=0.0,
+            roughnessFactor=float(roughness),
+            alphaMode="OPAQUE",
+            doubleSided=True,
+        )
+        inside = np.tile(np.eye(3, 2, dtype=np.float32), (len(part.faces), 1)) if part.edges else None
+        primitive = pyrender.Primitive(
+            positions=part.positions,
+            normals=part.normals,
+            texcoord_0=part.value[:, :2] if part.kind == "uv" else None,
+            texcoord_1=inside,
+            color_0=np.column_stack([part.value, np.ones(len(part.value))]) if part.kind != "uv" else None,
+            indices=None if part.edges else part.faces,
+            material=material,
+        )
+        return pyrender.Mesh([primitive])
+
+    def close(self) -> None:
+        """Free the context."""
+        self._platform.make_current()
+        self._renderer.delete()
+        self._platform.delete_context()
+
+
+def _averaged(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+    """The mean over blocks of ``side`` x ``side`` pixels."""
+    height, width = pixels.shape[:2]
+    # Not as RGBA: Pillow would take the colours for unmultiplied and weight them by their coverage once more.
+    picture = Image.frombuffer("RGBX", (width, height), np.ascontiguousarray(pixels).tobytes(), "raw", "RGBX", 0, 1)
+    return np.asarray(picture.reduce(side) if side > 1 else picture)
+
+
+def _fitted(image: NDArray[np.uint8], largest: int) -> NDArray[np.uint8]:
+    height, width = image.shape[:2]
+    if max(height, width) <= largest:
+        return image
+    smaller = Image.fromarray(image).resize((min(width, largest), min(height, largest)), Image.Resampling.BOX)
+    return np.asarray(smaller)
+
+
+def _camera(shot: Shot, aspect: float) -> Any:
+    if shot.perspective:
+        opening = 2.0 * float(np.arctan(shot.half_height))
+        return pyrender.PerspectiveCamera(yfov=opening, znear=shot.near, zfar=shot.far, aspectRatio=aspect)
+    return pyrender.OrthographicCamera(xmag=shot.half_width, ymag=shot.half_height, znear=shot.near, zfar=shot.far)
+
+
+def _facing(towards: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A pose whose z axis points towards the light; pyrender's lights shine along -z."""
+    z = towards / np.linalg.norm(towards)
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    return pose
+
+
+def _open_context() -> Any:
+    """A context on the first device that gives one.
+
+    Device 0 may be a graphics card the user may not open, so each is tried; ``EGL_DEVICE_ID`` goes first.
+    """
+    if not sys.platform.startswith("linux"):
+        from pyrender.platforms.pyglet_platform import PygletPlatform
+
+        platform = PygletPlatform(64, 64)
+        platform.init_context()
+        platform.make_current()
+        return platform
+    from pyrender.platforms import egl
+
+    try:
+        devices = egl.query_devices()
+    except Exception:
+        devices = []
+    wanted = os.environ.get("EGL_DEVICE_ID", "")
+    if wanted.isdigit() and int(wanted) < len(devices):
+        devices.insert(0, devices.pop(int(wanted)))
+    reasons = []
+    for device in [*devices, None]:
+        if device is None:  # no device listed, or none usable: Mesa without one
+            os.environ["EGL_PLATFORM"] = SURFACELESS
+            device = egl.EGLDevice(None)
+        platform = egl.EGLPlatform(64, 64, device=device)
+        try:
+            platform.init_context()
+            if GL.glGetString(GL.GL_VERSION):
+                return platform
+            reasons.append("no OpenGL version reported")
+        except Exception as error:
+            reasons.append(str(error).splitlines()[0] if str(error) else type(error).__name__)
+        try:
+            platform.delete_context()
+        except Exception:
+            pass
+    raise GLUnavailable(f"no EGL device gives an OpenGL context: {reasons[-1]} ({INSTALL_GL})")

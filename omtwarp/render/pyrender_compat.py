@@ -1,0 +1,97 @@
+"""Makes the released pyrender 0.1.45 usable with today's Python, NumPy and PyOpenGL, without a display.
+
+Call :func:`import_pyrender` before anything else imports pyrender or OpenGL in the process. It runs in the drawing
+process only (see :mod:`omtwarp.render.drawing_process`), so that its changes touch nobody else.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import sys
+import types
+from typing import Any
+
+INSTALL_GL = "apt-get install --no-install-recommends libegl1 libgl1"
+INSTALL_PYRENDER = "pip install 'omtwarp[preview]'"
+
+
+class GLUnavailable(Exception):
+    """No OpenGL on this machine; the text says what is missing and how to install it."""
+
+
+def import_pyrender() -> Any:
+    """Import pyrender with EGL as its platform, or with the system's own OpenGL on Windows and macOS.
+
+    Returns:
+        The module.
+
+    Raises:
+        GLUnavailable: pyrender or an OpenGL library is missing.
+    """
+    if sys.platform.startswith("linux"):
+        os.environ["PYOPENGL_PLATFORM"] = "egl"  # the same path for llvmpipe and for a GPU's driver
+    _restore_numpy_name()
+    # pyrender's viewer pulls in pyglet, which needs X libraries just to be imported; nothing here opens a window.
+    viewer = types.ModuleType("pyrender.viewer")
+    viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
+    sys.modules.setdefault("pyrender.viewer", viewer)
+    find_library = ctypes.util.find_library
+    ctypes.util.find_library = _find_library(find_library)  # type: ignore[assignment]
+    try:
+        import OpenGL
+
+        OpenGL.ERROR_LOGGING = False
+        import OpenGL.GL
+
+        _teach_array_handler()
+        import pyrender
+    except ImportError as error:
+        if error.name in ("pyrender", "OpenGL"):
+            raise GLUnavailable(f"pyrender is not installed ({INSTALL_PYRENDER})") from error
+        raise GLUnavailable(_missing(error)) from error
+    except (AttributeError, OSError) as error:  # libEGL without libGL: 'NoneType' has no attribute 'glGetError'
+        raise GLUnavailable(_missing(error)) from error
+    finally:
+        ctypes.util.find_library = find_library  # type: ignore[assignment]
+    return pyrender
+
+
+def _missing(error: Exception) -> str:
+    if sys.platform.startswith("linux"):
+        return f"no OpenGL library with EGL was found ({INSTALL_GL})"
+    return f"no OpenGL library was found ({error})"
+
+
+def _restore_numpy_name() -> None:
+    """pyrender's bounding boxes use ``np.infty``, which NumPy 2 removed."""
+    import numpy as np
+
+    if not hasattr(np, "infty"):
+        setattr(np, "infty", np.inf)  # noqa: B010
+
+
+def _find_library(original: Any) -> Any:
+    """PyOpenGL 3.1.0 asks ldconfig alone, which does not know libraries on LD_LIBRARY_PATH; the loader does."""
+
+    def find(name: str) -> str | None:
+        found: str | None = original(name)
+        if found is None and sys.platform.startswith("linux") and name in ("EGL", "GL"):
+            candidate = f"lib{name}.so.1"
+            try:
+                ctypes.CDLL(candidate)
+            except OSError:
+                return None
+            return candidate
+        return found
+
+    return find
+
+
+def _teach_array_handler() -> None:
+    """Python 3.12 renamed the type behind ``byref``, which PyOpenGL 3.1.0 knows by name only."""
+    from OpenGL.plugins import FormatHandler
+
+    handler = FormatHandler.by_name("ctypesparameter")
+    if handler is not None and "_ctypes.CArgObject" not in handler.check:
+        handler.check.append("_ctypes.CArgObject")

@@ -1,0 +1,160 @@
+"""Draws with Warp: one ray per pixel through a bounding volume hierarchy, more where the picture has edges.
+
+It needs no OpenGL, runs on the CPU and on CUDA devices, and takes the same jobs as pyrender with the same camera,
+lights, texture filter and lines.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp._warp import resolve_device, wp
+from omtwarp.render import ray_kernels as kernels
+from omtwarp.render.camera import Shot
+from omtwarp.render.colors import parse_color, srgb_to_linear
+from omtwarp.render.scene import RenderJob
+
+# A step of 6/255 between neighbours is the least that the eye makes out as a jagged edge.
+CONTRAST = 6.0 / 255.0
+# The footprint of the first pass, in pixels: smooth areas alone keep its result, where a sharper filter cannot alias.
+FIRST_SPACING = 0.75
+_KINDS = {"color": 0, "uv": 1, "sphere": 2}
+
+
+def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
+    """Draw every shot.
+
+    Args:
+        job: parts, cameras, size and lights.
+        device: ``auto``, ``cpu`` or a CUDA device.
+
+    Returns:
+        One picture per shot, uint8 [height, width, 4], colours multiplied by their coverage.
+
+    Raises:
+        OmtwarpError: unknown device.
+    """
+    where = resolve_device(device)
+    shape, mesh = _geometry(job, where)
+    picture = _picture(job, where)
+    look = _look(job, where)
+    pictures = []
+    for shot in job.shots:
+        view = _view(shot, job.width, job.height)
+        colors = wp.empty((job.height, job.width), dtype=wp.vec4, device=where)
+        marked = wp.empty((job.height, job.width), dtype=wp.int32, device=where)
+        size = (job.height, job.width)
+        wp.launch(
+            kernels.draw_centres,
+            size,
+            inputs=[view, shape, picture, look, FIRST_SPACING],
+            outputs=[colors],
+            device=where,
+        )
+        wp.launch(kernels.mark_contrast, size, inputs=[colors, CONTRAST], outputs=[marked], device=where)
+        chosen = np.flatnonzero(marked.numpy()).astype(np.int32)
+        if chosen.size:
+            pixels: Any = wp.array(chosen, dtype=wp.int32, device=where)
+            side = 2 * max(1, job.samples)
+            wp.launch(
+                kernels.draw_finely,
+                len(chosen),
+                inputs=[view, shape, picture, look, pixels, side],
+                outputs=[colors],
+                device=where,
+            )
+        pictures.append(np.rint(np.clip(colors.numpy(), 0.0, 1.0) * 255.0).astype(np.uint8))
+    del mesh  # kept until here: the kernels know it by its number only
+    return pictures
+
+
+def _geometry(job: RenderJob, where: Any) -> tuple[Any, Any]:
+    """All parts as one mesh with unshared corners, so that a face's number is enough to find its points."""
+    offsets = np.cumsum([0] + [len(part.positions) for part in job.parts])
+    faces = np.concatenate([part.faces + offset for part, offset in zip(job.parts, offsets[:-1], strict=True)])
+    positions = np.concatenate([part.positions for part in job.parts])
+    mesh = wp.Mesh(
+        points=wp.array(positions, dtype=wp.vec3, device=where),
+        indices=wp.array(faces.ravel().astype(np.int32), dtype=wp.int32, device=where),
+    )
+    shape: Any = kernels.Geometry()
+    shape.mesh = mesh.id
+    shape.normals = wp.array(np.concatenate([part.normals for part in job.parts]), dtype=wp.vec3, device=where)
+    shape.values = wp.array(np.concatenate([part.value for part in job.parts]), dtype=wp.vec3, device=where)
+    shape.faces = wp.array(faces.astype(np.int32), dtype=wp.int32, device=where)
+    kinds = np.concatenate([np.full(len(part.faces), _KINDS[part.kind], np.int32) for part in job.parts])
+    edges = np.concatenate([np.full(len(part.faces), int(part.edges), np.int32) for part in job.parts])
+    shape.kinds = wp.array(kinds, dtype=wp.int32, device=where)
+    shape.edges = wp.array(edges, dtype=wp.int32, device=where)
+    return shape, mesh
+
+
+def _picture(job: RenderJob, where: Any) -> Any:
+    """The image with its mip levels; a single grey texel where no part has one."""
+    part = next((part for part in job.parts if part.image is not None), None)
+    image = part.image if part is not None and part.image is not None else np.full((1, 1, 3), 128, np.uint8)
+    sizes = [(image.shape[1], image.shape[0])]
+    if part is not None and part.mipmaps:
+        while sizes[-1] != (1, 1):
+            width, height = sizes[-1]
+            sizes.append((max(width // 2, 1), max(height // 2, 1)))
+    counts = [width * height for width, height in sizes]
+    offsets = np.cumsum([0, *counts])
+    decode: Any = wp.array(srgb_to_linear(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=where)
+    texels = wp.empty((int(offsets[-1]), 3), dtype=wp.uint8, device=where)
+    wp.copy(texels, wp.array(image.reshape(-1, 3), dtype=wp.uint8, device=where), count=3 * counts[0])
+    for level in range(1, len(sizes)):
+        (source_width, source_height), (width, height) = sizes[level - 1], sizes[level]
+        wp.launch(
+            kernels.halve,
+            (height, width),
+            inputs=[
+                texels,
+                decode,
+                int(offsets[level - 1]),
+                source_width,
+                source_height,
+                int(offsets[level]),
+                width,
+                height,
+            ],
+            device=where,
+        )
+    picture: Any = kernels.Picture()
+    picture.texels = texels
+    picture.decode = decode
+    picture.offsets = wp.array(offsets[:-1].astype(np.int32), dtype=wp.int32, device=where)
+    picture.widths = wp.array(np.array([width for width, _ in sizes], np.int32), dtype=wp.int32, device=where)
+    picture.heights = wp.array(np.array([height for _, height in sizes], np.int32), dtype=wp.int32, device=where)
+    picture.levels = len(sizes)
+    picture.repeat = int(part is not None and part.repeat)
+    tint = srgb_to_linear(part.tint if part is not None else (1.0, 1.0, 1.0))
+    picture.tint = wp.vec3(*(float(channel) for channel in tint))
+    return picture
+
+
+def _look(job: RenderJob, where: Any) -> Any:
+    lights = job.light.unit_directions()
+    look: Any = kernels.Look()
+    look.directions = wp.array(
+        np.array([way for way, _ in lights], np.float32).reshape(-1, 3), dtype=wp.vec3, device=where
+    )
+    look.powers = wp.array(np.array([power for _, power in lights], np.float32), dtype=wp.float32, device=where)
+    look.sky, look.ground, look.roughness = job.light.sky, job.light.ground, job.light.roughness
+    look.unlit = int(job.light.unlit)
+    look.edge_color = wp.vec3(*(float(channel) for channel in parse_color(job.wireframe.color)))
+    look.edge_width, look.edge_opacity = job.wireframe.width, job.wireframe.opacity
+    return look
+
+
+def _view(shot: Shot, width: int, height: int) -> Any:
+    view: Any = kernels.View()
+    right, up, backward, origin = (wp.vec3(*(float(x) for x in shot.pose[:3, k])) for k in range(4))
+    view.right, view.up, view.backward, view.origin = right, up, backward, origin
+    view.perspective = int(shot.perspective)
+    view.half_width, view.half_height = shot.half_width, shot.half_height
+    view.width, view.height = width, height
+    return view

@@ -1,0 +1,411 @@
+"""Kernels of the ray caster: the same filter, light and lines as the shaders in ``shaders.py``.
+
+Single precision throughout, unlike the rest of the package: the result is eight bits per channel, and Warp's ray query
+takes nothing else.
+"""
+
+# mypy: ignore-errors
+from omtwarp._warp import wp
+
+wp.set_module_options({"enable_backward": False})
+
+PI_F = wp.constant(wp.float32(3.14159265358979))
+MOST_PROBES = wp.constant(wp.float32(48.0))
+KIND_COLOR = wp.constant(0)
+KIND_UV = wp.constant(1)
+KIND_SPHERE = wp.constant(2)
+
+
+@wp.struct
+class View:
+    origin: wp.vec3
+    right: wp.vec3
+    up: wp.vec3
+    backward: wp.vec3
+    perspective: wp.int32
+    half_width: wp.float32
+    half_height: wp.float32
+    width: wp.int32
+    height: wp.int32
+
+
+@wp.struct
+class Geometry:
+    mesh: wp.uint64
+    normals: wp.array(dtype=wp.vec3)
+    values: wp.array(dtype=wp.vec3)
+    faces: wp.array2d(dtype=wp.int32)
+    kinds: wp.array(dtype=wp.int32)  # per face, one of KIND_*
+    edges: wp.array(dtype=wp.int32)  # per face, 1 where its edges are drawn
+
+
+@wp.struct
+class Picture:
+    texels: wp.array2d(dtype=wp.uint8)  # every level, one after the other, [texels, 3], rows from the top
+    offsets: wp.array(dtype=wp.int32)
+    widths: wp.array(dtype=wp.int32)
+    heights: wp.array(dtype=wp.int32)
+    decode: wp.array(dtype=wp.float32)  # sRGB byte to linear
+    levels: wp.int32
+    repeat: wp.int32
+    tint: wp.vec3  # linear
+
+
+@wp.struct
+class Look:
+    directions: wp.array(dtype=wp.vec3)  # towards the lights, in the camera's frame
+    powers: wp.array(dtype=wp.float32)
+    sky: wp.float32
+    ground: wp.float32
+    roughness: wp.float32
+    unlit: wp.int32
+    edge_color: wp.vec3
+    edge_width: wp.float32
+    edge_opacity: wp.float32
+
+
+@wp.func
+def to_linear(c: wp.float32):
+    linear = c / 12.92
+    if c > 0.04045:
+        linear = wp.pow((c + 0.055) / 1.055, 2.4)
+    return linear
+
+
+@wp.func
+def to_srgb(c: wp.float32):
+    clamped = wp.clamp(c, 0.0, 1.0)
+    encoded = clamped * 12.92
+    if clamped > 0.0031308:
+        encoded = 1.055 * wp.pow(clamped, 1.0 / 2.4) - 0.055
+    return encoded
+
+
+@wp.func
+def wrapped(index: int, count: int, repeat: int):
+    """An index inside [0, count): the image goes round or its border goes on."""
+    inside = wp.clamp(index, 0, count - 1)
+    if repeat != 0:
+        inside = index - count * int(wp.floor(float(index) / float(count)))
+        inside = wp.clamp(inside, 0, count - 1)  # the quotient may round up
+    return inside
+
+
+@wp.func
+def texel(picture: Picture, level: int, column: int, row: int):
+    at = picture.offsets[level] + row * picture.widths[level] + column
+    return wp.vec3(
+        picture.decode[int(picture.texels[at, 0])],
+        picture.decode[int(picture.texels[at, 1])],
+        picture.decode[int(picture.texels[at, 2])],
+    )
+
+
+@wp.func
+def bilinear(picture: Picture, u: float, v: float, level: int, repeat_rows: int):
+    width = picture.widths[level]
+    height = picture.heights[level]
+    x = u * float(width) - 0.5
+    y = (1.0 - v) * float(height) - 0.5
+    column = int(wp.floor(x))
+    row = int(wp.floor(y))
+    s = x - wp.floor(x)
+    t = y - wp.floor(y)
+    left = wrapped(column, width, picture.repeat)
+    right = wrapped(column + 1, width, picture.repeat)
+    top = wrapped(row, height, repeat_rows)
+    bottom = wrapped(row + 1, height, repeat_rows)
+    above = (1.0 - s) * texel(picture, level, left, top) + s * texel(picture, level, right, top)
+    below = (1.0 - s) * texel(picture, level, left, bottom) + s * texel(picture, level, right, bottom)
+    return (1.0 - t) * above + t * below
+
+
+@wp.func
+def trilinear(picture: Picture, u: float, v: float, level: float, repeat_rows: int):
+    clamped = wp.clamp(level, 0.0, float(picture.levels - 1))
+    lower = int(wp.floor(clamped))
+    blend = clamped - float(lower)
+    found = bilinear(picture, u, v, lower, repeat_rows)
+    if blend > 0.0:
+        found = (1.0 - blend) * found + blend * bilinear(picture, u, v, lower + 1, repeat_rows)
+    return found
+
+
+@wp.func
+def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2, repeat_rows: int):
+    """The mean over the ellipse that the derivatives span: probes along its long axis at the level of the short one."""
+    width = float(picture.widths[0])
+    height = float(picture.heights[0])
+    ax = along_x[0] * width
+    ay = along_x[1] * height
+    bx = along_y[0] * width
+    by = along_y[1] * height
+    xx = ax * ax + bx * bx
+    yy = ay * ay + by * by
+    xy = ax * ay + bx * by
+    half_gap = 0.5 * (xx - yy)
+    root = wp.sqrt(half_gap * half_gap + xy * xy)
+    longest = wp.sqrt(0.5 * (xx + yy) + root)
+    shortest = wp.abs(ax * by - ay * bx) / wp.max(longest, 1.0e-12)
+    axis = wp.vec2(xy, root - half_gap)
+    if half_gap >= 0.0:
+        axis = wp.vec2(half_gap + root, xy)
+    size = wp.length(axis)
+    if size > 0.0:
+        axis = axis / size
+    else:
+        axis = wp.vec2(1.0, 0.0)
+    probes = wp.clamp(wp.ceil(longest / wp.max(shortest, 1.0)), 1.0, MOST_PROBES)
+    level = wp.log2(wp.max(wp.max(shortest, longest / probes), 1.0))
+    step_u = axis[0] * longest / (width * probes)
+    step_v = axis[1] * longest / (height * probes)
+    first_u = uv[0] - 0.5 * (probes - 1.0) * step_u
+    first_v = uv[1] - 0.5 * (probes - 1.0) * step_v
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(int(probes)):
+        total += trilinear(picture, first_u + float(k) * step_u, first_v + float(k) * step_v, level, repeat_rows)
+    return total / probes
+
+
+@wp.func
+def sphere_color(picture: Picture, p: wp.vec3, px: wp.vec3, py: wp.vec3):
+    """The equirectangular image at a point of the sphere; derivatives by the chain rule, hence no seam."""
+    across = wp.max(wp.dot(px, px), wp.dot(py, py))
+    flat2 = p[0] * p[0] + p[1] * p[1]
+    rho2 = wp.max(flat2, wp.max(0.0625 * across, 1.0e-20))
+    rho = wp.sqrt(rho2)
+    r2 = rho2 + p[2] * p[2]
+    longitude_x = (p[0] * px[1] - p[1] * px[0]) / rho2
+    longitude_y = (p[0] * py[1] - p[1] * py[0]) / rho2
+    latitude_x = (rho * px[2] - p[2] * (p[0] * px[0] + p[1] * px[1]) / rho) / r2
+    latitude_y = (rho * py[2] - p[2] * (p[0] * py[0] + p[1] * py[1]) / rho) / r2
+    uv = wp.vec2(0.5 + wp.atan2(p[1], p[0]) / (2.0 * PI_F), 0.5 + wp.atan2(p[2], wp.sqrt(flat2)) / PI_F)
+    along_x = wp.vec2(longitude_x / (2.0 * PI_F), latitude_x / PI_F)
+    along_y = wp.vec2(longitude_y / (2.0 * PI_F), latitude_y / PI_F)
+    return filtered(picture, uv, along_x, along_y, 0)
+
+
+@wp.func
+def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
+    """Lambert's diffuse term and a GGX highlight (Schlick's Fresnel, Smith's shadowing), as glTF 2.0, appendix B."""
+    alpha2 = wp.pow(look.roughness, 4.0)
+    k = (look.roughness + 1.0) * (look.roughness + 1.0) / 8.0
+    nv = wp.clamp(wp.abs(wp.dot(n, v)), 0.001, 1.0)
+    high = 0.5 + 0.5 * n[1]
+    total = albedo * (look.ground * (1.0 - high) + look.sky * high)
+    for i in range(look.powers.shape[0]):
+        way = look.directions[i]
+        h = wp.normalize(way + v)
+        nl = wp.clamp(wp.dot(n, way), 0.0, 1.0)
+        nh = wp.clamp(wp.dot(n, h), 0.0, 1.0)
+        vh = wp.clamp(wp.dot(v, h), 0.0, 1.0)
+        fresnel = 0.04 + 0.96 * wp.pow(1.0 - vh, 5.0)
+        spread = nh * nh * (alpha2 - 1.0) + 1.0
+        density = alpha2 / (PI_F * spread * spread)
+        seen = nl * nv / ((nl * (1.0 - k) + k) * (nv * (1.0 - k) + k))
+        highlight = fresnel * seen * density / (4.0 * nl * nv + 0.001)
+        total += nl * look.powers[i] * ((1.0 - fresnel) / PI_F * albedo + wp.vec3(highlight, highlight, highlight))
+    return total
+
+
+@wp.func
+def ray_origin(view: View, x: float, y: float):
+    origin = view.origin
+    if view.perspective == 0:
+        across = (2.0 * x / float(view.width) - 1.0) * view.half_width
+        above = (1.0 - 2.0 * y / float(view.height)) * view.half_height
+        origin = view.origin + across * view.right + above * view.up
+    return origin
+
+
+@wp.func
+def ray_way(view: View, x: float, y: float):
+    way = -view.backward
+    if view.perspective != 0:
+        across = (2.0 * x / float(view.width) - 1.0) * view.half_width
+        above = (1.0 - 2.0 * y / float(view.height)) * view.half_height
+        way = wp.normalize(across * view.right + above * view.up - view.backward)
+    return way
+
+
+@wp.func
+def weights_on_plane(origin: wp.vec3, way: wp.vec3, p0: wp.vec3, e1: wp.vec3, e2: wp.vec3, facing: float):
+    """Barycentric weights of corners 1 and 2 where a ray meets a triangle's plane, and the determinant.
+
+    Moeller & Trumbore (1997). ``facing`` is the determinant of the ray the pixel is drawn with (0 for that ray itself):
+    a neighbouring ray that runs along the plane or meets it behind the camera is held to a tenth of it.
+    """
+    across = wp.cross(way, e2)
+    determinant = wp.dot(e1, across)
+    if facing > 0.0:
+        determinant = wp.max(determinant, 0.1 * facing)
+    if facing < 0.0:
+        determinant = wp.min(determinant, 0.1 * facing)
+    if determinant == 0.0:
+        determinant = 1.0e-20
+    to = origin - p0
+    return wp.vec3(wp.dot(to, across) / determinant, wp.dot(way, wp.cross(to, e1)) / determinant, determinant)
+
+
+@wp.func
+def line_strength(weight: float, gradient_x: float, gradient_y: float, width: float):
+    height = 1.0 / wp.sqrt(wp.max(gradient_x * gradient_x + gradient_y * gradient_y, 1.0e-20))
+    line = wp.clamp(0.5 * width + 0.5 - weight * height, 0.0, 1.0)
+    return line * wp.clamp((height - width) / (5.0 * width), 0.12, 1.0)
+
+
+@wp.func
+def sample(view: View, shape: Geometry, picture: Picture, look: Look, x: float, y: float, spacing: float):
+    """Colour and coverage seen at a place of the picture; ``spacing`` is the width of the area it stands for."""
+    origin = ray_origin(view, x, y)
+    way = ray_way(view, x, y)
+    hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
+    if not hit.result:
+        # Rays aimed exactly at a vertex can slip through; a thousandth of a pixel beside it they do not.
+        origin = ray_origin(view, x + 1.1e-3, y + 0.7e-3)
+        way = ray_way(view, x + 1.1e-3, y + 0.7e-3)
+        hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
+    color = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if hit.result:
+        face = hit.face
+        i0 = shape.faces[face, 0]
+        i1 = shape.faces[face, 1]
+        i2 = shape.faces[face, 2]
+        p0 = wp.mesh_get_point(shape.mesh, 3 * face)
+        e1 = wp.mesh_get_point(shape.mesh, 3 * face + 1) - p0
+        e2 = wp.mesh_get_point(shape.mesh, 3 * face + 2) - p0
+        here = weights_on_plane(origin, way, p0, e1, e2, 0.0)
+        u = here[0]
+        v = here[1]
+        ox = ray_origin(view, x + spacing, y)
+        wx = ray_way(view, x + spacing, y)
+        oy = ray_origin(view, x, y - spacing)
+        wy = ray_way(view, x, y - spacing)
+        beside = weights_on_plane(ox, wx, p0, e1, e2, here[2])
+        above = weights_on_plane(oy, wy, p0, e1, e2, here[2])
+        ux = beside[0] - u
+        vx = beside[1] - v
+        uy = above[0] - u
+        vy = above[1] - v
+        a0 = shape.values[i0]
+        a1 = shape.values[i1] - a0
+        a2 = shape.values[i2] - a0
+        value = a0 + u * a1 + v * a2
+        kind = shape.kinds[face]
+        albedo = wp.vec3(to_linear(value[0]), to_linear(value[1]), to_linear(value[2]))
+        if kind == KIND_UV:
+            if picture.levels == 1:
+                albedo = bilinear(picture, value[0], value[1], 0, picture.repeat)
+            else:
+                grad_x = ux * a1 + vx * a2
+                grad_y = uy * a1 + vy * a2
+                along_x = wp.vec2(grad_x[0], grad_x[1])
+                along_y = wp.vec2(grad_y[0], grad_y[1])
+                albedo = filtered(picture, wp.vec2(value[0], value[1]), along_x, along_y, picture.repeat)
+            albedo = wp.cw_mul(albedo, picture.tint)
+        if kind == KIND_SPHERE:
+            albedo = wp.cw_mul(sphere_color(picture, value, ux * a1 + vx * a2, uy * a1 + vy * a2), picture.tint)
+        if look.unlit == 0:
+            n = (1.0 - u - v) * shape.normals[i0] + u * shape.normals[i1] + v * shape.normals[i2]
+            if wp.dot(wp.cross(e1, e2), way) > 0.0:
+                n = -n
+            n = wp.normalize(wp.vec3(wp.dot(n, view.right), wp.dot(n, view.up), wp.dot(n, view.backward)))
+            back = -way
+            towards = wp.vec3(wp.dot(back, view.right), wp.dot(back, view.up), wp.dot(back, view.backward))
+            albedo = lit(look, albedo, n, towards)
+        red = to_srgb(albedo[0])
+        green = to_srgb(albedo[1])
+        blue = to_srgb(albedo[2])
+        if shape.edges[face] != 0:
+            # The derivatives were taken over `spacing`; the lines' width is in whole pixels.
+            per = 1.0 / spacing
+            line = line_strength(u, ux * per, uy * per, look.edge_width)
+            line = wp.max(line, line_strength(v, vx * per, vy * per, look.edge_width))
+            line = wp.max(line, line_strength(1.0 - u - v, (ux + vx) * per, (uy + vy) * per, look.edge_width))
+            line = line * look.edge_opacity
+            red = (1.0 - line) * red + line * look.edge_color[0]
+            green = (1.0 - line) * green + line * look.edge_color[1]
+            blue = (1.0 - line) * blue + line * look.edge_color[2]
+        color = wp.vec4(red, green, blue, 1.0)
+    return color
+
+
+@wp.kernel
+def draw_centres(
+    view: View, shape: Geometry, picture: Picture, look: Look, spacing: wp.float32, colors: wp.array2d(dtype=wp.vec4)
+):
+    row, column = wp.tid()
+    colors[row, column] = sample(view, shape, picture, look, float(column) + 0.5, float(row) + 0.5, spacing)
+
+
+@wp.func
+def differ(a: wp.vec4, b: wp.vec4, contrast: float):
+    most = wp.max(wp.max(wp.abs(a[0] - b[0]), wp.abs(a[1] - b[1])), wp.max(wp.abs(a[2] - b[2]), wp.abs(a[3] - b[3])))
+    return most > contrast
+
+
+@wp.kernel
+def mark_contrast(colors: wp.array2d(dtype=wp.vec4), contrast: wp.float32, marked: wp.array2d(dtype=wp.int32)):
+    """Mark pixels that differ from a neighbour: only there would more samples change anything."""
+    row, column = wp.tid()
+    here = colors[row, column]
+    found = int(0)
+    for k in range(-1, 2):
+        for j in range(-1, 2):
+            y = wp.clamp(row + k, 0, colors.shape[0] - 1)
+            x = wp.clamp(column + j, 0, colors.shape[1] - 1)
+            if differ(here, colors[y, x], contrast):
+                found = 1
+    marked[row, column] = found
+
+
+@wp.kernel
+def draw_finely(
+    view: View,
+    shape: Geometry,
+    picture: Picture,
+    look: Look,
+    pixels: wp.array(dtype=wp.int32),
+    side: wp.int32,
+    colors: wp.array2d(dtype=wp.vec4),
+):
+    """Replace listed pixels by the mean over ``side`` x ``side`` samples."""
+    pixel = pixels[wp.tid()]
+    row = pixel // view.width
+    column = pixel - row * view.width
+    step = 1.0 / float(side)
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for k in range(side):
+        for j in range(side):
+            x = float(column) + (float(j) + 0.5) * step
+            y = float(row) + (float(k) + 0.5) * step
+            total += sample(view, shape, picture, look, x, y, step)
+    colors[row, column] = total * (step * step)
+
+
+@wp.kernel
+def halve(
+    texels: wp.array2d(dtype=wp.uint8),
+    decode: wp.array(dtype=wp.float32),
+    source: wp.int32,
+    source_width: wp.int32,
+    source_height: wp.int32,
+    target: wp.int32,
+    target_width: wp.int32,
+    target_height: wp.int32,
+):
+    """One mip level from the one before: the mean light over the texels that each new one covers."""
+    row, column = wp.tid()
+    first_row = row * source_height // target_height
+    last_row = wp.max((row + 1) * source_height // target_height, first_row + 1)
+    first_column = column * source_width // target_width
+    last_column = wp.max((column + 1) * source_width // target_width, first_column + 1)
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for y in range(first_row, last_row):
+        for x in range(first_column, last_column):
+            at = source + y * source_width + x
+            total += wp.vec3(decode[int(texels[at, 0])], decode[int(texels[at, 1])], decode[int(texels[at, 2])])
+    total = total / float((last_row - first_row) * (last_column - first_column))
+    at = target + row * target_width + column
+    for channel in range(3):
+        texels[at, channel] = wp.uint8(int(255.0 * to_srgb(total[channel]) + 0.5))

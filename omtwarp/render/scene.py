@@ -1,0 +1,409 @@
+"""What to draw: a surface with one appearance, and its form as the renderers take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.render.camera import Shot
+from omtwarp.render.colors import colormap_table, parse_color
+from omtwarp.render.light import Light
+
+if TYPE_CHECKING:
+    from omtwarp.render.arrows import Arrows
+
+CLAY = (0.80, 0.79, 0.77)
+
+
+@dataclass(eq=False)
+class ScalarField:
+    """A number per vertex or per face, shown through a colour map.
+
+    Attributes:
+        values: shape [V] or [F]; NaN is drawn grey.
+        colormap: name of the colour map, see :func:`omtwarp.render.colors.colormap_table`.
+        range: (low, high) values at the ends of the map; None takes the smallest and largest finite value.
+        label: text beside the colour bar.
+        logarithmic: colours follow the logarithm of the values, as ratios want it; the range must be positive.
+    """
+
+    values: ArrayLike
+    colormap: str = "viridis"
+    range: tuple[float, float] | None = None
+    label: str = ""
+    logarithmic: bool = False
+
+    def limits(self) -> tuple[float, float]:
+        """The values at the two ends of the colour map.
+
+        Raises:
+            OmtwarpError: there is no finite value, the range is empty, or a logarithmic range is not positive.
+        """
+        values = np.asarray(self.values, dtype=np.float64)
+        if self.range is None:
+            shown = values[np.isfinite(values) & (values > 0)] if self.logarithmic else values[np.isfinite(values)]
+            if shown.size == 0:
+                kind = "positive finite" if self.logarithmic else "finite"
+                raise OmtwarpError(f"the scalar has no {kind} value among {values.size}: there is nothing to colour")
+            low, high = float(shown.min()), float(shown.max())
+            if low == high:  # a constant sits in the middle of the map
+                step = abs(low) * 1e-3 or 1e-3
+                low, high = (low / (1 + 1e-3), high * (1 + 1e-3)) if self.logarithmic else (low - step, high + step)
+        else:
+            low, high = float(self.range[0]), float(self.range[1])
+        if not (np.isfinite(low) and np.isfinite(high) and low < high) or (self.logarithmic and low <= 0):
+            kind = "0 < low < high" if self.logarithmic else "low < high"
+            raise OmtwarpError(f"the scalar range ({low:g}, {high:g}) must have {kind}")
+        return low, high
+
+    def normalised(self) -> NDArray[np.float64]:
+        """The values moved to [0, 1]; NaN stays."""
+        low, high = self.limits()
+        values = np.asarray(self.values, dtype=np.float64)
+        if self.logarithmic:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                values = np.log(values)
+            low, high = np.log(low), np.log(high)
+        return np.clip((values - low) / (high - low), 0.0, 1.0)
+
+
+@dataclass(eq=False)
+class SurfaceView:
+    """A surface and how it looks: an image with ``sphere`` or with ``uv``, ``colors``, a ``scalar``, or plain.
+
+    Attributes:
+        vertices: shape [V, 3], any unit.
+        faces: shape [F, 3], counter-clockwise seen from outside.
+        image: a picture, PIL image or [height, width, 3 or 4] bytes (or numbers in [0, 1]); row 0 is its top.
+        sphere: unit vectors, shape [V, 3]: the image is equirectangular (longitude atan2(y, x) grows to the right
+            from -π, latitude π/2 on top) and looked up anew at every pixel, so that neither seam nor pole shows.
+        uv: texture coordinates, shape [V, 2] or per corner [F, 3, 2]; (0, 0) is the image's bottom left, it repeats.
+        colors: RGB per vertex [V, 3] or per face [F, 3]; bytes, or numbers in [0, 1].
+        scalar: a number per vertex or per face with its colour map.
+        color: the colour where nothing else is given (None: clay), and a factor on an image (None: white).
+        up: axis that points upwards in pictures.
+        front: axis that points at the viewer in the front view; None takes +z, or -y where z is up.
+        smooth: interpolate normals across faces; they are averaged over all vertices at the same place, so that the
+            copies along a texture's seam do not show.
+        edges: draw the triangles' edges.
+        arrows: a vector field drawn on the surface.
+        caption: text under the picture in a sheet.
+
+    Raises:
+        OmtwarpError: an array has the wrong shape, an index is out of range, or two appearances are given.
+    """
+
+    vertices: ArrayLike
+    faces: ArrayLike
+    image: Any = None
+    sphere: ArrayLike | None = None
+    uv: ArrayLike | None = None
+    colors: ArrayLike | None = None
+    scalar: ScalarField | None = None
+    color: Any = None
+    up: str = "y"
+    front: str | None = None
+    smooth: bool = True
+    edges: bool = False
+    arrows: Arrows | None = None
+    caption: str = ""
+
+    def __post_init__(self) -> None:
+        self.vertices = np.asarray(self.vertices, dtype=np.float64)
+        self.faces = np.asarray(self.faces)
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or self.faces.ndim != 2 or self.faces.shape[1] != 3:
+            raise OmtwarpError(
+                f"a surface needs vertices [V, 3] and faces [F, 3], not {self.vertices.shape} and {self.faces.shape}"
+            )
+        count, triangles = len(self.vertices), len(self.faces)
+        if count == 0 or triangles == 0:
+            raise OmtwarpError(f"nothing to draw: {count} vertices and {triangles} faces")
+        if not np.issubdtype(self.faces.dtype, np.integer):
+            raise OmtwarpError(f"faces must be integers, not {self.faces.dtype}")
+        self.faces = self.faces.astype(np.int32)
+        wrong = np.flatnonzero(((self.faces < 0) | (self.faces >= count)).any(axis=1))
+        if wrong.size:
+            raise OmtwarpError(f"{wrong.size} faces name vertices that do not exist, the first is face {wrong[0]}")
+        bad = np.flatnonzero(~np.isfinite(self.vertices).all(axis=1))
+        if bad.size:
+            raise OmtwarpError(
+                f"{bad.size} vertices have NaN or infinite coordinates, the first is vertex {bad[0]}: remove them"
+            )
+        given = [
+            name
+            for name, present in (
+                ("image", self.image is not None),
+                ("colors", self.colors is not None),
+                ("scalar", self.scalar is not None),
+            )
+            if present
+        ]
+        if len(given) > 1:
+            raise OmtwarpError(f"a surface has one appearance, but {' and '.join(given)} were given")
+        if self.image is not None:
+            if (self.sphere is None) == (self.uv is None):
+                raise OmtwarpError("an image needs either points on the sphere (sphere=) or texture coordinates (uv=)")
+            self.image = as_image(self.image)
+        if self.sphere is not None:
+            self.sphere = _checked("sphere", self.sphere, [(count, 3)])
+        if self.uv is not None:
+            self.uv = _checked("uv", self.uv, [(count, 2), (triangles, 3, 2)])
+        if self.colors is not None:
+            self.colors = _as_colors(self.colors)
+            self.colors = _checked("colors", self.colors, [(count, 3), (triangles, 3)])
+        if self.scalar is not None:
+            if not isinstance(self.scalar, ScalarField):
+                self.scalar = ScalarField(self.scalar)
+            shape = np.shape(self.scalar.values)
+            if shape not in ((count,), (triangles,)):
+                raise OmtwarpError(
+                    f"a scalar needs a number per vertex ({count}) or per face ({triangles}), not the shape {shape}"
+                )
+
+
+@dataclass(eq=False)
+class Part:
+    """One set of triangles as both renderers take it; picklable, single precision (it only ever becomes pixels).
+
+    Attributes:
+        positions: float32 [N, 3], normalised: centred at the origin, farthest point at distance 1.
+        normals: float32 [N, 3], unit.
+        faces: int32 [F, 3], indices into the N rows.
+        kind: ``"color"``, ``"uv"`` or ``"sphere"``: what ``value`` means.
+        value: float32 [N, 3]: an sRGB colour, (u, v, 0), or a point of the sphere.
+        image: uint8 [H, W, 3] sRGB for the two looked-up kinds, row 0 on top.
+        tint: sRGB factor on the image.
+        repeat: the image repeats to the right (sphere, textures) or ends at its border (colour maps).
+        mipmaps: average over the area of a pixel; off for colour maps, which hold no picture.
+        edges: draw the triangles' edges; needs N = 3F, corner k of face f in row 3f + k.
+    """
+
+    positions: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    kind: str
+    value: NDArray[np.float32]
+    image: NDArray[np.uint8] | None = None
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    repeat: bool = True
+    mipmaps: bool = True
+    edges: bool = False
+
+
+@dataclass(frozen=True)
+class Wireframe:
+    """Edges drawn over the surface.
+
+    Attributes:
+        color: any colour.
+        width: pixels.
+        opacity: 0 to 1.
+    """
+
+    color: Any = "#10151c"
+    width: float = 1.1
+    opacity: float = 0.75
+
+
+@dataclass(eq=False)
+class RenderJob:
+    """Everything a renderer needs for a set of pictures of one scene.
+
+    Attributes:
+        parts: triangles; at most one part has an image.
+        shots: one per picture.
+        width: pixels.
+        height: pixels.
+        light: the lights.
+        samples: samples along each side of a pixel that the renderer takes on top of its own antialiasing.
+        wireframe: how edges are drawn, for parts that ask for them.
+    """
+
+    parts: list[Part]
+    shots: list[Shot]
+    width: int
+    height: int
+    light: Light
+    samples: int = 2
+    wireframe: Wireframe = field(default_factory=Wireframe)
+
+
+def as_image(image: Any) -> NDArray[np.uint8]:
+    """A PIL image or an array as sRGB bytes, shape [height, width, 3].
+
+    Raises:
+        OmtwarpError: neither, or empty.
+    """
+    if hasattr(image, "convert"):
+        return np.asarray(image.convert("RGB"))
+    pixels = np.asarray(image)
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[:, :, None], 3, axis=2)
+    numbers = np.issubdtype(pixels.dtype, np.number)
+    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0 or not numbers:
+        raise OmtwarpError(f"an image needs the shape [height, width, 3], not {pixels.shape}")
+    pixels = pixels[:, :, :3]
+    if pixels.dtype != np.uint8:
+        scale = 255.0 if np.issubdtype(pixels.dtype, np.floating) else 1.0
+        pixels = np.rint(np.clip(pixels * scale, 0, 255)).astype(np.uint8)
+    return np.ascontiguousarray(pixels)
+
+
+def welded_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Unit normals per vertex, shape [V, 3], equal at vertices that lie at the same place.
+
+    The weights are those of Max (1999), "Weights for computing vertex normals from facet normals": exact on a mesh
+    inscribed in a sphere, and independent of how the surface is cut into triangles elsewhere.
+    """
+    group, members = weld(vertices)
+    corner = group[faces]
+    places = vertices[members]
+    normals = np.zeros_like(places)
+    ends = [places[corner[:, k]] for k in range(3)]
+    normal = np.cross(ends[1] - ends[0], ends[2] - ends[0])
+    squares = [np.einsum("ij,ij->i", ends[(k + 1) % 3] - ends[k], ends[(k + 1) % 3] - ends[k]) for k in range(3)]
+    tiny = np.finfo(float).tiny
+    for k in range(3):
+        weighted = normal / np.maximum(squares[k] * squares[k - 1], tiny)[:, None]
+        for axis in range(3):
+            normals[:, axis] += np.bincount(corner[:, k], weights=weighted[:, axis], minlength=len(places))
+    length = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(length, tiny)[:, None]
+    normals[length == 0] = (0.0, 0.0, 1.0)
+    return normals[group]
+
+
+def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Number the distinct places: the place of every vertex [V], and one vertex of every place."""
+    order = np.lexsort(vertices.T)
+    ordered = vertices[order]
+    new = np.ones(len(vertices), dtype=bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    group = np.empty(len(vertices), dtype=np.intp)
+    group[order] = np.cumsum(new) - 1
+    return group, order[new]
+
+
+def normalisation(view: SurfaceView) -> tuple[NDArray[np.float64], float]:
+    """Centre of the bounding box of the drawn vertices, and the distance of the farthest of them from it."""
+    used = _used(view)
+    low, high = used.min(axis=0), used.max(axis=0)
+    centre = low / 2 + high / 2
+    extent = max(float((high / 2 - low / 2).max()), np.finfo(float).tiny)
+    radius = extent * float(np.linalg.norm((used - centre) / extent, axis=1).max())
+    return centre, radius if radius > 0 else 1.0
+
+
+def normalised_points(view: SurfaceView) -> NDArray[np.float64]:
+    """The drawn vertices in normalised coordinates, for framing."""
+    centre, radius = normalisation(view)
+    return (_used(view) - centre) / radius
+
+
+def build_part(view: SurfaceView, edges: bool = False) -> Part:
+    """The surface in the form the renderers take.
+
+    Corners are given their own rows only where something differs between the faces around a vertex: per-face colours,
+    per-corner coordinates, flat shading, or edges.
+    """
+    vertices, faces = _arrays(view)
+    centre, radius = normalisation(view)
+    positions = (vertices - centre) / radius
+    image, tint, repeat, mipmaps, kind = None, (1.0, 1.0, 1.0), True, True, "color"
+    per_face = False
+    if view.image is not None:
+        image = view.image
+        if view.color is not None:
+            red, green, blue = (float(channel) for channel in parse_color(view.color))
+            tint = (red, green, blue)
+        if view.sphere is not None:
+            kind, value = "sphere", np.asarray(view.sphere)
+        else:
+            kind, value = "uv", np.asarray(view.uv)
+    elif view.scalar is not None:
+        kind, repeat, mipmaps = "uv", False, False
+        image, value = _scalar_lookup(view.scalar)
+        per_face = len(value) == len(faces) and len(value) != len(vertices)
+    elif view.colors is not None:
+        value = np.asarray(view.colors)
+        per_face = len(value) == len(faces) and len(value) != len(vertices)
+    else:
+        value = np.broadcast_to(parse_color(CLAY if view.color is None else view.color), (len(vertices), 3))
+    if value.ndim == 3:
+        corner_value = value.reshape(-1, value.shape[-1])
+    elif per_face:
+        corner_value = np.repeat(value, 3, axis=0)
+    else:
+        corner_value = None
+    normals = welded_normals(positions, faces) if view.smooth else None
+    if corner_value is not None or normals is None or edges:
+        flat = faces.ravel()
+        corner_value = value[flat] if corner_value is None else corner_value
+        corner_positions = positions[flat]
+        if normals is None:
+            a, b, c = (corner_positions[k::3] for k in range(3))
+            normal = np.cross(b - a, c - a)
+            normal /= np.maximum(np.linalg.norm(normal, axis=1), np.finfo(float).tiny)[:, None]
+            corner_normals = np.repeat(normal, 3, axis=0)
+        else:
+            corner_normals = normals[flat]
+        positions, normals, value = corner_positions, corner_normals, corner_value
+        faces = np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
+    if value.shape[1] == 2:
+        value = np.column_stack([value, np.zeros(len(value))])
+    return Part(
+        positions=np.ascontiguousarray(positions, dtype=np.float32),
+        normals=np.ascontiguousarray(normals, dtype=np.float32),
+        faces=np.ascontiguousarray(faces, dtype=np.int32),
+        kind=kind,
+        value=np.ascontiguousarray(value, dtype=np.float32),
+        image=image,
+        tint=tint,
+        repeat=repeat,
+        mipmaps=mipmaps,
+        edges=edges,
+    )
+
+
+def _arrays(view: SurfaceView) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    return view.vertices, view.faces  # type: ignore[return-value]
+
+
+def _used(view: SurfaceView) -> NDArray[np.float64]:
+    vertices, faces = _arrays(view)
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces.ravel()] = True
+    return vertices[used]
+
+
+def _checked(name: str, values: Any, shapes: list[tuple[int, ...]]) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape not in shapes:
+        wanted = " or ".join(str(list(shape)) for shape in shapes)
+        raise OmtwarpError(f"{name} needs the shape {wanted}, not {list(array.shape)}")
+    bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+    if bad.size:
+        raise OmtwarpError(f"{name} has NaN or infinite values in {bad.size} rows, the first is row {bad[0]}")
+    return array
+
+
+def _as_colors(colors: Any) -> NDArray[np.float64]:
+    values = np.asarray(colors)
+    scale = 255.0 if np.issubdtype(values.dtype, np.integer) else 1.0
+    values = values[..., :3] / scale
+    return np.clip(values, 0.0, 1.0)
+
+
+def _scalar_lookup(scalar: ScalarField) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """The colour map as an image with a grey row for NaN below, and coordinates into it."""
+    table = colormap_table(scalar.colormap)
+    image = np.stack([table, np.full_like(table, 150)])
+    t = scalar.normalised()
+    missing = np.isnan(t)
+    size = len(table)
+    u = (np.where(missing, 0.5, t) * (size - 1) + 0.5) / size  # from the middle of the first texel to that of the last
+    return image, np.column_stack([u, np.where(missing, 0.25, 0.75)])

@@ -1,0 +1,209 @@
+"""The OpenGL shaders. The Warp ray caster computes the same things with the same words in ``ray_kernels.py``.
+
+They see pyrender's attributes and uniforms. Which parts are compiled is decided by pyrender's own defines:
+``HAS_BASE_COLOR_TEX`` with ``TEXCOORD_0_LOC`` is an image with texture coordinates, ``HAS_BASE_COLOR_TEX`` with
+``COLOR_0_LOC`` an equirectangular image with points of the sphere, ``COLOR_0_LOC`` alone a colour;
+``TEXCOORD_1_LOC`` carries two barycentric coordinates where edges are drawn. ``UNLIT`` and ``SINGLE_LEVEL`` are ours.
+"""
+
+VERTEX = """
+layout(location = 0) in vec3 position;
+layout(location = NORMAL_LOC) in vec3 normal;
+#ifdef TEXCOORD_0_LOC
+layout(location = TEXCOORD_0_LOC) in vec2 texcoord;
+out vec2 at;
+#endif
+#ifdef TEXCOORD_1_LOC
+layout(location = TEXCOORD_1_LOC) in vec2 corner;
+out vec2 inside;
+#endif
+#ifdef COLOR_0_LOC
+layout(location = COLOR_0_LOC) in vec4 value;
+out vec3 carried;
+#endif
+layout(location = INST_M_LOC) in mat4 instance;
+
+uniform mat4 V;
+uniform mat4 P;
+
+out vec3 seen_position;
+out vec3 seen_normal;
+
+void main()
+{
+    vec4 seen = V * vec4(position, 1.0);
+    gl_Position = P * seen;
+    seen_position = seen.xyz;
+    seen_normal = mat3(V) * normal;
+#ifdef TEXCOORD_0_LOC
+    at = texcoord;
+#endif
+#ifdef TEXCOORD_1_LOC
+    inside = corner;
+#endif
+#ifdef COLOR_0_LOC
+    carried = value.xyz;
+#endif
+}
+"""
+
+FRAGMENT = """
+struct Material { vec4 base_color_factor; float roughness_factor; sampler2D base_color_texture; };
+struct DirectionalLight { vec3 color; float intensity; vec3 direction; };
+
+uniform Material material;
+uniform DirectionalLight directional_lights[4];
+uniform int n_directional_lights;
+uniform mat4 V;
+uniform mat4 P;
+uniform vec3 sky;
+uniform vec3 ground;
+uniform vec3 edge_color;
+uniform float edge_width;
+uniform float edge_opacity;
+
+in vec3 seen_position;
+in vec3 seen_normal;
+#ifdef TEXCOORD_0_LOC
+in vec2 at;
+#endif
+#ifdef TEXCOORD_1_LOC
+in vec2 inside;
+#endif
+#ifdef COLOR_0_LOC
+in vec3 carried;
+#endif
+
+out vec4 frag_color;
+
+const float PI = 3.14159265358979;
+const float MOST_PROBES = 48.0;
+
+vec3 to_linear(vec3 c)
+{
+    return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(vec3(0.04045), c));
+}
+
+vec3 to_srgb(vec3 c)
+{
+    c = clamp(c, 0.0, 1.0);
+    return mix(c * 12.92, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(vec3(0.0031308), c));
+}
+
+#ifdef HAS_BASE_COLOR_TEX
+// The mean of the image over the pixel: its footprint is the ellipse that the derivatives span; probes along the long
+// axis, each from the mip level of the short one. The hardware's own anisotropic filter takes the two derivatives
+// for the axes, which blurs the poles along the diagonals, where the derivatives are long, alike and nearly parallel.
+vec3 filtered(vec2 uv, vec2 along_x, vec2 along_y)
+{
+    vec2 size = vec2(textureSize(material.base_color_texture, 0));
+    vec2 a = along_x * size;
+    vec2 b = along_y * size;
+    float xx = a.x * a.x + b.x * b.x;
+    float yy = a.y * a.y + b.y * b.y;
+    float xy = a.x * a.y + b.x * b.y;
+    float half_gap = 0.5 * (xx - yy);
+    float root = sqrt(half_gap * half_gap + xy * xy);
+    float middle = 0.5 * (xx + yy);
+    float longest = sqrt(middle + root);
+    // The determinant, not middle - root, which cancels where the ellipse is thin.
+    float shortest = abs(a.x * b.y - a.y * b.x) / max(longest, 1e-12);
+    vec2 axis = half_gap >= 0.0 ? vec2(half_gap + root, xy) : vec2(xy, root - half_gap);
+    axis = dot(axis, axis) > 0.0 ? normalize(axis) : vec2(1.0, 0.0);
+    float probes = clamp(ceil(longest / max(shortest, 1.0)), 1.0, MOST_PROBES);
+    float level = log2(max(max(shortest, longest / probes), 1.0));
+    vec2 stride = axis * longest / (size * probes);
+    vec2 first = uv - 0.5 * (probes - 1.0) * stride;
+    vec3 sum = vec3(0.0);
+    for (int k = 0; k < int(probes); ++k)
+        sum += textureLod(material.base_color_texture, first + float(k) * stride, level).rgb;
+    return sum / probes;
+}
+#endif
+
+vec3 surface_color()
+{
+#ifdef HAS_BASE_COLOR_TEX
+#ifdef COLOR_0_LOC
+    // Longitude and latitude with their derivatives by the chain rule: no branch cut, hence no seam.
+    vec3 p = carried;
+    vec3 px = dFdx(p);
+    vec3 py = dFdy(p);
+    float across = max(dot(px, px), dot(py, py));
+    // Within a quarter of a pixel of a pole the footprint is the whole parallel; the bound keeps it finite.
+    float rho2 = max(dot(p.xy, p.xy), max(0.0625 * across, 1e-20));
+    float rho = sqrt(rho2);
+    float r2 = rho2 + p.z * p.z;
+    vec2 longitude = vec2(p.x * px.y - p.y * px.x, p.x * py.y - p.y * py.x) / rho2;
+    vec2 outward = vec2(dot(p.xy, px.xy), dot(p.xy, py.xy)) / rho;
+    vec2 latitude = (rho * vec2(px.z, py.z) - p.z * outward) / r2;
+    float angle = dot(p.xy, p.xy) > 0.0 ? atan(p.y, p.x) : 0.0;
+    vec2 uv = vec2(0.5 + angle / (2.0 * PI), 0.5 + atan(p.z, sqrt(dot(p.xy, p.xy))) / PI);
+    longitude /= 2.0 * PI;
+    latitude /= PI;
+    vec3 found = filtered(uv, vec2(longitude.x, latitude.x), vec2(longitude.y, latitude.y));
+#else
+#ifdef SINGLE_LEVEL
+    vec3 found = textureLod(material.base_color_texture, at, 0.0).rgb;
+#else
+    vec3 found = filtered(at, dFdx(at), dFdy(at));
+#endif
+#endif
+    return found * to_linear(material.base_color_factor.rgb);
+#else
+#ifdef COLOR_0_LOC
+    return to_linear(carried);
+#else
+    return to_linear(material.base_color_factor.rgb);
+#endif
+#endif
+}
+
+#ifndef UNLIT
+// Lambert's diffuse term and a GGX highlight with Schlick's Fresnel and Smith's shadowing, as glTF 2.0, appendix B.
+vec3 lit(vec3 albedo, vec3 n, vec3 v)
+{
+    float alpha = material.roughness_factor * material.roughness_factor;
+    float k = (material.roughness_factor + 1.0) * (material.roughness_factor + 1.0) / 8.0;
+    float nv = clamp(abs(dot(n, v)), 0.001, 1.0);
+    vec3 sum = albedo * mix(ground, sky, 0.5 + 0.5 * n.y);
+    for (int i = 0; i < n_directional_lights; ++i)
+    {
+        vec3 l = normalize(mat3(V) * -directional_lights[i].direction);
+        vec3 h = normalize(l + v);
+        float nl = clamp(dot(n, l), 0.0, 1.0);
+        float nh = clamp(dot(n, h), 0.0, 1.0);
+        float vh = clamp(dot(v, h), 0.0, 1.0);
+        float fresnel = 0.04 + 0.96 * pow(1.0 - vh, 5.0);
+        float spread = nh * nh * (alpha * alpha - 1.0) + 1.0;
+        float density = alpha * alpha / (PI * spread * spread);
+        float seen = nl * nv / ((nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
+        float highlight = fresnel * seen * density / (4.0 * nl * nv + 0.001);
+        sum += nl * directional_lights[i].intensity * ((1.0 - fresnel) * albedo / PI + vec3(highlight));
+    }
+    return sum;
+}
+#endif
+
+void main()
+{
+    vec3 color = surface_color();
+#ifndef UNLIT
+    vec3 n = normalize(gl_FrontFacing ? seen_normal : -seen_normal);
+    vec3 v = P[3][3] == 1.0 ? vec3(0.0, 0.0, 1.0) : normalize(-seen_position);
+    color = lit(color, n, v);
+#endif
+    color = to_srgb(color);
+#ifdef TEXCOORD_1_LOC
+    // Distance to each edge in pixels; lines fade where triangles are only a few pixels high.
+    vec3 weights = vec3(inside, 1.0 - inside.x - inside.y);
+    vec3 wx = dFdx(weights);
+    vec3 wy = dFdy(weights);
+    vec3 height = inversesqrt(max(wx * wx + wy * wy, vec3(1e-20)));
+    vec3 line = clamp(0.5 * edge_width + 0.5 - weights * height, 0.0, 1.0);
+    line *= clamp((height - edge_width) / (5.0 * edge_width), 0.12, 1.0);
+    color = mix(color, edge_color, edge_opacity * max(line.x, max(line.y, line.z)));
+#endif
+    frag_color = vec4(color, 1.0);
+}
+"""

@@ -1,0 +1,172 @@
+"""Turns what a caller has (a file, a trimesh mesh, a finished map) into a :class:`SurfaceView`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.render.scene import SurfaceView, as_image
+
+
+def as_surface_view(subject: Any, image: Any = None) -> SurfaceView:
+    """Make a view of a file, a ``trimesh.Trimesh``, a ``MapResult``, a pair (vertices, faces) or a view itself.
+
+    Args:
+        subject: what to look at. Textures, texture coordinates and colours of files and trimesh meshes are kept.
+        image: equirectangular picture (file, PIL image or array) for a subject that knows its points on the sphere.
+
+    Raises:
+        OmtwarpError: the subject cannot be read or is nothing that can be drawn.
+    """
+    if isinstance(subject, SurfaceView):
+        view = subject
+    elif isinstance(subject, (str, os.PathLike)):
+        path = Path(subject)
+        if path.suffix.lower() == ".npz":
+            from omtwarp.result import MapResult
+
+            return map_view(MapResult.load(path), image)
+        view = _from_trimesh(read_mesh(path))
+    elif all(hasattr(subject, name) for name in ("vertices", "faces", "sphere", "conformal")):
+        return map_view(subject, image)
+    elif hasattr(subject, "visual") and hasattr(subject, "faces"):
+        view = _from_trimesh(subject)
+    elif isinstance(subject, (tuple, list)) and len(subject) == 2:
+        view = SurfaceView(*subject)
+    elif hasattr(subject, "vertices") and hasattr(subject, "faces"):
+        view = SurfaceView(subject.vertices, subject.faces)
+    else:
+        raise OmtwarpError(
+            f"cannot draw a {type(subject).__name__}: "
+            "give a mesh file, a trimesh mesh, a map, (vertices, faces) or a SurfaceView"
+        )
+    if image is not None:
+        if view.sphere is None:
+            raise OmtwarpError(
+                "an image was given, but this subject has no points on the sphere to look it up: give a map"
+            )
+        view = replace(view, image=read_image(image), uv=None, colors=None, scalar=None)
+    return view
+
+
+def map_view(
+    result: Any, image: Any = None, *, which: str = "optimal", on: str = "surface", caption: str = ""
+) -> SurfaceView:
+    """A view of a finished map: the surface, or the sphere it was mapped to, with an image carried over by the map.
+
+    Args:
+        result: has ``vertices``, ``faces``, ``sphere`` and ``conformal``.
+        image: equirectangular picture; None draws a checker of 24 by 12 cells, tinted by longitude.
+        which: ``"optimal"`` (the final map) or ``"conformal"``.
+        on: ``"surface"`` or ``"sphere"``.
+        caption: text for a sheet.
+
+    Raises:
+        OmtwarpError: an unknown choice, or the map has no such stage.
+    """
+    if which not in ("optimal", "conformal") or on not in ("surface", "sphere"):
+        raise OmtwarpError(f"unknown view ('{which}', '{on}'): use optimal or conformal, and surface or sphere")
+    sphere = result.sphere if which == "optimal" else result.conformal
+    if sphere is None:
+        raise OmtwarpError(f"this map has no {which} stage to show")
+    picture = checker_image() if image is None else read_image(image)
+    if on == "sphere":
+        return SurfaceView(sphere, result.faces, image=picture, sphere=sphere, up="z", front="+x", caption=caption)
+    return SurfaceView(result.vertices, result.faces, image=picture, sphere=sphere, caption=caption)
+
+
+def checker_image(columns: int = 24, rows: int = 12, cell: int = 64) -> NDArray[np.uint8]:
+    """An equirectangular checker whose dark cells go around the colour wheel with longitude, uint8 [H, W, 3]."""
+    column = np.arange(columns * cell) // cell
+    row = np.arange(rows * cell) // cell
+    turn = 2.0 * np.pi * column / columns
+    dark = np.stack([0.33 + 0.22 * np.cos(turn + shift) for shift in (0.4, -1.9, 2.6)], axis=-1)
+    light = np.array([0.96, 0.94, 0.90])
+    chosen = ((row[:, None] + column[None, :]) % 2)[..., None]
+    return np.rint(255.0 * np.where(chosen == 1, light, dark[None])).astype(np.uint8)
+
+
+def read_image(image: Any) -> NDArray[np.uint8]:
+    """A picture from a file, a PIL image or an array, uint8 [H, W, 3].
+
+    Raises:
+        OmtwarpError: the file is missing or is no picture.
+    """
+    if not isinstance(image, (str, os.PathLike)):
+        return as_image(image)
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(image) as opened:
+            return as_image(opened)
+    except FileNotFoundError:
+        raise OmtwarpError(f"no such image: '{image}'") from None
+    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
+        raise OmtwarpError(f"'{image}' is not an image that can be read: {str(error).splitlines()[0]}") from error
+
+
+def read_mesh(path: Path) -> Any:
+    """A mesh file with its texture and colours, as one ``trimesh.Trimesh`` with vertices as the file has them.
+
+    Raises:
+        OmtwarpError: the file is missing, unreadable, or holds no triangles.
+    """
+    if not path.is_file():
+        raise OmtwarpError(f"no such file: '{path}'" if not path.exists() else f"'{path}' is not a file")
+    import trimesh
+
+    try:
+        loaded = trimesh.load(path, process=False)
+    except Exception as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise OmtwarpError(f"cannot read the mesh '{path}': {reason}") from error
+    if isinstance(loaded, trimesh.Scene):
+        nodes = [
+            name
+            for name in loaded.graph.nodes_geometry
+            if isinstance(loaded.geometry[loaded.graph[name][1]], trimesh.Trimesh)
+        ]
+        if len(nodes) == 1:  # joining would repack the texture
+            transform, name = loaded.graph[nodes[0]]
+            mesh: Any = loaded.geometry[name]
+            if not np.array_equal(transform, np.eye(4)):
+                mesh = mesh.copy()
+                mesh.apply_transform(transform)
+            return mesh
+        loaded = loaded.to_mesh() if nodes else None  # type: ignore[assignment]
+    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
+        raise OmtwarpError(f"'{path}' holds no triangles: nothing to draw")
+    return loaded
+
+
+def _from_trimesh(mesh: Any) -> SurfaceView:
+    vertices, faces, visual = np.asarray(mesh.vertices), np.asarray(mesh.faces), mesh.visual
+    kind = getattr(visual, "kind", None)
+    if kind == "texture":
+        material, uv = visual.material, visual.uv
+        picture = getattr(material, "baseColorTexture", None)
+        if picture is None:
+            picture = getattr(material, "image", None)
+        factor = getattr(material, "baseColorFactor", None)
+        color = None if factor is None else _factor(factor)
+        if picture is not None and uv is not None and len(uv) == len(vertices):
+            return SurfaceView(vertices, faces, image=picture, uv=np.asarray(uv)[:, :2], color=color)
+        return SurfaceView(vertices, faces, color=color)
+    if kind == "vertex":
+        return SurfaceView(vertices, faces, colors=np.asarray(visual.vertex_colors))
+    if kind == "face":
+        return SurfaceView(vertices, faces, colors=np.asarray(visual.face_colors))
+    return SurfaceView(vertices, faces)
+
+
+def _factor(factor: Any) -> tuple[float, float, float] | None:
+    values = np.asarray(factor)
+    scaled = values / 255.0 if np.issubdtype(values.dtype, np.integer) else values
+    red, green, blue = (float(channel) for channel in np.clip(scaled[:3], 0.0, 1.0))
+    return None if (red, green, blue) == (1.0, 1.0, 1.0) else (red, green, blue)
