@@ -9,7 +9,8 @@ the picture, and which direction a texel shows, gutters included. Image coordina
 * ``octahedral``: the sphere folded out into one square [2]_, the south pole in its four corners.
 
 Cube and octahedral pictures carry a gutter whose texels show what really lies beyond the border, so that bilinear
-filtering and mip maps stay free of seams.
+filtering and mip maps stay free of seams. The equirectangular one has no seam either, but its texels are stretched so
+much next to the poles that a viewer which chooses mip maps by the larger stretch blurs everything there.
 
 .. [1] C. Ronchi, R. Iacono, P. S. Paolucci, "The 'Cubed Sphere'", J. Comput. Phys. 124 (1996).
 .. [2] Z. Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", JCGT 3 (2014).
@@ -174,7 +175,7 @@ class Cube(Atlas):
     def __init__(self, cell: int, gutter: int | None = None):
         super().__init__(3 * cell, 2 * cell)
         self.cell = int(cell)
-        self.gutter = max(2, self.cell // 64) if gutter is None else int(gutter)
+        self.gutter = max(2, self.cell // 24) if gutter is None else int(gutter)
         arcs = []
         for axis in range(3):  # the edges of the cube that run along this axis lie in the planes |a| = |b|
             a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -231,7 +232,7 @@ class Octahedral(Atlas):
 
     def __init__(self, size: int, gutter: int | None = None):
         super().__init__(size, size)
-        self.gutter = max(2, int(size) // 128) if gutter is None else int(gutter)
+        self.gutter = max(2, int(size) // 64) if gutter is None else int(gutter)
 
     @property
     def texel_angle(self) -> float:
@@ -267,8 +268,9 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
 
     Args:
         name: ``equirectangular``, ``cube`` or ``octahedral``.
-        size: width of the picture in texels; an equirectangular one may be (width, height). By default 2048 for the
-            equirectangular and the cube map and 1536 for the octahedral one: texels of about the same size.
+        size: width of the picture in texels; an equirectangular one may be (width, height), a cube map's is rounded
+            down to a multiple of twelve. By default 2048 for the equirectangular and the cube map and 1536 for the
+            octahedral one: texels of about the same size.
         seam: longitude of the equirectangular cut, in radians.
 
     Raises:
@@ -284,7 +286,7 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
     width = pair[0]
     if name == "equirectangular":
         return Equirectangular(width, pair[1] if len(pair) == 2 else max(width // 2, 1), seam)
-    return Cube(width // 3) if name == "cube" else Octahedral(width)
+    return Cube(max(width // 12, 2) * 4) if name == "cube" else Octahedral(width)
 
 
 def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:

@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
-CHANGE = 1.5 / 255.0  # neighbouring texels that differ by more are worth more samples
+CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more are worth more samples; a soft gradient is not
 GROW = 1e-6  # texels by which a triangle may claim a centre outside it
 
 
@@ -111,7 +111,7 @@ def bake(
     *,
     size: int | tuple[int, int] | None = None,
     projection: str = "equirectangular",
-    supersample: int = 4,
+    supersample: int = 3,
     device: Any = "auto",
 ) -> Picture:
     """Bake a function on the sphere into the picture of an atlas.
@@ -177,7 +177,7 @@ def _fill(given: _Source, texels: NDArray[np.int32], samples: int, look: Any, pi
 
 
 def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
-    flags = wp.empty(width * height, dtype=wp.uint8, device=picture.device)
+    flags = wp.zeros(width * height, dtype=wp.uint8, device=picture.device)
     wp.launch(
         kernels.flag_changes_kernel,
         dim=width * height,
@@ -319,7 +319,7 @@ def bake_to_uv(
     size: int | tuple[int, int] = 2048,
     rotation: ArrayLike | None = None,
     projection: str = "equirectangular",
-    supersample: int = 4,
+    supersample: int = 3,
     padding: int = 16,
     device: Any = "auto",
 ) -> Picture:

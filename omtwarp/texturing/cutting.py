@@ -2,9 +2,9 @@
 
 A map to the sphere is linear inside every triangle before it is brought back to unit length: the point with
 barycentric coordinates b lies in the direction of ``b0 s0 + b1 s1 + b2 s2``. The point before normalisation is called
-the chord point here. Every vertex that is added is a fixed combination of the vertices of **one** original triangle, the
-same one for the surface and for the chord points; so the surface does not change, the map does not change, and because
-edges are split (never faces alone) both triangles of an edge always agree.
+the chord point here. Every vertex that is added is a fixed combination of the vertices of **one** original triangle,
+the same one for the surface and for the chord points; so neither the surface nor the map changes, and because edges are
+split (never faces alone) both triangles of an edge always agree.
 """
 
 from __future__ import annotations

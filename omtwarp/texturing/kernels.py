@@ -239,22 +239,26 @@ def flag_changes_kernel(
     threshold: wp.float32,
     flags: wp.array(dtype=wp.uint8),
 ):
-    """1 where a texel differs from one of its eight neighbours by more than a threshold."""
+    """1 where a texel differs from one of its four neighbours by more than a threshold; ``flags`` starts at 0.
+
+    Each thread looks to the right and down and flags both texels: threads may write the same place, but only ever a 1.
+    """
     i = wp.tid()
     row = i // width
-    column = i % width
-    found = int(0)
-    for r in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
-        for k in range(3):
-            q = column + k - 1
-            if q < 0:
-                q = q + width
-            if q >= width:
-                q = q - width
-            for c in range(picture.shape[1]):
-                if wp.abs(picture[r * width + q, c] - picture[i, c]) > threshold:
-                    found = int(1)
-    flags[i] = wp.uint8(found)
+    right = i + 1
+    if right % width == 0:
+        right = i + 1 - width
+    below = i
+    if row + 1 < height:
+        below = i + width
+    for c in range(picture.shape[1]):
+        here = picture[i, c]
+        if wp.abs(picture[right, c] - here) > threshold:
+            flags[i] = wp.uint8(1)
+            flags[right] = wp.uint8(1)
+        if wp.abs(picture[below, c] - here) > threshold:
+            flags[i] = wp.uint8(1)
+            flags[below] = wp.uint8(1)
 
 
 @wp.func

@@ -4,7 +4,7 @@
 Every pattern is a function of the direction alone, exact at any resolution: nothing here knows of texels.
 """
 
-from omtwarp._warp import HALF, ONE, PI, TWO, ZERO, wp
+from omtwarp._warp import HALF, ONE, PI, ZERO, wp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -55,8 +55,8 @@ def circles_kernel(
     centres: wp.array(dtype=wp.vec3d),
     inner: wp.array(dtype=wp.vec3d),
     rim: wp.array(dtype=wp.vec3d),
-    radius: wp.float64,
-    rim_width: wp.float64,
+    outer: wp.float64,
+    rim_starts: wp.float64,
     background: wp.vec3d,
     out: wp.array2d(dtype=wp.float64),
 ):
@@ -67,10 +67,10 @@ def circles_kernel(
     colour = background
     for k in range(offsets[cell], offsets[cell + 1]):
         centre = candidates[k]
-        angle = TWO * wp.asin(wp.min(HALF * wp.length(d - centres[centre]), ONE))
-        if angle <= radius:
+        chord = wp.length_sq(d - centres[centre])  # squared, as the two limits are
+        if chord <= outer:
             colour = inner[centre]
-            if angle > radius - rim_width:
+            if chord > rim_starts:
                 colour = rim[centre]
     for c in range(3):
         out[i, c] = colour[c]

@@ -151,8 +151,8 @@ class Circles(Pattern):
             (self.centres, wp.vec3d),
             (inner, wp.vec3d),
             (inner * 0.8, wp.vec3d),
-            wp.float64(self.radius),
-            wp.float64(0.09 * self.radius),
+            wp.float64(4.0 * np.sin(0.5 * self.radius) ** 2),
+            wp.float64(4.0 * np.sin(0.455 * self.radius) ** 2),
             background,
         ]
 
@@ -403,7 +403,7 @@ def rasterize(
     height: int | None = None,
     projection: str = "equirectangular",
     *,
-    supersample: int = 4,
+    supersample: int = 3,
     device: Any = "auto",
 ) -> NDArray[np.uint8]:
     """A pattern as a picture of the whole sphere, supersampled.

@@ -141,7 +141,7 @@ def texture(
     *,
     pattern: str | Pattern | None = None,
     projection: str = "equirectangular",
-    atlas: str = "equirectangular",
+    atlas: str = "cube",
     rotate: ArrayLike | str | None = None,
     seam_longitude: float | str = 180.0,
     size: int | tuple[int, int] | None = None,
@@ -158,7 +158,9 @@ def texture(
             With neither image nor pattern: circles of equal size, which show at a glance whether areas are preserved.
         projection: of the image: ``equirectangular``, or ``sinusoidal`` for the paper's correction of the longitude by
             cos(latitude), for pictures that were not made for a sphere.
-        atlas: layout of the texture: ``equirectangular``, ``cube`` (six charts) or ``octahedral``.
+        atlas: layout of the texture: ``cube`` (six charts, sharp everywhere), ``octahedral`` (one square), or
+            ``equirectangular``, which keeps an equirectangular image as it is, to the byte, but is blurred next to the
+            poles by viewers without anisotropic filtering.
         rotate: turns the texture on the sphere: yaw, or yaw, pitch and roll in degrees, or a rotation matrix [3, 3];
             ``auto`` turns it about the poles until its left and right borders lie where they show least.
         seam_longitude: degrees (of the texture) at which the equirectangular atlas is cut, 180 being the image's own
