@@ -1,0 +1,136 @@
+"""The distortion of a whole map: the sum over triangles of original area times (angle + λ area distortion)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp._warp import wp
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.refine.frames import triangle_frames
+from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a map is made of, triangle by triangle, and its two distortions.
+
+    Attributes:
+        angle: mean angle distortion weighted by original area, less 2.
+        area: mean area distortion weighted by original area, less 2.
+        scale: what brings the total flat area of the image to 4π.
+        inverse_sum: sum of original area over area ratio, before scaling.
+        ratio: flat area of the image over original area of every triangle, before scaling, float64, shape [F].
+        volume: det[s0, s1, s2] of every triangle, float64, shape [F].
+        needle: mean of the needle barrier weighted by original area; 0 for all but needles standing upright.
+    """
+
+    angle: float
+    area: float
+    scale: float
+    inverse_sum: float
+    ratio: NDArray[np.float64]
+    volume: NDArray[np.float64]
+    needle: float
+
+    def total(self, weight: float) -> float:
+        """angle + λ area, less what a perfect map would have, and the barrier against upright needles."""
+        return self.angle + weight * self.area + needle_weight(weight) * self.needle
+
+
+def needle_weight(weight: float) -> float:
+    """How heavily the needle barrier counts beside angle + λ area."""
+    return 0.1 * (1.0 + weight)
+
+
+class DistortionEnergy:
+    """Evaluates maps of one surface on one device.
+
+    Args:
+        surface: the original surface, V vertices and F faces.
+        device: a Warp device.
+    """
+
+    def __init__(self, surface: Surface, device: wp.Device):
+        self.surface = surface
+        self.device = device
+        self.areas = surface.face_areas
+        count = surface.face_count
+        offsets, corners = surface.vertex_corners
+        self.d_faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
+        self.d_frames = wp.array(triangle_frames(surface), dtype=wp.vec3d, device=device)
+        self.d_areas = wp.array(self.areas, dtype=wp.float64, device=device)
+        self.d_offsets = wp.array(offsets, dtype=wp.int32, device=device)
+        self.d_corners = wp.array(corners, dtype=wp.int32, device=device)
+        self._corner_gradient = wp.empty(3 * count, dtype=wp.vec3d, device=device)
+
+    def upload(self, sphere: NDArray[np.float64]) -> wp.array:
+        """Points on the device, shape [V] of vec3d."""
+        return wp.array(sphere, dtype=wp.vec3d, device=self.device)
+
+    def terms(self, points: wp.array) -> Terms:
+        """Distortions and per-triangle ratios of a map."""
+        count = self.surface.face_count
+        outputs = [wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(4)]
+        inputs = [points, self.d_faces, self.d_frames]
+        wp.launch(triangle_terms, dim=count, inputs=inputs, outputs=outputs, device=self.device)
+        angle, ratio, volume, steepness = (array.numpy() for array in outputs)
+        total = float(self.areas @ ratio)
+        scale = SPHERE_AREA / total
+        scaled = scale * ratio
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # (r - 1)² / r = r + 1/r - 2 without cancellation
+            area = float(self.areas @ ((scaled - 1.0) ** 2 / scaled)) / SPHERE_AREA
+            inverse_sum = float((self.areas / ratio).sum())
+        needle = float(self.areas @ steepness) / SPHERE_AREA
+        return Terms(float(self.areas @ angle) / SPHERE_AREA, area, scale, inverse_sum, ratio, volume, needle)
+
+    def gradient(self, points: wp.array, terms: Terms, weight: float) -> NDArray[np.float64]:
+        """Gradient of angle + λ area by the vertices, tangent to the sphere, shape [V, 3]."""
+        pressures = self._pressures(terms, weight)
+        gradient = wp.empty(self.surface.vertex_count, dtype=wp.vec3d, device=self.device)
+        wp.launch(
+            triangle_gradient,
+            dim=self.surface.face_count,
+            inputs=[points, self.d_faces, self.d_frames, self.d_areas, *pressures],
+            outputs=[self._corner_gradient],
+            device=self.device,
+        )
+        wp.launch(
+            gather_tangent,
+            dim=self.surface.vertex_count,
+            inputs=[points, self.d_offsets, self.d_corners, self._corner_gradient],
+            outputs=[gradient],
+            device=self.device,
+        )
+        return gradient.numpy() / SPHERE_AREA
+
+    def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> NDArray[np.float64]:
+        """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 36]."""
+        blocks = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
+        wp.launch(
+            triangle_hessian,
+            dim=self.surface.face_count,
+            inputs=[
+                points,
+                self.d_faces,
+                self.d_frames,
+                self.d_areas,
+                *self._pressures(terms, weight),
+                wp.float64(caution),
+            ],
+            outputs=[blocks],
+            device=self.device,
+        )
+        return blocks.numpy() / SPHERE_AREA
+
+    def _pressures(self, terms: Terms, weight: float) -> tuple[wp.float64, wp.float64, wp.float64]:
+        """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""
+        # Σ A (scale D + 1 / (scale D)) = 4π + (Σ A D) (Σ A / D) / 4π: each factor is the other sum over 4π.
+        return (
+            wp.float64(weight * terms.inverse_sum / SPHERE_AREA),
+            wp.float64(weight / terms.scale),
+            wp.float64(needle_weight(weight)),
+        )

@@ -1,0 +1,279 @@
+"""Kernels of the distortion energy: value, gradient and Hessian of every triangle, and steps that cannot flip.
+
+With c1, c2 the columns of a triangle's Jacobian, fro = |c1|² + |c2|² and D = |c1 × c2| its flat area ratio; ``scale``
+brings the image's total flat area to 4π. Angle distortion is fro / D, area distortion scale D + 1 / (scale D).
+"""
+
+from omtwarp._warp import HALF, THREE, TWO, ZERO, wp
+from omtwarp.refine.triangle import first_column, first_tangent, first_weights, second_column, second_weights, triple
+
+wp.set_module_options({"enable_backward": False})
+
+# A triangle may lose this share of its volume in one step before its corners are held back.
+SMALLEST_SHARE = wp.constant(wp.float64(0.1))
+# Below this cosine between a triangle's plane and the sphere's the needle barrier sets in.
+STEEP = wp.constant(wp.float64(0.5))
+
+
+@wp.func
+def needle(cosine: wp.float64) -> wp.float64:
+    """A barrier against flips that flat areas do not see, 0 above ``STEEP``.
+
+    The flat triangle of a needle whose height is far below the sagitta of its long edge stands nearly upright: its
+    volume can vanish while its flat area does not.
+    """
+    if cosine >= STEEP:
+        return ZERO
+    gap = STEEP - cosine
+    return gap * gap * gap / cosine
+
+
+@wp.func
+def needle_slope(cosine: wp.float64) -> wp.float64:
+    if cosine >= STEEP:
+        return ZERO
+    gap = STEEP - cosine
+    return -(THREE * cosine + gap) * gap * gap / (cosine * cosine)
+
+
+@wp.func
+def needle_curvature(cosine: wp.float64) -> wp.float64:
+    if cosine >= STEEP:
+        return ZERO
+    gap = STEEP - cosine
+    share = gap / cosine
+    return TWO * share * (THREE + THREE * share + share * share)
+
+
+@wp.kernel
+def triangle_terms(
+    sphere: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    frames: wp.array(dtype=wp.vec3d),
+    angle_excess: wp.array(dtype=wp.float64),
+    ratio: wp.array(dtype=wp.float64),
+    volume: wp.array(dtype=wp.float64),
+    steepness: wp.array(dtype=wp.float64),
+):
+    """Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
+    t = wp.tid()
+    face = faces[t]
+    a = sphere[face[0]]
+    b = sphere[face[1]]
+    c = sphere[face[2]]
+    c1 = first_column(frames[t], a, b)
+    c2 = second_column(frames[t], a, b, c)
+    d = wp.length(wp.cross(c1, c2))
+    # (s1 - s2)² / (s1 s2): no digits are lost where the map is nearly conformal.
+    square = wp.dot(c1, c1) - wp.dot(c2, c2)
+    shear = wp.dot(c1, c2)
+    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
+    angle_excess[t] = (square * square + wp.float64(4.0) * shear * shear) / (d * (fro + TWO * d))
+    ratio[t] = d
+    solid = triple(a, b, c)
+    volume[t] = solid
+    steepness[t] = needle(solid * frames[t][0] * frames[t][2] / d)
+
+
+@wp.kernel
+def triangle_gradient(
+    sphere: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    frames: wp.array(dtype=wp.vec3d),
+    areas: wp.array(dtype=wp.float64),
+    linear: wp.float64,
+    inverse: wp.float64,
+    barrier: wp.float64,
+    corner_gradient: wp.array(dtype=wp.vec3d),
+):
+    """Gradient of A [fro / D + linear D + inverse / D + barrier needle] by the three corners, shape [3F]."""
+    t = wp.tid()
+    face = faces[t]
+    frame = frames[t]
+    a = sphere[face[0]]
+    b = sphere[face[1]]
+    c = sphere[face[2]]
+    c1 = first_column(frame, a, b)
+    c2 = second_column(frame, a, b, c)
+    normal = wp.cross(c1, c2)
+    d = wp.length(normal)
+    normal = normal / d
+    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
+    by_fro = TWO * areas[t] / d
+    by_det = areas[t] * (linear - (fro + inverse) / (d * d))
+    scale = frame[0] * frame[2]
+    cosine = triple(a, b, c) * scale / d
+    upright = areas[t] * barrier * needle_slope(cosine) / d
+    # The cosine is the ratio of the volume to D: its derivative by D joins that of the energy.
+    by_det -= upright * cosine
+    g1 = by_fro * c1 + by_det * wp.cross(c2, normal)
+    g2 = by_fro * c2 + by_det * wp.cross(normal, c1)
+    first = first_weights(frame)
+    second = second_weights(frame)
+    upright *= scale
+    corner_gradient[3 * t] = first[0] * g1 + second[0] * g2 + upright * wp.cross(b, c)
+    corner_gradient[3 * t + 1] = first[1] * g1 + second[1] * g2 + upright * wp.cross(c, a)
+    corner_gradient[3 * t + 2] = first[2] * g1 + second[2] * g2 + upright * wp.cross(a, b)
+
+
+@wp.kernel
+def gather_tangent(
+    sphere: wp.array(dtype=wp.vec3d),
+    offsets: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.int32),
+    corner_gradient: wp.array(dtype=wp.vec3d),
+    gradient: wp.array(dtype=wp.vec3d),
+):
+    """Sum at every vertex what its corners hold, and keep the part tangent to the sphere."""
+    i = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    for k in range(offsets[i], offsets[i + 1]):
+        total = total + corner_gradient[corners[k]]
+    y = sphere[i]
+    gradient[i] = total - wp.dot(total, y) * y
+
+
+@wp.kernel
+def retract(
+    sphere: wp.array(dtype=wp.vec3d),
+    direction: wp.array(dtype=wp.vec3d),
+    share: wp.array(dtype=wp.float64),
+    length: wp.float64,
+    moved: wp.array(dtype=wp.vec3d),
+):
+    """Every vertex moved by its share of a step and put back on the sphere."""
+    i = wp.tid()
+    moved[i] = wp.normalize(sphere[i] + length * share[i] * direction[i])
+
+
+@wp.kernel
+def triangle_trouble(
+    moved: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    volume: wp.array(dtype=wp.float64),
+    trouble: wp.array(dtype=wp.int32),
+):
+    """1 where a step flips a triangle or takes nearly all its volume, shape [F]."""
+    t = wp.tid()
+    face = faces[t]
+    after = triple(moved[face[0]], moved[face[1]], moved[face[2]])
+    # Written so that a NaN counts as trouble.
+    if after > SMALLEST_SHARE * volume[t]:
+        trouble[t] = wp.int32(0)
+    else:
+        trouble[t] = wp.int32(1)
+
+
+@wp.kernel
+def hold_back(
+    offsets: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.int32),
+    trouble: wp.array(dtype=wp.int32),
+    share: wp.array(dtype=wp.float64),
+    held: wp.array(dtype=wp.float64),
+):
+    """Halve the share of every vertex of a triangle in trouble."""
+    i = wp.tid()
+    any_trouble = int(0)
+    for k in range(offsets[i], offsets[i + 1]):
+        any_trouble = wp.max(any_trouble, trouble[corners[k] // 3])
+    if any_trouble > 0:
+        held[i] = HALF * share[i]
+    else:
+        held[i] = share[i]
+
+
+@wp.kernel
+def triangle_hessian(
+    sphere: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    frames: wp.array(dtype=wp.vec3d),
+    areas: wp.array(dtype=wp.float64),
+    linear: wp.float64,
+    inverse: wp.float64,
+    barrier: wp.float64,
+    caution: wp.float64,
+    hessian: wp.array2d(dtype=wp.float64),
+):
+    """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the tangent bases of the corners, shape [F, 36].
+
+    The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
+    known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
+    flip and two scalings. Negative eigenvalues are cut off, which makes the matrix positive semidefinite.
+
+    ``caution``, 0 to 1, is the share kept of the curvature of D, whose factor is the pressure of the triangle. Far
+    from the minimum the cut-off matrix needs all of it. Near it the pressure is smooth, where it is smooth the
+    curvatures of neighbouring triangles cancel, and cutting off the negative ones only would stiffen the matrix.
+    """
+    t = wp.tid()
+    face = faces[t]
+    frame = frames[t]
+    a = sphere[face[0]]
+    b = sphere[face[1]]
+    c = sphere[face[2]]
+    c1 = first_column(frame, a, b)
+    c2 = second_column(frame, a, b, c)
+    normal = wp.normalize(wp.cross(c1, c2))
+    # Right singular vectors from the angle that diagonalises JᵀJ, left ones from J and the normal.
+    p = wp.dot(c1, c1)
+    q = wp.dot(c2, c2)
+    r = wp.dot(c1, c2)
+    turn = HALF * wp.atan2(TWO * r, p - q)
+    cosine = wp.cos(turn)
+    sine = wp.sin(turn)
+    long_image = cosine * c1 + sine * c2
+    s1 = wp.length(long_image)
+    u1 = long_image / s1
+    u2 = wp.cross(normal, u1)
+    s2 = wp.dot(u2, cosine * c2 - sine * c1)
+    d = s1 * s2
+    fro = s1 * s1 + s2 * s2
+
+    by_det = caution * (linear - (fro + inverse) / (d * d))
+    twist = wp.max(TWO / d + by_det, ZERO)
+    flip = wp.max(TWO / d - by_det, ZERO)
+    h11 = TWO * (s2 * s2 + inverse) / (s1 * s1 * d)
+    h22 = TWO * (s1 * s1 + inverse) / (s2 * s2 * d)
+    h12 = TWO * inverse / (d * d) + by_det
+    half_sum = HALF * (h11 + h22)
+    half_gap = wp.sqrt(HALF * HALF * (h11 - h22) * (h11 - h22) + h12 * h12)
+    stiff = half_sum + half_gap
+    soft = wp.max(half_sum - half_gap, ZERO)
+    lean = HALF * wp.atan2(TWO * h12, h11 - h22)
+    x = wp.cos(lean)
+    y = wp.sin(lean)
+    root = wp.sqrt(HALF)
+
+    first = first_weights(frame)
+    second = second_weights(frame)
+    points = wp.matrix_from_rows(a, b, c)
+    scale = frame[0] * frame[2]
+    tilt = triple(a, b, c) * scale / d
+    upright = wp.sqrt(barrier * needle_curvature(tilt)) / d
+    normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
+    modes = wp.matrix(dtype=wp.float64, shape=(6, 5))
+    for i in range(3):
+        yi = wp.vec3d(points[i, 0], points[i, 1], points[i, 2])
+        ti = first_tangent(yi)
+        along = cosine * first[i] + sine * second[i]
+        across = cosine * second[i] - sine * first[i]
+        for u in range(2):
+            bi = ti
+            if u == 1:
+                bi = wp.cross(yi, ti)
+            m11 = wp.dot(bi, u1) * along
+            m12 = wp.dot(bi, u1) * across
+            m21 = wp.dot(bi, u2) * along
+            m22 = wp.dot(bi, u2) * across
+            modes[2 * i + u, 0] = wp.sqrt(twist) * root * (m21 - m12)
+            modes[2 * i + u, 1] = wp.sqrt(flip) * root * (m21 + m12)
+            modes[2 * i + u, 2] = wp.sqrt(stiff) * (x * m11 + y * m22)
+            modes[2 * i + u, 3] = wp.sqrt(soft) * (x * m22 - y * m11)
+            solid = wp.dot(bi, wp.vec3d(normals[i, 0], normals[i, 1], normals[i, 2]))
+            modes[2 * i + u, 4] = upright * (solid - tilt * (s2 * m11 + s1 * m22))
+    for i in range(6):
+        for j in range(6):
+            entry = ZERO
+            for k in range(5):
+                entry += modes[i, k] * modes[j, k]
+            hessian[t, 6 * i + j] = areas[t] * entry
