@@ -74,8 +74,8 @@ def preview(
         camera: field of view, projection, zoom, roll and, without ``views``, the direction.
         up: axis that points upwards (``"y"``, ``"z"``, ``"-x"``, ...); None takes the subject's: y, and z for a sphere.
         front: axis that points at the viewer in the front view; None takes +z, or -y where z is up.
-        light: ``"studio"``, ``"soft"``, ``"flat"`` (the colours themselves) or a :class:`Light`; None takes the studio's,
-            and the soft one where a scalar is to be read.
+        light: ``"studio"``, ``"soft"``, ``"flat"`` (the colours themselves) or a :class:`Light`; None takes the
+            first, and the second where a scalar is to be read.
         background: a colour, (top, bottom) colours, or ``"studio"``.
         transparent: leave the background out.
         wireframe: draw the triangles' edges.

@@ -248,9 +248,9 @@ def weights_on_plane(origin: wp.vec3, way: wp.vec3, p0: wp.vec3, e1: wp.vec3, e2
 
 
 @wp.func
-def line_strength(weight: float, gradient_x: float, gradient_y: float, width: float):
+def line_strength(weight: float, gradient_x: float, gradient_y: float, width: float, ramp: float):
     height = 1.0 / wp.sqrt(wp.max(gradient_x * gradient_x + gradient_y * gradient_y, 1.0e-20))
-    line = wp.clamp(0.5 * width + 0.5 - weight * height, 0.0, 1.0)
+    line = wp.clamp((0.5 * width - weight * height) / ramp + 0.5, 0.0, 1.0)
     return line * wp.clamp((height - width) / (5.0 * width), 0.12, 1.0)
 
 
@@ -319,9 +319,11 @@ def sample(view: View, shape: Geometry, picture: Picture, look: Look, x: float, 
         if shape.edges[face] != 0:
             # The derivatives were taken over `spacing`; the lines' width is in whole pixels.
             per = 1.0 / spacing
-            line = line_strength(u, ux * per, uy * per, look.edge_width)
-            line = wp.max(line, line_strength(v, vx * per, vy * per, look.edge_width))
-            line = wp.max(line, line_strength(1.0 - u - v, (ux + vx) * per, (uy + vy) * per, look.edge_width))
+            ramp = wp.min(2.0 * spacing, 1.0)
+            width = look.edge_width
+            line = line_strength(u, ux * per, uy * per, width, ramp)
+            line = wp.max(line, line_strength(v, vx * per, vy * per, width, ramp))
+            line = wp.max(line, line_strength(1.0 - u - v, (ux + vx) * per, (uy + vy) * per, width, ramp))
             line = line * look.edge_opacity
             red = (1.0 - line) * red + line * look.edge_color[0]
             green = (1.0 - line) * green + line * look.edge_color[1]
