@@ -1,0 +1,6 @@
+"""``python -m omtwarp``."""
+
+from omtwarp.cli import main
+
+if __name__ == "__main__":
+    main()

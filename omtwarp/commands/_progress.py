@@ -1,0 +1,42 @@
+"""Progress on a terminal: the stage, how far it is, the cost and the flips."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+Progress = Callable[[str, int, int, dict[str, Any]], None]
+
+
+@contextlib.contextmanager
+def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
+    """A progress callback that draws on standard error, or None where nobody would see it."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    class CalmConsole(Console):
+        def show_cursor(self, show: bool = True) -> bool:
+            return False  # a process that is interrupted must not leave the terminal without a cursor
+
+    name, words = TextColumn("{task.description:<12}"), TextColumn("{task.fields[words]}")
+    columns = (name, BarColumn(30), MofNCompleteColumn(), words, TimeElapsedColumn())
+    with Bars(*columns, console=CalmConsole(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total or None, words="")
+            words = "  ".join(_word(name, info[name]) for name in ("cost", "flips", "area", "angle") if name in info)
+            bars.update(tasks[stage], completed=done, total=total or None, words=words)
+
+        yield report
+
+
+def _word(name: str, value: Any) -> str:
+    return f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"

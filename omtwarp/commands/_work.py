@@ -1,0 +1,166 @@
+"""Steps that several commands share: a checked mesh, a device, a map that is made or read."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omtwarp.errors import OmtwarpError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass
+class Input:
+    """A mesh that was read, mended if asked for, and found sound.
+
+    Attributes:
+        vertices: float64, shape [V, 3].
+        faces: int32, shape [F, 3].
+        notes: what reading and mending did, in words.
+        origins: ``vertex_origin`` [V] and ``face_origin`` [F] (indices in the file, -1 for new faces) after mending.
+    """
+
+    vertices: NDArray
+    faces: NDArray
+    notes: list[str] = field(default_factory=list)
+    origins: dict[str, NDArray] = field(default_factory=dict)
+
+
+def say(text: str) -> None:
+    """One line about what goes on, apart from what a command gives out."""
+    print(f"omtwarp: {text}", file=sys.stderr)
+
+
+def read_sound_mesh(path: Path, repair: bool = False) -> Input:
+    """Read a mesh and make sure that it can be mapped.
+
+    Raises:
+        OmtwarpError: whatever is wrong with the file or the mesh, in one line.
+    """
+    from omtwarp.mesh.read import read_mesh
+    from omtwarp.mesh.validate import require_valid
+
+    mesh = read_mesh(path, triangulate=repair)
+    notes, origins = list(mesh.notes), {}
+    vertices, faces = mesh.vertices, mesh.faces
+    if repair:
+        from omtwarp.mesh.repair import repair as mend
+
+        mended = mend(vertices, faces)
+        if mended.actions:
+            vertices, faces = mended.vertices, mended.faces
+            notes += mended.actions
+            origins = {"vertex_origin": mended.vertex_origin, "face_origin": mended.face_origin}
+    for note in notes:
+        say(f"{path}: {note}")
+    return Input(*require_valid(vertices, faces, str(path)), notes, origins)
+
+
+def start_device(device: str) -> None:
+    """Start Warp and make sure that the device exists, before anything long is done.
+
+    Raises:
+        OmtwarpError: an unknown device, or CUDA asked for where there is none.
+    """
+    known = device in ("auto", "cpu", "cuda") or (device.startswith("cuda:") and device[5:].isdigit())
+    if not known:  # needs no start of Warp to tell
+        raise OmtwarpError(f"unknown device '{device}': use auto, cpu, cuda or cuda:N")
+    with _no_driver_messages():
+        from omtwarp._warp import resolve_device
+    resolve_device(device)
+
+
+@contextlib.contextmanager
+def _no_driver_messages() -> Iterator[None]:
+    """Keep off the terminal what the native runtime writes there about a missing CUDA driver, which is no fault."""
+    sys.stderr.flush()
+    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
+
+
+def load_map(path: Path) -> Any:
+    """Read a finished map.
+
+    Raises:
+        OmtwarpError: a missing file, or one that is not a map.
+    """
+    from omtwarp.result import MapResult
+
+    if not path.is_file():
+        raise OmtwarpError(f"{path}: no such file")
+    try:
+        return MapResult.load(path)
+    except OmtwarpError:
+        raise
+    except Exception as error:
+        detail = " ".join(str(error).split())[:160] or type(error).__name__
+        raise OmtwarpError(f"{path}: not a map made by 'omtwarp map': {detail}") from None
+
+
+def make_map(mesh: Input, *, quiet: bool, **options: Any) -> Any:
+    """Map a mesh with a progress bar; the options are those of :func:`omtwarp.map_to_sphere`."""
+    from omtwarp.commands._progress import progress_bar
+    from omtwarp.pipeline import map_to_sphere
+
+    with progress_bar(quiet) as progress:
+        return map_to_sphere((mesh.vertices, mesh.faces), progress=progress, **options)
+
+
+def map_from(
+    mesh: Path | None, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Any
+) -> Any:
+    """The map that a command works on: a finished one, or one made now from a mesh.
+
+    Raises:
+        OmtwarpError: neither or both given, or whatever is wrong with what is given.
+    """
+    if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
+        import numpy as np
+
+        with contextlib.suppress(OSError, ValueError), np.load(mesh) as arrays:
+            if "sphere" in arrays:
+                mesh, finished = None, mesh  # a map stands where a mesh may stand
+    if finished is not None:
+        if mesh is not None:
+            raise OmtwarpError(f"both a mesh '{mesh}' and a finished map '{finished}': the map has its mesh, give one")
+        return load_map(finished)
+    if mesh is None:
+        raise OmtwarpError("nothing to work on: give a mesh, or a finished map with --map")
+    sound = read_sound_mesh(mesh, repair)
+    start_device(device)
+    return make_map(sound, quiet=quiet, device=device, **options)
+
+
+def flipped_faces(result: Any) -> NDArray:
+    """Indices of the triangles that the map turns over: det[s0, s1, s2] not positive."""
+    import numpy as np
+
+    s0, s1, s2 = (result.sphere[result.faces[:, k]] for k in range(3))
+    return np.flatnonzero(~(np.einsum("ij,ij->i", s0, np.cross(s1, s2)) > 0))
+
+
+def require_no_flips(result: Any, saved: Path) -> None:
+    """Say so, after the map was saved, if triangles are turned over.
+
+    Raises:
+        OmtwarpError: how many, and where the first is.
+    """
+    flips = flipped_faces(result)
+    if len(flips):
+        raise OmtwarpError(
+            f"the map has {len(flips)} flipped triangle{'s' * (len(flips) > 1)}, first face {flips[0]}; "
+            f"the best map there is was saved as '{saved}'"
+        )

@@ -1,0 +1,55 @@
+"""``omtwarp check``: what is wrong with a mesh, and what would mend it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._files import check_output, staged
+from omtwarp.commands._options import MeshArgument
+from omtwarp.errors import OmtwarpError
+
+
+def check_mesh(
+    mesh: MeshArgument,
+    repair: Annotated[bool, typer.Option("--repair", help="Mend it; tell what that does and what is left.")] = False,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the mended mesh (with --repair).")
+    ] = None,
+) -> None:
+    """Tell what keeps a mesh from being mapped to the sphere; the exit status is 0 if nothing does."""
+    from omtwarp.mesh.read import read_mesh
+    from omtwarp.mesh.validate import check
+    from omtwarp.mesh.write import SUFFIXES, write_mesh
+
+    if output is not None and not repair:
+        raise OmtwarpError("--output is for the mended mesh: it needs --repair")
+    target = check_output(output, SUFFIXES, mesh) if output is not None else None
+    given = read_mesh(mesh, triangulate=repair)
+    vertices, faces = given.vertices, given.faces
+    print(f"{mesh}: {len(vertices)} vertices, {len(faces)} faces")
+    for note in given.notes:
+        print(f"  note: {note}")
+    defects = check(vertices, faces)
+    for defect in defects:
+        print(f"  {defect.kind}: {defect}")
+    if repair and defects:
+        from omtwarp.mesh.repair import repair as mend
+
+        mended = mend(vertices, faces)
+        for action in mended.actions:
+            print(f"  repair: {action}")
+        vertices, faces = mended.vertices, mended.faces
+        defects = check(vertices, faces)
+        for defect in defects:
+            print(f"  left: {defect}")
+    if target is not None:
+        with staged(target) as file:
+            write_mesh(file, vertices, faces)
+        print(f"{output}: {len(vertices)} vertices, {len(faces)} faces")
+    if defects:
+        count = len(defects)
+        raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{' left' if repair else ''}, see above")
+    print("  closed, manifold, oriented outward, one component, genus 0: it can be mapped")

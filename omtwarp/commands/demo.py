@@ -1,0 +1,70 @@
+"""``omtwarp demo``: the whole way, on a shape that the package makes itself."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._files import check_output, staged
+from omtwarp.commands._options import DeviceOption, QuietOption
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIRECTORY", help="Where the results go.")] = Path(
+        "out"
+    ),
+    faces: Annotated[int, typer.Option(min=2000, help="Roughly how many faces the shape has.")] = 20000,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
+    from omtwarp.commands._work import Input, make_map, require_no_flips, start_device
+    from omtwarp.commands.map import save, summary
+    from omtwarp.errors import OmtwarpError
+    from omtwarp.mesh.shapes import demo_shape
+    from omtwarp.mesh.write import write_mesh
+    from omtwarp.render import comparison, preview
+    from omtwarp.texturing import rasterize, texture
+
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OmtwarpError(f"cannot make the directory '{output}': {error.strerror or error}") from None
+    names = ["creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "circles.png", "comparison.png"]
+    mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = (
+        check_output(output / name, ()) for name in names
+    )
+    start_device(device)
+    start = time.perf_counter()
+
+    def tell(text: str) -> None:
+        if not quiet:
+            print(f"{time.perf_counter() - start:6.1f} s  {text}", flush=True)
+
+    surface = demo_shape(faces)
+    with staged(mesh_file) as file:
+        write_mesh(file, surface.vertices, surface.faces)
+    tell(f"{mesh_file}: a creature of {surface.face_count} faces")
+    result = make_map(Input(surface.vertices, surface.faces), quiet=quiet, device=device)
+    with staged(map_file) as file:
+        save(result, file, {})
+    with staged(report_file) as file:
+        file.write_text(json.dumps(result.report, indent=1) + "\n", "utf-8")
+    tell(summary(result, map_file))
+    globe = texture(result, pattern="globe", device=device)
+    with staged(model_file) as file:
+        globe.export(file)
+    tell(f"{model_file}: a globe pulled back to it")
+    circles = texture(result, pattern="circles", device=device)
+    for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
+        with staged(file_to_be) as file:
+            preview(textured.trimesh, file, up="z", front="-y", device=device)
+        tell(f"{file_to_be}")
+    with staged(comparison_file) as file:
+        comparison(result, file, image=rasterize("circles", 2048, device=device), up="z", device=device)
+    tell(f"{comparison_file}: the conformal map beside the area-preserving one")
+    require_no_flips(result, map_file)

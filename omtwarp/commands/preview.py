@@ -1,0 +1,104 @@
+"""``omtwarp preview``: a picture of a mesh, a textured surface or a map."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from omtwarp.commands._files import check_output, staged
+from omtwarp.commands._options import DeviceOption, QuietOption, SizeOption, as_size
+from omtwarp.errors import OmtwarpError
+
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
+
+
+class LightName(StrEnum):
+    STUDIO = "studio"
+    SOFT = "soft"
+    FLAT = "flat"
+
+
+class BackendName(StrEnum):
+    AUTO = "auto"
+    PYRENDER = "pyrender"
+    WARP = "warp"
+
+
+class CameraProjection(StrEnum):
+    PERSPECTIVE = "perspective"
+    ORTHOGRAPHIC = "orthographic"
+
+
+def preview_mesh(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help=".png, .jpg, .webp, .tif; .gif or .mp4 for films.")
+    ],
+    subject: Annotated[
+        Path | None, typer.Argument(metavar="MESH", help="A mesh (textures and colours are shown) or a map (.npz).")
+    ] = None,
+    finished: Annotated[
+        Path | None, typer.Option("--map", metavar="NPZ", help="A finished map (from 'omtwarp map') to be shown.")
+    ] = None,
+    size: SizeOption = "1024x1024",
+    view: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|AZIMUTH,ELEVATION",
+            help="front, back, left, right, top, bottom, three-quarter, six, or degrees; again for more views.",
+        ),
+    ] = None,
+    zoom: Annotated[float, typer.Option(help="1 fills the picture.")] = 1.0,
+    field_of_view: Annotated[float, typer.Option(help="Vertical opening of the camera in degrees.")] = 24.0,
+    projection: Annotated[CameraProjection, typer.Option(help="Of the camera.")] = CameraProjection.PERSPECTIVE,
+    up: Annotated[str | None, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...")] = None,
+    front: Annotated[
+        str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
+    ] = None,
+    light: Annotated[LightName, typer.Option(help="flat shows the colours themselves.")] = LightName.STUDIO,
+    background: Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")] = "white",
+    transparent: Annotated[bool, typer.Option("--transparent", help="Leave the background out.")] = False,
+    wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the triangles' edges.")] = False,
+    image: Annotated[
+        Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture, shown through a map.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="Draw a turntable of so many frames.")] = None,
+    fps: Annotated[float, typer.Option(help="Frames per second of the turntable.")] = 20.0,
+    backend: Annotated[BackendName, typer.Option(help="OpenGL or the ray caster.")] = BackendName.AUTO,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """Draw a surface without a display."""
+    from omtwarp.render import Camera, preview
+
+    target = check_output(output, PICTURES, subject, finished, image)
+    shown = finished if subject is None else subject
+    if shown is None or (subject is not None and finished is not None):
+        raise OmtwarpError("give either a mesh or map to draw, or a map with --map")
+    if not shown.is_file():
+        raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
+    views: Any = view[0] if view and len(view) == 1 else view
+    camera = Camera(zoom=zoom, field_of_view=field_of_view, projection=projection.value)
+    with staged(target) as file:
+        preview(
+            shown,
+            file,
+            size=as_size(size),
+            views=views or None,
+            camera=camera,
+            up=up,
+            front=front,
+            light=light.value,
+            background=background,
+            transparent=transparent,
+            wireframe=wireframe,
+            image=image,
+            frames=frames,
+            fps=fps,
+            backend=backend.value,
+            device=device,
+        )
+    if not quiet:
+        print(f"{output}: drawn")

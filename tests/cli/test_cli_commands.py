@@ -1,0 +1,265 @@
+"""What the commands do with good input: files, summaries, repair, help, and how they end when interrupted."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from omtwarp.cli import main
+from omtwarp.commands._files import check_output, staged
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh import shapes
+from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.write import SUFFIXES, write_mesh
+from omtwarp.metrics.distortion import distortion
+
+
+def run(capsys, *arguments) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
+
+
+class RadialMap(SimpleNamespace):
+    """A star-shaped surface pushed straight out to the sphere: a map that needs no computation."""
+
+    def __init__(self, vertices, faces, flip: bool = False):
+        sphere = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+        if flip:
+            sphere[faces[5, 0]] *= -1
+        super().__init__(vertices=vertices, faces=faces, sphere=sphere, conformal=sphere, report={"stages": []})
+
+    def save(self, path):
+        np.savez(path, vertices=self.vertices, faces=self.faces, sphere=self.sphere, conformal=self.conformal)
+
+    def distortion(self):
+        return distortion(self.vertices, self.faces, self.sphere)
+
+
+@pytest.fixture
+def radial(monkeypatch):
+    """The map command with the radial map instead of the pipeline; records the options that reach it."""
+    seen = {}
+
+    def make(mesh, *, quiet, **options):
+        seen.update(options)
+        return RadialMap(mesh.vertices, mesh.faces, flip=seen.get("flip", False))
+
+    monkeypatch.setattr("omtwarp.commands._work.make_map", make)
+    return seen
+
+
+@pytest.fixture
+def blob(tmp_path):
+    surface = shapes.shuffled(shapes.blob(sphere=320), seed=2)
+    write_mesh(tmp_path / "blob.ply", surface.vertices, surface.faces)
+    return surface
+
+
+def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
+    report = tmp_path / "report.json"
+    status, out, err = run(
+        capsys, "map", tmp_path / "blob.ply", "-o", tmp_path / "blob.npz", "--report", report, "--device", "cpu",
+        "--until", "moser", "--cost", "geodesic", "--method", "omt", "--scheme", "paper", "--refine", "0.5",
+    )  # fmt: skip
+    assert (status, err) == (0, "")
+    assert "320 faces; flips 0, degree 1.000000" in out
+    with np.load(tmp_path / "blob.npz") as arrays:
+        np.testing.assert_array_equal(arrays["vertices"], blob.vertices)
+        np.testing.assert_array_equal(arrays["faces"], blob.faces)
+    assert json.loads(report.read_text())["input"]["path"].endswith("blob.ply")
+    expected = {"until": "moser", "cost": "geodesic", "method": "omt", "scheme": "paper", "refine": "0.5"}
+    assert radial == {**expected, "device": "cpu"}
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_map_writes_the_sphere_with_the_faces_of_the_input(tmp_path, capsys, radial, blob, suffix):
+    output = tmp_path / f"sphere{suffix}"
+    status, out, _ = run(capsys, "map", tmp_path / "blob.ply", "-o", output, "--quiet", "--device", "cpu")
+    assert (status, out) == (0, "")
+    mesh = read_mesh(output)
+    sphere = blob.vertices / np.linalg.norm(blob.vertices, axis=1, keepdims=True)
+    exact = suffix in (".ply", ".obj", ".off")
+    np.testing.assert_allclose(mesh.vertices[mesh.faces], sphere[blob.faces], atol=0 if exact else 1e-7)
+    if suffix != ".stl":
+        np.testing.assert_array_equal(mesh.faces, blob.faces)
+
+
+def test_flips_that_are_left_are_an_error_after_saving(tmp_path, capsys, radial, blob):
+    radial["flip"] = True
+    status, _, err = run(capsys, "map", tmp_path / "blob.ply", "-o", tmp_path / "blob.npz", "--device", "cpu")
+    assert status == 1
+    assert "flipped triangles, first face " in err and "saved as" in err
+    assert (tmp_path / "blob.npz").exists()
+
+
+def test_repair_says_what_it_did_and_saves_where_everything_came_from(tmp_path, capsys, radial, blob):
+    faces = np.concatenate([blob.faces[1:], blob.faces[[9]]])
+    write_mesh(tmp_path / "bad.ply", np.concatenate([[[9.0, 9, 9]], blob.vertices]), faces + 1)
+    output = tmp_path / "out.npz"
+    status, _, err = run(capsys, "map", tmp_path / "bad.ply", "-o", output, "--repair", "--device", "cpu")
+    assert status == 0
+    assert "dropped 1 face that were there twice" in err and "filled 1 hole with 1 face" in err
+    assert "dropped 1 unused vertex" in err
+    with np.load(output) as arrays:
+        np.testing.assert_array_equal(arrays["vertex_origin"], np.arange(len(blob.vertices)) + 1)
+        np.testing.assert_array_equal(arrays["face_origin"][:-1], np.arange(319))
+        assert arrays["face_origin"][-1] == -1
+        assert set(arrays) >= {"vertices", "faces", "sphere", "conformal"}
+
+
+def test_a_mesh_with_defects_beyond_repair_is_refused_after_repair(tmp_path, capsys, radial):
+    half = shapes.icosphere(20)
+    faces = half.faces[half.vertices[half.faces].mean(axis=1)[:, 2] < 0]
+    write_mesh(tmp_path / "half.ply", half.vertices, faces)
+    status, _, err = run(capsys, "map", tmp_path / "half.ply", "-o", tmp_path / "out.npz", "--repair")
+    assert status == 1
+    assert "open boundary: " in err.splitlines()[-1]
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_check_of_a_sound_mesh(tmp_path, capsys, blob):
+    status, out, err = run(capsys, "check", tmp_path / "blob.ply")
+    assert (status, err) == (0, "")
+    assert "genus 0: it can be mapped" in out
+
+
+def test_check_mends_and_writes(tmp_path, capsys, blob):
+    write_mesh(tmp_path / "bad.ply", blob.vertices, blob.faces[3:])
+    status, out, err = run(capsys, "check", tmp_path / "bad.ply", "--repair", "-o", tmp_path / "good.obj")
+    assert (status, err) == (0, "")
+    assert "open-boundary: open boundary" in out and "repair: filled" in out
+    assert run(capsys, "check", tmp_path / "good.obj")[0] == 0
+
+
+def test_output_through_a_link_keeps_the_link(tmp_path, capsys, radial, blob):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link.npz").symlink_to(tmp_path / "real" / "map.npz")
+    assert run(capsys, "map", tmp_path / "blob.ply", "-o", tmp_path / "link.npz", "--device", "cpu")[0] == 0
+    assert (tmp_path / "link.npz").is_symlink() and (tmp_path / "real" / "map.npz").is_file()
+
+
+def test_help_and_version_answer_without_anything_heavy():
+    """No array, mesh or kernel library is loaded to print help."""
+    heavy = ["numpy", "scipy", "warp", "trimesh", "matplotlib", "pyrender", "PIL"]
+    code = "import sys\nfrom omtwarp.cli import main\ntry:\n    main(['map', '--help'])\nexcept SystemExit:\n    pass\n"
+    code += f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+    assert "--until" in done.stdout
+
+
+def test_python_m_omtwarp_and_version(capsys):
+    done = subprocess.run([sys.executable, "-m", "omtwarp", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("omtwarp ") and done.stderr == ""
+
+
+def test_staging_leaves_nothing_after_an_error(tmp_path):
+    target = check_output(tmp_path / "it.obj", (".obj",))
+    target.write_text("old")
+    with pytest.raises(RuntimeError), staged(target) as file:
+        file.write_text("half")
+        raise RuntimeError
+    assert target.read_text() == "old" and list(tmp_path.iterdir()) == [target]
+    with staged(target) as file:
+        file.write_text("new")
+        file.with_suffix(".mtl").write_text("beside")
+    assert target.read_text() == "new" and (tmp_path / "it.mtl").read_text() == "beside"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    with pytest.raises(OmtwarpError, match="No space left on device"), staged(tmp_path / "it.npz"):
+        raise OSError(28, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
+
+
+# Native code that never looks at signals: once holding the interpreter's lock, once having let it go.
+BUSY = {
+    "holding": "sum(range(10**13))",
+    "released": "import hashlib; hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)",
+}
+
+WORKER = """
+import sys
+from pathlib import Path
+import omtwarp.commands._work as work
+from omtwarp import cli
+from omtwarp.commands import _files
+def busy(*args, **options):
+    print("busy", file=sys.stderr, flush=True)
+    {busy}
+def save(result, file, origins):
+    file.write_bytes(b"half")
+    busy()
+import omtwarp.commands.map as map_command
+if {staged}:
+    work.make_map = lambda *args, **options: None
+    map_command.save = save
+else:
+    work.make_map = busy
+cli.main(["map", sys.argv[1], "-o", sys.argv[2], "--device", "cpu"])
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
+@pytest.mark.parametrize(("kind", "stage"), [("holding", False), ("released", False), ("released", True)])
+def test_an_interruption_ends_native_code_and_leaves_no_partial_file(tmp_path, blob, kind, stage):
+    """Control-C in the middle of a computation, and in the middle of writing."""
+    code = WORKER.format(busy=BUSY[kind], staged=stage)
+    command = [sys.executable, "-c", code, str(tmp_path / "blob.ply"), str(tmp_path / "out.npz")]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr.readline() == "busy\n"
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    try:
+        status = process.wait(timeout=60)  # the computation itself would take hours
+    finally:
+        process.kill()
+    assert status in (-signal.SIGINT, 130)
+    assert process.stderr.read() == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["blob.ply"]
+
+
+def test_no_progress_where_nobody_looks(capsys):
+    from omtwarp.commands._progress import progress_bar
+
+    with progress_bar() as progress:
+        assert progress is None
+
+
+def test_progress_on_a_terminal(monkeypatch, capsys):
+    from omtwarp.commands._progress import progress_bar
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with progress_bar(quiet=True) as progress:
+        assert progress is None
+    with progress_bar() as progress:
+        progress("moser", 1, 2, {})
+        progress("omt", 3, 40, {"cost": 0.25, "flips": 0})
+    err = capsys.readouterr().err
+    assert "moser" in err and "omt" in err and "cost 0.25" in err and "flips 0" in err and "\x1b[?25l" not in err
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    code = "import sys, omtwarp; print([n for n in ('numpy', 'warp', 'trimesh') if n in sys.modules]); dir(omtwarp)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_public_names():
+    import omtwarp
+
+    assert set(omtwarp.__all__) <= set(dir(omtwarp))
+    assert omtwarp.OmtwarpError is OmtwarpError and omtwarp.shapes is shapes
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = omtwarp.nothing
