@@ -57,7 +57,9 @@ def texture_mesh(
     projection: Annotated[
         ProjectionName, typer.Option(help="How the picture covers the sphere; sinusoidal for those not made for one.")
     ] = ProjectionName.EQUIRECTANGULAR,
-    atlas: Annotated[AtlasName, typer.Option(help="Layout of the texture; equirectangular for tools that expect one.")] = AtlasName.CUBE,
+    atlas: Annotated[
+        AtlasName, typer.Option(help="Layout of the texture; equirectangular for tools that expect one.")
+    ] = AtlasName.CUBE,
     rotate: Annotated[
         str, typer.Option(metavar="YAW[,PITCH,ROLL]|auto", help="Turn the texture on the sphere, in degrees.")
     ] = "",
