@@ -277,3 +277,30 @@ def triangle_hessian(
             for k in range(5):
                 entry += modes[i, k] * modes[j, k]
             hessian[t, 6 * i + j] = areas[t] * entry
+
+
+@wp.kernel
+def to_tangent(
+    sphere: wp.array(dtype=wp.vec3d),
+    vectors: wp.array(dtype=wp.vec3d),
+    coordinates: wp.array2d(dtype=wp.float64),
+):
+    """Coordinates of vectors in the tangent bases that the Hessian is written in, shape [V, 2]."""
+    i = wp.tid()
+    y = sphere[i]
+    t = first_tangent(y)
+    coordinates[i, 0] = wp.dot(t, vectors[i])
+    coordinates[i, 1] = wp.dot(wp.cross(y, t), vectors[i])
+
+
+@wp.kernel
+def from_tangent(
+    sphere: wp.array(dtype=wp.vec3d),
+    coordinates: wp.array2d(dtype=wp.float64),
+    vectors: wp.array(dtype=wp.vec3d),
+):
+    """Vectors with these coordinates in the tangent bases, shape [V]."""
+    i = wp.tid()
+    y = sphere[i]
+    t = first_tangent(y)
+    vectors[i] = coordinates[i, 0] * t + coordinates[i, 1] * wp.cross(y, t)

@@ -1,0 +1,265 @@
+"""Minimise the distortion of a sphere map without ever flipping a triangle.
+
+A projected Newton method. The Hessian of every triangle is made positive semidefinite in closed form, the sparse system
+is factorised, and between factorisations limited-memory BFGS corrects the last one (Nocedal and Wright, "Numerical
+Optimization", algorithm 7.4, with the factorisation as initial Hessian). A step that would flip a triangle, or take most
+of its volume, is shortened at that triangle's corners alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp._warp import resolve_device, wp
+from omtwarp.embedding.untangle import flipped_faces
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import Surface
+from omtwarp.refine.energy import DistortionEnergy, Terms
+from omtwarp.refine.kernels import from_tangent, hold_back, retract, to_tangent, triangle_trouble
+from omtwarp.refine.newton import NewtonMatrix
+
+WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area counts against angle
+
+MEMORY = 8  # pairs kept by limited-memory BFGS
+SUFFICIENT = 1e-4  # of the slope: Armijo's condition
+HALVINGS = 25  # of the step as a whole
+HOLDS = 30  # of the shares of corners of triangles in trouble
+LEAST_CAUTION = 0.03
+SLOW = 0.6  # a corrected step must lower the decrement at least to this share, or the matrix is renewed
+
+
+@dataclass
+class RefineResult:
+    """A refined map.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3]; no triangle is flipped.
+        weight: λ, the weight of area against angle that was minimised.
+        history: one record per iteration: ``energy`` (angle + λ area, less 2 + 2λ), ``area`` and ``angle`` (means
+            weighted by original area), ``decrement``, ``length`` of the step, vertices ``held`` back, whether the
+            matrix was ``factorised``. The first record is the start.
+        converged: whether the tolerance was reached.
+        factorisations: how many sparse matrices were factorised.
+    """
+
+    sphere: NDArray[np.float64]
+    weight: float
+    history: list[dict[str, Any]] = field(default_factory=list)
+    converged: bool = False
+    factorisations: int = 0
+
+
+def refinement_weight(weight: str | float) -> float:
+    """λ of a name or number.
+
+    Raises:
+        OmtwarpError: neither one of the names nor a positive number.
+    """
+    if isinstance(weight, str) and weight in WEIGHTS:
+        return WEIGHTS[weight]
+    try:
+        value = float(weight)
+    except ValueError:
+        value = float("nan")
+    if not (0.0 < value < float("inf")):
+        raise OmtwarpError(f"cannot refine by '{weight}': use area, balanced, angle or a positive number")
+    return value
+
+
+def refine_map(
+    surface: Surface,
+    sphere: ArrayLike,
+    *,
+    weight: str | float = "area",
+    device: str | None = "auto",
+    iterations: int = 200,
+    tolerance: float = 1e-5,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> RefineResult:
+    """Move the vertices of a flip-free map to a minimum of angle + λ area distortion.
+
+    Both are means over triangles weighted by original area, of s1/s2 + s2/s1 and of s1 s2 + 1/(s1 s2), exactly as
+    :func:`omtwarp.metrics.distortion.distortion` measures them.
+
+    Args:
+        surface: the original surface, V vertices.
+        sphere: images of its vertices, unit vectors, shape [V, 3], no triangle flipped.
+        weight: λ, or ``area``, ``balanced`` or ``angle`` for the values in ``WEIGHTS``.
+        device: where the kernels run; the sparse systems are solved on the host.
+        iterations: most steps taken.
+        tolerance: stop when the expected decrease of angle + λ area falls below this.
+        progress: called with (text, step, most steps) after every step.
+
+    Returns:
+        The refined map and how it was reached.
+
+    Raises:
+        OmtwarpError: the map given has flipped triangles, or the weight is unknown.
+    """
+    value = refinement_weight(weight)
+    start = np.array(sphere, dtype=np.float64)
+    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    flipped = flipped_faces(start, surface.faces)
+    if flipped.any():
+        raise OmtwarpError(
+            f"the map to refine has {int(flipped.sum())} flipped triangles, the first is face {int(np.argmax(flipped))}: "
+            "untangle it first"
+        )
+    refiner = Refiner(surface, resolve_device(device))
+    return refiner.minimise(start, value, iterations=iterations, tolerance=tolerance, progress=progress)
+
+
+class Refiner:
+    """Minimises the distortion of maps of one surface; keeps what does not depend on the map or on λ.
+
+    Args:
+        surface: the original surface.
+        device: a Warp device.
+    """
+
+    def __init__(self, surface: Surface, device: wp.Device):
+        self.surface = surface
+        self.device = device
+        self.energy = DistortionEnergy(surface, device)
+        self.matrix = NewtonMatrix(surface)
+
+    def minimise(
+        self,
+        sphere: NDArray[np.float64],
+        weight: float,
+        *,
+        iterations: int,
+        tolerance: float,
+        progress: Callable[[str, int, int], None] | None = None,
+    ) -> RefineResult:
+        """Minimise angle + λ area from a flip-free map, shape [V, 3]."""
+        energy = self.energy
+        points = energy.upload(sphere)
+        terms = energy.terms(points)
+        gradient = energy.gradient(points, terms, weight)
+        result = RefineResult(sphere, weight)
+        result.history.append(_record(terms, weight, 0.0, 0.0, 0, False))
+        memory: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
+        caution, renew, decrement = 1.0, True, np.inf
+        for step in range(iterations):
+            if renew:
+                self.matrix.factorise(energy.hessian(points, terms, weight, caution))
+                self._base = points
+                memory.clear()
+                result.factorisations += 1
+            direction = -self._corrected(points, gradient, memory)
+            slope = float((gradient * direction).sum())
+            previous, decrement = decrement, -slope
+            moved = self._search(points, terms, gradient, direction, weight) if slope < 0.0 else None
+            if moved is None:
+                if renew and caution == 1.0:
+                    break
+                caution = 1.0 if renew else caution
+                renew = True
+                continue
+            fresh = renew
+            new_points, new_terms, length, held = moved
+            new_gradient = energy.gradient(new_points, new_terms, weight)
+            gain = terms.total(weight) - new_terms.total(weight)
+            change, turn = new_points.numpy() - points.numpy(), new_gradient - gradient
+            product = float((change * turn).sum())
+            if product > 1e-12 * float(np.linalg.norm(change) * np.linalg.norm(turn)):
+                memory.append((change, turn, product))
+                del memory[:-MEMORY]
+            points, terms, gradient = new_points, new_terms, new_gradient
+            result.history.append(_record(terms, weight, decrement, length, held, fresh))
+            if progress is not None:
+                progress(f"refining: area {terms.area + 2:.4f}, angle {terms.angle + 2:.4f}", step + 1, iterations)
+            if decrement < 2.0 * tolerance and length == 1.0 and fresh:
+                result.converged = True
+                break
+            if fresh:
+                caution = max(caution / 3.0, LEAST_CAUTION) if length == 1.0 and held == 0 else caution
+                caution = min(1.0, 3.0 * caution) if length < 0.5 else caution
+            renew = self._renew(fresh, length, held, decrement, previous, gain, tolerance)
+        result.sphere = points.numpy().copy()
+        return result
+
+    def _renew(self, fresh, length, held, decrement, previous, gain, tolerance) -> bool:
+        return True
+
+    def _corrected(self, points, gradient, memory) -> NDArray[np.float64]:
+        """The factorised matrix's step for a gradient, corrected by the steps since, tangent to the sphere."""
+        right = gradient.copy()
+        factors = []
+        for change, turn, product in reversed(memory):
+            factor = float((change * right).sum()) / product
+            factors.append(factor)
+            right -= factor * turn
+        out = self._solve(right)
+        for (change, turn, product), factor in zip(memory, reversed(factors), strict=True):
+            out += change * (factor - float((turn * out).sum()) / product)
+        here = points.numpy()
+        return out - (out * here).sum(axis=1, keepdims=True) * here
+
+    def _solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        count, device = self.surface.vertex_count, self.device
+        coordinates = wp.empty((count, 2), dtype=wp.float64, device=device)
+        vectors = wp.empty(count, dtype=wp.vec3d, device=device)
+        inputs = [self._base, wp.array(right, dtype=wp.vec3d, device=device)]
+        wp.launch(to_tangent, dim=count, inputs=inputs, outputs=[coordinates], device=device)
+        solved = wp.array(self.matrix.solve(coordinates.numpy()), dtype=wp.float64, device=device)
+        wp.launch(from_tangent, dim=count, inputs=[self._base, solved], outputs=[vectors], device=device)
+        return vectors.numpy().copy()
+
+    def _search(self, points, terms: Terms, gradient, direction, weight):
+        """A step along the direction that lowers the energy and flips nothing: points, terms, length, vertices held."""
+        device, count = self.device, self.surface.vertex_count
+        before = terms.total(weight)
+        d_direction = wp.array(direction, dtype=wp.vec3d, device=device)
+        d_volume = wp.array(terms.volume, dtype=wp.float64, device=device)
+        along = (gradient * direction).sum(axis=1)
+        reach = float(np.sqrt((direction * direction).sum(axis=1).max()))
+        length = 1.0 / max(1.0, 2.0 * reach)  # no vertex may swing farther than half a radian
+        for _ in range(HALVINGS):
+            moved, share = self._held_back(points, d_direction, d_volume, length)
+            if moved is not None:
+                slope = length * float(along @ share)
+                if slope < 0.0:
+                    after = self.energy.terms(moved)
+                    if after.total(weight) <= before + SUFFICIENT * slope:
+                        return moved, after, length, int((share < 1.0).sum())
+            length *= 0.5
+        return None
+
+    def _held_back(self, points, direction, volume, length):
+        """Points moved with the largest shares of the step, halved corner by corner, that keep every triangle."""
+        device, energy = self.device, self.energy
+        count, faces = self.surface.vertex_count, self.surface.face_count
+        share = wp.full(count, 1.0, dtype=wp.float64, device=device)
+        other = wp.empty(count, dtype=wp.float64, device=device)
+        moved = wp.empty(count, dtype=wp.vec3d, device=device)
+        trouble = wp.empty(faces, dtype=wp.int32, device=device)
+        for _ in range(HOLDS):
+            inputs = [points, direction, share, wp.float64(length)]
+            wp.launch(retract, dim=count, inputs=inputs, outputs=[moved], device=device)
+            inputs = [moved, energy.d_faces, volume]
+            wp.launch(triangle_trouble, dim=faces, inputs=inputs, outputs=[trouble], device=device)
+            if not trouble.numpy().any():
+                return moved, share.numpy()
+            inputs = [energy.d_offsets, energy.d_corners, trouble, share]
+            wp.launch(hold_back, dim=count, inputs=inputs, outputs=[other], device=device)
+            share, other = other, share
+        return None, None
+
+
+def _record(terms: Terms, weight: float, decrement: float, length: float, held: int, fresh: bool) -> dict[str, Any]:
+    return {
+        "energy": terms.total(weight),
+        "area": terms.area + 2.0,
+        "angle": terms.angle + 2.0,
+        "decrement": decrement,
+        "length": length,
+        "held": held,
+        "factorised": fresh,
+    }
