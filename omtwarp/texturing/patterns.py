@@ -10,6 +10,7 @@ They need no file and no network. The coastlines of the globe are Natural Earth'
 
 from __future__ import annotations
 
+import heapq
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -22,7 +23,7 @@ from omtwarp.texturing import pattern_kernels as kernels
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.coastlines import coastline_segments
 from omtwarp.texturing.cutting import normalised
-from omtwarp.texturing.projection import direction_from_angles
+from omtwarp.texturing.projection import direction_from_angles, longitude_latitude
 
 Floats = NDArray[np.float64]
 
@@ -88,6 +89,18 @@ class Checker(Pattern):
         self.columns, self.rows = int(columns), int(rows)
         self.colours = _colours("#f3ede2", "#2f5d73")
 
+    @property
+    def count(self) -> int:
+        """How many fields there are."""
+        return self.columns * self.rows
+
+    def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
+        """Number of the field that each direction lies in, row by row from the north-west, shape [N]."""
+        lon, lat = longitude_latitude(directions)
+        column = np.clip(np.floor((lon / (2.0 * np.pi) + 0.5) * self.columns), 0, self.columns - 1)
+        row = np.clip(np.floor((0.5 - lat / np.pi) * self.rows), 0, self.rows - 1)
+        return (row * self.columns + column).astype(np.int64)
+
     def _tables(self) -> list[Any]:
         return [self.columns, self.rows, (self.colours, wp.vec3d)]
 
@@ -117,7 +130,9 @@ class Circles(Pattern):
         self.count = int(count)
         self.centres = _even_points(self.count)
         self.radius = float(np.arccos(1.0 - 2.0 * coverage / self.count))
-        near, gap = _neighbours(self.centres, 6)
+        from scipy.spatial import ConvexHull
+
+        _, gap = _neighbours(self.centres, 1)
         if 2.0 * self.radius >= gap.min():
             most = 0.5 * self.count * (1.0 - np.cos(gap.min() / 2.0))
             raise OmtwarpError(
@@ -125,7 +140,15 @@ class Circles(Pattern):
             )
         self.palette = _colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
         self.background = _colours("#f6f1e7")[0]
-        self.groups = _colour_groups(near, len(self.palette))
+        triangles = ConvexHull(self.centres).simplices
+        self.groups = _colour_groups(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(self.palette))
+
+    def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
+        """Number of the circle that each direction lies in, -1 between the circles, shape [N]."""
+        from scipy.spatial import cKDTree
+
+        distance, index = cKDTree(self.centres).query(normalised(np.asarray(directions, dtype=np.float64)))
+        return np.where(distance <= 2.0 * np.sin(0.5 * self.radius), index, -1).astype(np.int64)
 
     def _tables(self) -> list[Any]:
         rows, columns = 48, 96
@@ -180,6 +203,12 @@ class Puzzle(Pattern):
         """How many pieces there are."""
         return 6 * self.side**2
 
+    def middles(self) -> Floats:
+        """Directions of the middles of the pieces, shape [count, 3]."""
+        piece = np.arange(self.count)
+        row, column = piece // self.side % self.side, piece % self.side
+        return self._points(piece // self.side**2, column + 0.5, row + 0.5)
+
     def _points(self, face: NDArray, x: NDArray, y: NDArray) -> Floats:
         """Directions of points of faces, in pieces from the lower left corner."""
         slope = np.tan((np.stack([x, y], axis=-1) / self.side * 2.0 - 1.0) * np.pi / 4.0)
@@ -216,13 +245,14 @@ class Puzzle(Pattern):
 
     def _tables(self) -> list[Any]:
         neighbours, tabs, shifts = self._edges
+        pairs = np.stack([np.repeat(np.arange(self.count), 4), neighbours.ravel()], axis=1)
         return [
             (CUBE_FRAMES, wp.mat33d),
             self.side,
             (neighbours, wp.int32),
             (tabs, wp.int32),
             (shifts, wp.float64),
-            (self.palette[_colour_groups(neighbours, len(self.palette))], wp.vec3d),
+            (self.palette[_colour_groups(pairs, len(self.palette))], wp.vec3d),
             wp.float64(0.016),
             wp.vec3d(*self.line_colour),
         ]
@@ -333,18 +363,41 @@ def _neighbours(points: Floats, count: int) -> tuple[NDArray, Floats]:
 
 
 def _colour_groups(neighbours: NDArray, colours: int) -> NDArray[np.int32]:
-    """A colour for every cell that none of its neighbours has, as evenly used as that allows, shape [N]."""
-    group = np.full(len(neighbours), -1, dtype=np.int32)
+    """A colour for every cell that no neighbour has, as evenly used as that allows, shape [N].
+
+    Cells are coloured in smallest-last order (Matula and Beck, J. ACM 30, 1983): in a planar graph every cell meets
+    at most five coloured neighbours then, so that six colours always suffice.
+
+    Args:
+        neighbours: pairs of neighbouring cells, shape [E, 2].
+        colours: how many there are.
+    """
+    count = int(neighbours.max()) + 1
+    around: list[set[int]] = [set() for _ in range(count)]
+    for one, other in neighbours.tolist():  # a few hundred cells of a pattern, not elements of a mesh
+        around[one].add(other)
+        around[other].add(one)
+    degree = [len(x) for x in around]
+    queue = [(degree[cell], cell) for cell in range(count)]
+    heapq.heapify(queue)
+    removed = [False] * count
+    order = []
+    while queue:
+        d, cell = heapq.heappop(queue)
+        if removed[cell] or d != degree[cell]:
+            continue
+        removed[cell] = True
+        order.append(cell)
+        for other in around[cell]:
+            if not removed[other]:
+                degree[other] -= 1
+                heapq.heappush(queue, (degree[other], other))
+    group = np.full(count, -1, dtype=np.int32)
     used = np.zeros(colours, dtype=np.int64)
-    back: list[list[int]] = [[] for _ in neighbours]
-    for cell, row in enumerate(neighbours):
-        for other in row:
-            back[other].append(cell)
-    order = np.random.default_rng(3).permutation(len(neighbours))
-    for cell in order:  # a few hundred cells of a pattern, not elements of a mesh
-        around = group[np.concatenate([neighbours[cell], np.asarray(back[cell], dtype=np.int64)]).astype(np.int64)]
-        clash = np.bincount(around[around >= 0], minlength=colours)
-        group[cell] = np.lexsort((used, clash))[0]
+    for cell in reversed(order):
+        taken = np.zeros(colours, dtype=bool)
+        taken[[group[other] for other in around[cell] if group[other] >= 0]] = True
+        group[cell] = np.lexsort((used, taken))[0]
         used[group[cell]] += 1
     return group
 

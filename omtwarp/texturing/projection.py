@@ -71,7 +71,8 @@ def image_to_direction(uv: ArrayLike, projection: str = "equirectangular") -> Fl
     if projection == "sinusoidal":
         with np.errstate(divide="ignore", invalid="ignore"):
             stretched = lon / np.cos(lat)
-        lon = np.where(np.abs(stretched) <= np.pi * (1 + 1e-12), stretched, np.nan)
+        inside = np.abs(stretched) <= np.pi * (1 + 1e-12)
+        lon, lat = np.where(inside, stretched, np.nan), np.where(inside, lat, np.nan)
     return direction_from_angles(lon, lat)
 
 
