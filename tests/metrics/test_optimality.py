@@ -1,0 +1,193 @@
+"""Curl, dual bound and exact optimum against maps whose optimum is known in closed form."""
+
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh import shapes
+from omtwarp.mesh.surface import triangle_areas
+from omtwarp.metrics.optimality import _Dual, exact_transport, optimality, relative_curl
+
+
+def latitude_map(frequency: int, shift: float = 0.6, twist: float = 0.0):
+    """A map that moves points along meridians by a monotone function of latitude, then twists them about the axis.
+
+    Without the twist it is optimal: between densities that depend on latitude alone the optimal map is the monotone
+    rearrangement in latitude. The twist preserves area and latitude, so that the optimum stays what it was.
+    """
+    surface = shapes.icosphere(frequency)
+    y = surface.vertices / np.linalg.norm(surface.vertices, axis=1)[:, None]
+    height, longitude = y[:, 2], np.arctan2(y[:, 1], y[:, 0])
+    masses = surface.sum_to_vertices(triangle_areas(y, surface.faces))
+
+    def place(z, angle):
+        radius = np.sqrt(np.maximum(1.0 - z * z, 0.0))
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+    x = place(height + shift * (1.0 - height**2) / 2.0, longitude)
+    return x, place(height, longitude + twist * (1.0 - height**2)), masses, surface.faces
+
+
+def random_rotation(seed: int) -> np.ndarray:
+    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+def geodesic(x, y):
+    return np.arctan2(np.linalg.norm(np.cross(x, y), axis=-1), (x * y).sum(axis=-1))
+
+
+def test_a_closed_form_optimum_has_neither_curl_nor_gap():
+    """Both go to zero as the mesh is refined, the gap with the fourth power of the edge."""
+    coarse = optimality(*latitude_map(6), ascent_steps=0, device="cpu")
+    fine = optimality(*latitude_map(12), ascent_steps=0, device="cpu")
+    assert fine.relative_curl < coarse.relative_curl / 3 < 1e-3
+    assert 0 <= fine.gap < coarse.gap / 8 < 2e-6
+    assert fine.swapped_edges == 0
+    # ∫ d² over the sphere in closed form, by quadrature in z.
+    z, w = np.polynomial.legendre.leggauss(200)
+    turn = np.arcsin(z + 0.3 * (1 - z * z)) - np.arcsin(z)
+    assert fine.cost == pytest.approx(2 * np.pi * w @ turn**2, rel=2e-3)
+
+
+def test_a_twist_shows_as_curl_and_its_cost_as_the_gap():
+    """The twisted map costs 7 % more than the optimum; the bound says so without being told the optimum."""
+    x, y, masses, faces = latitude_map(12)
+    best = optimality(x, y, masses, faces, ascent_steps=0, device="cpu")
+    _, twisted, _, _ = latitude_map(12, twist=0.1)
+    report = optimality(x, twisted, masses, faces, device="cpu")
+    assert report.relative_curl > 0.2
+    assert report.lower_bound <= best.cost * (1 + 3e-4)  # the same problem with the twisted points for quadrature
+    assert report.gap == pytest.approx(report.cost / best.cost - 1.0, rel=0.02)
+    assert report.gap > 0.06
+
+
+@pytest.mark.parametrize("twist", [0.02, 0.2])
+def test_curl_grows_with_the_twist(twist):
+    """relative_curl alone agrees with the report, and is proportional to a small twist."""
+    x, y, masses, faces = latitude_map(10, twist=twist)
+    value = relative_curl(x, y, faces, device="cpu")
+    assert value == optimality(x, y, masses, faces, ascent_steps=0, device="cpu").relative_curl
+    # d² splits into the move along meridians and the twist, at right angles to first order.
+    height = y[:, 2]
+    along = np.arcsin(height + 0.3 * (1 - height**2)) - np.arcsin(height)
+    across = twist * (1 - height**2) ** 1.5
+    expected = np.sqrt(masses @ across**2 / (masses @ (along**2 + across**2)))
+    assert value == pytest.approx(expected, rel=0.1)
+
+
+def test_the_bound_is_exact_on_the_lattice():
+    """Branch and bound finds what a search through every lattice point finds, for a rough potential too."""
+    x, y, masses, faces = latitude_map(4, twist=0.3)
+    rng = np.random.default_rng(1)
+    divisions = 4
+    surface = shapes.icosphere(4)
+    for roughness in (0.0, 0.01, 0.3):
+        dual = _Dual(type(surface)(y, faces), x, masses, divisions, "cpu")
+        potential = dual.initial_potential() + roughness * rng.normal(size=len(y))
+        found = dual.bound(potential)
+        steps = [(i, j) for i in range(divisions + 1) for j in range(divisions + 1 - i)]
+        b = np.array([[divisions - i - j, i, j] for i, j in steps]) / divisions
+        order = dual._order
+        corners, bulge = faces[order], dual._edge.numpy()
+        z = np.einsum("lk,fkd->fld", b, y[corners])
+        z /= np.linalg.norm(z, axis=2)[:, :, None]
+        psi = np.einsum("lk,fk->fl", b, potential[corners])
+        for k in range(3):
+            psi += b[:, k] * b[:, (k + 1) % 3] * bulge[:, k, None]
+        everything = 0.5 * geodesic(x[:, None, None, :], z[None]) ** 2 - psi[None]
+        least = everything.reshape(len(x), -1).min(axis=1)
+        transform = dual.cost - potential - found.vertex_gap
+        assert (transform <= least + 1e-12).all()
+        # And it is attained: at the point reported, or at the vertex' own image.
+        here, w = faces[np.maximum(found.face, 0)], found.weights
+        slot = np.argsort(order)[np.maximum(found.face, 0)]
+        point = np.einsum("vk,vkd->vd", w, y[here])
+        value = (w * potential[here]).sum(axis=1)
+        value += sum(w[:, k] * w[:, (k + 1) % 3] * bulge[slot, k] for k in range(3))
+        with np.errstate(invalid="ignore"):
+            point /= np.linalg.norm(point, axis=1)[:, None]
+            attained = 0.5 * geodesic(x, point) ** 2 - value
+        own = dual.cost - potential
+        np.testing.assert_allclose(transform, np.where(found.face >= 0, attained, own), atol=1e-12)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10_000), noise=st.floats(0.0, 0.5), spread=st.floats(0.0, 2.0))
+def test_the_bound_never_exceeds_the_exact_optimum(seed, noise, spread):
+    """Any points, any masses, any map: lower bound <= exact optimum between the same points <= cost."""
+    rng = np.random.default_rng(seed)
+    surface = shapes.icosphere(3)
+    y = surface.vertices / np.linalg.norm(surface.vertices, axis=1)[:, None]
+    x = y @ random_rotation(seed).T if seed % 2 else y
+    x = x + noise * rng.normal(size=y.shape)
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    masses = np.exp(spread * rng.normal(size=len(y)))
+    report = optimality(x, y, masses, surface.faces, divisions=4, ascent_steps=2, device="cpu")
+    exact, _ = exact_transport(x, masses, y, masses)
+    assert report.lower_bound <= exact * (1 + 1e-9) + 1e-12
+    assert exact <= report.cost * (1 + 1e-9) + 1e-12
+    assert (report.vertex_gap >= -1e-13).all()
+
+
+def test_the_identity_is_optimal():
+    """Nothing moves: no cost, no gap, no curl."""
+    surface = shapes.icosphere(4)
+    y = surface.vertices / np.linalg.norm(surface.vertices, axis=1)[:, None]
+    report = optimality(y, y, surface.vertex_areas, surface.faces, device="cpu")
+    assert (report.cost, report.gap, report.relative_curl) == (0.0, 0.0, 0.0)
+
+
+def test_rotations_of_the_sphere_do_not_matter():
+    """The report is about distances; and twice the same call gives the same bits."""
+    x, y, masses, faces = latitude_map(6, twist=0.05)
+    first = optimality(x, y, masses, faces, device="cpu").to_dict()
+    assert first == optimality(x, y, masses, faces, device="cpu").to_dict()
+    turn = random_rotation(7)
+    second = optimality(x @ turn.T, y @ turn.T, masses, faces, device="cpu").to_dict()
+    for name in ("relative_curl", "cost", "lower_bound"):
+        assert second[name] == pytest.approx(first[name], rel=1e-3)
+
+
+def test_the_exact_optimum_against_a_sphere_sampled_independently():
+    """POT, which knows nothing of our mesh's image: the closed-form optimum within 2 %."""
+    x, y, masses, faces = latitude_map(6)
+    count = 3000
+    k = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    radius = np.sqrt(1.0 - height**2)
+    targets = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+    _, smoothed = exact_transport(x, masses, targets, np.ones(count))
+    report = optimality(x, y, masses, faces, device="cpu")
+    assert smoothed == pytest.approx(report.cost, rel=0.02)
+
+
+def test_exact_transport_undoes_a_permutation():
+    """The same points in another order: the plan finds them and costs nothing."""
+    points = latitude_map(3)[1]
+    order = np.random.default_rng(0).permutation(len(points))
+    total, mean = exact_transport(points, np.ones(len(points)), points[order], np.ones(len(points)))
+    assert total == pytest.approx(0.0, abs=1e-12) and mean == pytest.approx(0.0, abs=1e-12)
+
+
+def test_errors_say_what_is_wrong(monkeypatch):
+    """One line each."""
+    x, y, masses, faces = latitude_map(2)
+    with pytest.raises(OmtwarpError, match="needs a MapResult"):
+        optimality(x)
+    with pytest.raises(OmtwarpError, match="shapes do not agree"):
+        optimality(x[:-1], y, masses, faces)
+    with pytest.raises(OmtwarpError, match="not on the unit sphere"):
+        optimality(x, 2 * y, masses, faces)
+    with pytest.raises(OmtwarpError, match="masses must be positive"):
+        optimality(x, y, 0 * masses, faces)
+    with pytest.raises(OmtwarpError, match="divisions"):
+        optimality(x, y, masses, faces, divisions=0)
+    monkeypatch.setitem(sys.modules, "ot", None)
+    with pytest.raises(OmtwarpError, match="POT"):
+        exact_transport(x, masses, y, masses)
