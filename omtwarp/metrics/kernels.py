@@ -56,3 +56,33 @@ def triangle_distortion(
     angle[f] = (p * p + q * q + r * r) / (p * r)
     triple[f] = triple_product(a, b, c)
     solid[f] = solid_angle(a, b, c)
+
+
+@wp.kernel
+def count_crossings(
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    rays: wp.array[wp.vec3d],
+    clearance: wp.float64,
+    # Data out:
+    crossings: wp.array[wp.int32],
+    doubtful: wp.array[wp.int32],
+):
+    """Signed number of spherical triangles over every ray from the centre; rays too near an edge are marked.
+
+    The counts are integers, so the order of the additions does not matter.
+    """
+    f, r = wp.tid()
+    face = faces[f]
+    a, b, c = sphere[face[0]], sphere[face[1]], sphere[face[2]]
+    ray = rays[r]
+    w0, w1, w2 = triple_product(ray, b, c), triple_product(ray, c, a), triple_product(ray, a, b)
+    positive = w0 > -clearance and w1 > -clearance and w2 > -clearance
+    negative = w0 < clearance and w1 < clearance and w2 < clearance
+    if (positive or negative) and wp.dot(ray, a + b + c) > wp.float64(0.0):
+        if wp.min(wp.min(wp.abs(w0), wp.abs(w1)), wp.abs(w2)) < clearance:
+            wp.atomic_add(doubtful, r, 1)
+        elif positive:
+            wp.atomic_add(crossings, r, 1)
+        else:
+            wp.atomic_add(crossings, r, -1)

@@ -49,10 +49,19 @@ class WaveletPreconditioner:
     Args:
         hierarchy: nested triangulations; the right-hand side lives on the finest level.
         butterfly: use the butterfly wavelets.
+        damping: a factor for every wavelet, shape [N] (entries of the solid's nodes are not used), to keep wavelets out
+            of H that are too fine for what moves with it.
         device: ``auto``, ``cpu`` or ``cuda:N``.
     """
 
-    def __init__(self, hierarchy: SphereHierarchy, *, butterfly: bool = False, device: str = "auto") -> None:
+    def __init__(
+        self,
+        hierarchy: SphereHierarchy,
+        *,
+        butterfly: bool = False,
+        damping: NDArray[np.float64] | None = None,
+        device: str = "auto",
+    ) -> None:
         from omtwarp._warp import wp
 
         self.hierarchy = hierarchy
@@ -62,6 +71,8 @@ class WaveletPreconditioner:
         solid = hierarchy.node_counts[0]
         factors = np.zeros(hierarchy.node_count)
         factors[solid:] = 1 / energies[solid:]
+        if damping is not None:
+            factors[solid:] *= damping[solid:]
         coarse = cotangent_laplacian(hierarchy.vertices[:solid], hierarchy.level_faces[0]).toarray()
         self._factors: Any = wp.array(factors, device=self.device)
         self._coarse_inverse: Any = wp.array(np.linalg.pinv(coarse, rcond=1e-10, hermitian=True), device=self.device)

@@ -223,17 +223,31 @@ class SphereSampler:
 
         source, from_numpy = self._take(values, wp.float64)
         out = self._room(out, self.point_count, wp.vec3d)
-        mesh = [self._nodes, self._faces]
-        self._launch(kernels.face_gradient_kernel, self.face_count, [*mesh, source], [self._face_vectors])
         if smooth:
-            inputs = [*mesh, *self._corner_rows, self._face_vectors]
-            self._launch(kernels.node_gradient_kernel, self.node_count, inputs, [self._node_vectors])
+            self.node_gradient(source)
             inputs = [self.points, self._faces, self.point_faces, self.coordinates, self._node_vectors]
             self._launch(kernels.point_node_gradient_kernel, self.point_count, inputs, [out])
         else:
+            inputs = [self._nodes, self._faces, source]
+            self._launch(kernels.face_gradient_kernel, self.face_count, inputs, [self._face_vectors])
             inputs = [self.points, self.point_faces, self._face_vectors]
             self._launch(kernels.point_face_gradient_kernel, self.point_count, inputs, [out])
         return out.numpy() if from_numpy else out
+
+    def node_gradient(self, values: Any) -> Any:
+        """Area-weighted means of the gradients around each node, Warp vec3d [N]: what ``smooth`` interpolates.
+
+        The array is the sampler's own and holds until the next call.
+        """
+        from omtwarp._warp import wp
+        from omtwarp.wavelets import sampling_kernels as kernels
+
+        source, _ = self._take(values, wp.float64)
+        mesh = [self._nodes, self._faces]
+        self._launch(kernels.face_gradient_kernel, self.face_count, [*mesh, source], [self._face_vectors])
+        inputs = [*mesh, *self._corner_rows, self._face_vectors]
+        self._launch(kernels.node_gradient_kernel, self.node_count, inputs, [self._node_vectors])
+        return self._node_vectors
 
     def gradient_adjoint(self, field: Any, out: Any = None, *, smooth: bool = False) -> Any:
         """The transpose of :meth:`gradient`, [P, 3] -> [N]: entry k is the sum of field · grad phi(k) over the points.

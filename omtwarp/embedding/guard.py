@@ -1,0 +1,66 @@
+"""Steps that cannot flip: a motion shortened only where it would turn a triangle over."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from omtwarp._warp import wp
+from omtwarp.embedding.guard_kernels import flag_flips, shorten_steps
+from omtwarp.mesh.surface import Surface
+
+# A vertex whose step was halved this often stays where it was.
+HALVINGS = 6
+MAXIMUM_ROUNDS = 500
+
+
+class StepGuard:
+    """Keeps every triangle of a moving sphere map positive.
+
+    A vertex of a triangle that a step would flip has its own step halved, again and again, and is held in the end; its
+    neighbours follow only where that in turn would flip one of theirs. Since the map before the step has no flip, holding
+    vertices always ends in a map without one, and a few bad triangles slow nobody but themselves.
+    """
+
+    def __init__(self, surface: Surface, device: Any):
+        self.device = device
+        self.vertex_count = surface.vertex_count
+        self.face_count = surface.face_count
+        self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
+        offsets, corners = surface.vertex_corners
+        self._offsets = wp.array(offsets, dtype=wp.int32, device=device)
+        self._corners = wp.array(corners, dtype=wp.int32, device=device)
+        self._flags = wp.empty(self.face_count, dtype=wp.int32, device=device)
+        self._count = wp.zeros(1, dtype=wp.int32, device=device)
+        self._halvings = wp.empty(self.vertex_count, dtype=wp.int32, device=device)
+        self._trial = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
+
+    def count(self, points: Any) -> int:
+        """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]."""
+        self._count.zero_()
+        inputs = [points, self._faces, self._flags, self._count]
+        wp.launch(flag_flips, dim=self.face_count, inputs=inputs, device=self.device)
+        return int(self._count.numpy()[0])
+
+    def limit(self, old: Any, new: Any) -> int:
+        """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips.
+
+        Returns:
+            The number of vertices whose step was shortened.
+        """
+        if self.count(new) == 0:
+            return 0
+        wp.copy(self._trial, new)
+        self._halvings.zero_()
+        for _ in range(MAXIMUM_ROUNDS):
+            wp.launch(
+                shorten_steps,
+                dim=self.vertex_count,
+                inputs=[old, self._trial, self._offsets, self._corners, self._flags, HALVINGS, self._halvings, new],
+                device=self.device,
+            )
+            if self.count(new) == 0:
+                return int(np.count_nonzero(self._halvings.numpy()))
+        wp.copy(new, old)
+        return self.vertex_count

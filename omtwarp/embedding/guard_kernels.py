@@ -1,0 +1,49 @@
+"""Kernels that find flipped triangles and shorten the steps of their vertices."""
+
+from omtwarp._warp import ZERO, wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def flag_flips(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    flags: wp.array[wp.int32],
+    count: wp.array[wp.int32],
+):
+    f = wp.tid()
+    face = faces[f]
+    flags[f] = 1
+    if wp.dot(points[face[0]], wp.cross(points[face[1]], points[face[2]])) > ZERO:
+        flags[f] = 0
+    else:
+        wp.atomic_add(count, 0, 1)  # an integer: the order of the additions does not matter
+
+
+@wp.kernel
+def shorten_steps(
+    old: wp.array[wp.vec3d],
+    trial: wp.array[wp.vec3d],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    flags: wp.array[wp.int32],
+    limit: int,
+    # Data in and out:
+    halvings: wp.array[wp.int32],
+    # Data out:
+    moved: wp.array[wp.vec3d],
+):
+    v = wp.tid()
+    flipped = int(0)
+    for k in range(offsets[v], offsets[v + 1]):
+        flipped += flags[corners[k] // 3]
+    if flipped > 0:
+        times = halvings[v] + 1
+        halvings[v] = times
+        if times >= limit:
+            moved[v] = old[v]
+        else:
+            part = wp.pow(wp.float64(0.5), wp.float64(times))
+            moved[v] = wp.normalize(old[v] + part * (trial[v] - old[v]))

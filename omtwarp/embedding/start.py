@@ -1,0 +1,102 @@
+"""The map that transport starts from: conformal where float64 can hold it, another bijection where it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.conformal import ConformalMap, conformal_map
+from omtwarp.embedding.hierarchical import hierarchical_embedding
+from omtwarp.embedding.predicates import orientation_signs
+from omtwarp.embedding.untangle import untangle
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+
+# Image triangles below this area (of 4π) are too small for float64 to tell their orientation dependably, let alone to
+# be spread out again: a unit vector is known to 1e-16, so a triangle of area 1e-13 to about three digits.
+SMALLEST_AREA = 1e-13
+# More flips than this part of the faces are no local defect, and repairing them would remake the map.
+REPAIRABLE = 0.02
+
+
+@dataclass(frozen=True)
+class Start:
+    """A flip-free map to start from.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3].
+        road: ``conformal``, ``conformal, repaired`` or ``hierarchical``.
+        reason: why the conformal map was not taken, or empty.
+        conformal: the conformal map as section 4.1 gives it, before repair; None if it could not be computed.
+        repaired_flips: flips of the conformal map that were repaired.
+    """
+
+    sphere: NDArray[np.float64]
+    road: str
+    reason: str
+    conformal: ConformalMap | None
+    repaired_flips: int
+
+    @property
+    def is_conformal(self) -> bool:
+        return self.road.startswith("conformal")
+
+
+def bijective_start(
+    surface: Surface,
+    *,
+    device: str | None = "cpu",
+    progress: Callable[[str, int, int, dict[str, Any]], None] | None = None,
+) -> Start:
+    """Find a map to the sphere without flips.
+
+    The conformal map (section 4.1) is tried first, with its flips repaired. On long thin limbs it shrinks areas
+    exponentially, below what float64 resolves; then a coarse-to-fine embedding, which always exists, takes its place.
+
+    Args:
+        surface: a valid closed mesh.
+        device: where kernels run.
+        progress: called with a stage name, done, total and details.
+
+    Raises:
+        OmtwarpError: not even the coarse-to-fine embedding could be made.
+    """
+    conformal: ConformalMap | None = None
+    try:
+        conformal = conformal_map(surface, device=device)
+        reason = _defect(surface, conformal.sphere)
+    except OmtwarpError as error:
+        reason = str(error)
+    if conformal is not None and not reason:
+        flips = int((orientation_signs(conformal.sphere, surface.faces) <= 0).sum())
+        if flips == 0:
+            return Start(conformal.sphere, "conformal", "", conformal, 0)
+        repaired = untangle(surface, conformal.sphere, device=device)
+        if not (orientation_signs(repaired.sphere, surface.faces) <= 0).any():
+            return Start(repaired.sphere, "conformal, repaired", "", conformal, flips)
+        reason = f"{repaired.flips_after} of {flips} flips of the conformal map could not be repaired"
+
+    def report(done: float) -> None:
+        if progress is not None:
+            progress("start", int(100 * done), 100, {})
+
+    sphere = hierarchical_embedding(surface, device=device, progress=report)
+    return Start(sphere, "hierarchical", reason, conformal, 0)
+
+
+def _defect(surface: Surface, sphere: NDArray[np.float64]) -> str:
+    """Why a conformal map cannot be used, or nothing."""
+    if not np.isfinite(sphere).all():
+        return "the conformal map is not finite"
+    areas = triangle_areas(sphere, surface.faces)
+    small = int((areas < SMALLEST_AREA * SPHERE_AREA).sum())
+    if small:
+        return f"the conformal map shrinks {small} triangles below an area of {SMALLEST_AREA:g} of the sphere"
+    flips = int((orientation_signs(sphere, surface.faces) <= 0).sum())
+    if flips > REPAIRABLE * surface.face_count:
+        return f"the conformal map flips {flips} of {surface.face_count} triangles"
+    return ""

@@ -1,0 +1,282 @@
+"""The optimal mass-preserving map (section 4.3) by a flow in which the vertices carry the map.
+
+Along a vertex the paper's transport equation g_t + v · ∇g = 0 with v = -(1/μ) J∇H reads dy/dt = J∇H(y): with g area
+preserving, the image moves with a divergence-free field of the *uniform* sphere, and nothing is interpolated back and
+forth. The stream function H lives on a subdivided icosahedron and is the derivative of the cost with respect to such a
+motion (the weak curl of m log_y(x) on the image), preconditioned in the paper's own wavelet basis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp._warp import resolve_device, wp
+from omtwarp.embedding.guard import StepGuard
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import Surface
+from omtwarp.transport.kernels import advect, combine, cost_and_force, divide_by_area
+from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
+
+COSTS = ("squared", "geodesic")
+SCHEMES = ("default", "plain")
+MAXIMUM_ITERATIONS = {"default": 60, "plain": 1000}
+
+# A wavelet is used in full where it spans several mesh edges, and faded out where it does not: vertices cannot follow
+# a motion finer than they are, and a cost that falls by aliasing is no progress.
+RESOLVED_EDGES = 3.0
+FADING = 3
+
+# The flow stops when the part of the displacement that a mass-preserving motion could still remove is this small
+# relative to the displacement, or when steps no longer lower the cost by a noticeable part.
+CURL_TOLERANCE = 2e-3
+COST_TOLERANCE = 3e-5
+SUFFICIENT_DECREASE = 0.1
+LONGEST_STEP = 4.0
+
+
+@dataclass(frozen=True)
+class TransportMap:
+    """An optimal (or stopped) mass-preserving map.
+
+    Attributes:
+        sphere: image of every vertex, unit vectors, float64, shape [V, 3].
+        history: one record per iteration, the start first: ``iteration``, ``cost`` (the paper's M, total mass 4π),
+            ``curl`` (relative size of the removable part), ``step`` and ``held`` (vertices held back from a flip).
+        converged: whether a tolerance was met before the iterations ran out.
+    """
+
+    sphere: NDArray[np.float64]
+    history: list[dict[str, Any]] = field(default_factory=list)
+    converged: bool = False
+
+    @property
+    def iterations(self) -> int:
+        return len(self.history) - 1
+
+
+def transport_cost(
+    surface: Surface, start: NDArray[np.float64], sphere: NDArray[np.float64], cost: str = "squared"
+) -> float:
+    """M(g), equation 6: the sum of vertex mass times Φ(x, g(x)); total mass 4π, distances in radians.
+
+    Args:
+        surface: the surface whose vertex areas are the masses.
+        start: the points x, unit vectors, shape [V, 3] (the conformal or substitute start).
+        sphere: their images g(x), unit vectors, shape [V, 3].
+        cost: ``squared`` or ``geodesic`` distance.
+    """
+    across = np.linalg.norm(np.cross(start, sphere), axis=1)
+    distance = np.arctan2(across, np.einsum("ij,ij->i", start, sphere))
+    return float(surface.vertex_areas @ (distance**2 if cost == "squared" else distance))
+
+
+def optimal_transport(
+    surface: Surface,
+    start: NDArray[np.float64],
+    initial: NDArray[np.float64],
+    *,
+    cost: str = "squared",
+    scheme: str = "default",
+    iterations: int | None = None,
+    tolerance: float = CURL_TOLERANCE,
+    device: str | None = "cpu",
+    progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+) -> TransportMap:
+    """Lower the transport cost of a mass-preserving map by a mass-preserving flow until it is optimal (section 4.3).
+
+    Args:
+        surface: the surface; its vertex areas, total 4π, are the masses.
+        start: the points x that are transported, unit vectors, shape [V, 3].
+        initial: a mass-preserving map g^0 of them, unit vectors, shape [V, 3]; if it has no flip, no step makes one.
+        cost: ``squared`` geodesic distance (its optimum is unique), or the paper's ``geodesic`` distance.
+        scheme: ``default``, wavelet-preconditioned conjugate gradients; ``plain``, steepest descent with H the curl
+            itself (equation 12).
+        iterations: the most iterations; 60 for ``default``, 1000 for ``plain``.
+        tolerance: relative curl at which the map counts as optimal.
+        device: where the kernels run.
+        progress: called after each iteration with its number, the most there can be, and the record of ``history``.
+
+    Returns:
+        The map and its history.
+
+    Raises:
+        OmtwarpError: an unknown cost or scheme.
+    """
+    if cost not in COSTS:
+        raise OmtwarpError(f"unknown cost '{cost}': use {' or '.join(COSTS)}")
+    if scheme not in SCHEMES:
+        raise OmtwarpError(f"unknown scheme '{scheme}': use {' or '.join(SCHEMES)}")
+    flow = _Flow(surface, start, initial, cost, scheme, resolve_device(device))
+    most = MAXIMUM_ITERATIONS[scheme] if iterations is None else iterations
+    converged = flow.run(most, tolerance, progress)
+    return TransportMap(flow.points.numpy().copy(), flow.history, converged)
+
+
+class _Flow:
+    """The state of the flow on the device."""
+
+    def __init__(
+        self,
+        surface: Surface,
+        start: NDArray[np.float64],
+        initial: NDArray[np.float64],
+        cost: str,
+        scheme: str,
+        device: Any,
+    ):
+        self.device = device
+        self.count = surface.vertex_count
+        self.geodesic = cost == "geodesic"
+        self.plain = scheme == "plain"
+        self.history: list[dict[str, Any]] = []
+        self.start = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=device)
+        self.points = wp.array(np.array(initial, dtype=np.float64), dtype=wp.vec3d, device=device)
+        self.trial = wp.empty_like(self.points)
+        self.masses = wp.array(surface.vertex_areas, dtype=wp.float64, device=device)
+        self.hierarchy = sphere_hierarchy(level_for(1.2 * surface.vertex_count, lowest=2))
+        self.sampler = SphereSampler(self.hierarchy, self.points, device=str(device))
+        # Within a grid cell the direction to x is not resolved anyway.
+        self.softening = self.hierarchy.node_spacing(self.hierarchy.level)
+        damping = resolution_damping(surface, np.asarray(initial), self.sampler, self.hierarchy)
+        self.preconditioner = WaveletPreconditioner(
+            self.hierarchy, butterfly=True, damping=damping, device=str(device)
+        )
+        self.node_areas = wp.array(self.hierarchy.node_areas, dtype=wp.float64, device=device)
+        levels = self.hierarchy.level_faces
+        starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
+        self.grid = [
+            wp.array(self.hierarchy.vertices, dtype=wp.vec3d, device=device),
+            wp.array(np.concatenate(levels), dtype=wp.int32, device=device),
+            wp.array(starts, dtype=wp.int32, device=device),
+        ]
+        self.guard = StepGuard(surface, device)
+        self.guarded = self.guard.count(self.points) == 0
+        self.costs = wp.empty(self.count, dtype=wp.float64, device=device)
+        self.turned = wp.empty(self.count, dtype=wp.vec3d, device=device)
+
+    def cost_at(self, points: Any) -> float:
+        wp.launch(
+            cost_and_force,
+            dim=self.count,
+            inputs=[self.start, points, self.masses, int(self.geodesic), wp.float64(self.softening)],
+            outputs=[self.costs, self.turned],
+            device=self.device,
+        )
+        return float(wp.utils.array_sum(self.costs))
+
+    def gradient(self) -> Any:
+        """The derivative of the cost with respect to H at the nodes, weak form; needs :meth:`cost_at` before."""
+        self.sampler.locate(self.points)
+        return self.sampler.gradient_adjoint(self.turned, smooth=True)
+
+    def precondition(self, gradient: Any) -> Any:
+        if not self.plain:
+            return self.preconditioner.apply(gradient)
+        out = wp.empty_like(gradient)
+        wp.launch(
+            divide_by_area, dim=len(out), inputs=[gradient, self.node_areas], outputs=[out], device=self.device
+        )
+        return out
+
+    def move(self, velocity: Any, step: float) -> None:
+        wp.launch(
+            advect,
+            dim=self.count,
+            inputs=[self.points, wp.float64(step), *self.grid, velocity],
+            outputs=[self.trial],
+            device=self.device,
+        )
+
+    def run(self, most: int, tolerance: float, progress: Callable[[int, int, dict[str, Any]], None] | None) -> bool:
+        cost = self.cost_at(self.points)
+        # In the squared cost a unit of the preconditioned gradient, halved, is a Newton step on a flat density.
+        scale = 2.0 if not self.geodesic else 4.0 * np.pi / max(cost, 1e-12)
+        step = 0.4 / scale if not self.plain else 0.1 * self.softening**2
+        longest = LONGEST_STEP / scale if not self.plain else np.inf
+        direction: Any = None
+        previous: Any = None
+        previous_square = 0.0
+        held = 0
+        small = 0
+        for iteration in range(most + 1):
+            gradient = self.gradient()
+            image = self.precondition(gradient)
+            square = float(wp.utils.array_inner(gradient, image))
+            curl = float(np.sqrt(max(square / scale, 0.0) / max(scale * cost, 1e-300)))
+            record = {"iteration": iteration, "cost": cost, "curl": curl, "step": step, "held": held}
+            self.history.append(record)
+            if progress is not None:
+                progress(iteration, most, record)
+            if (curl <= tolerance and not self.plain) or cost <= 1e-14 or square <= 0.0 or small >= 3:
+                return True
+            if iteration == most:
+                return False
+            # Polak and Ribiere's conjugate directions, restarted when they stop pointing downhill.
+            factor = 0.0
+            if direction is not None and not self.plain:
+                factor = max(0.0, (square - float(wp.utils.array_inner(previous, image))) / previous_square)
+            if direction is None:
+                direction = wp.zeros_like(image)
+            wp.launch(
+                combine, dim=len(image), inputs=[image, wp.float64(factor), direction], device=self.device
+            )
+            slope = float(wp.utils.array_inner(gradient, direction))
+            if slope > -0.1 * square:
+                wp.launch(combine, dim=len(image), inputs=[image, wp.float64(0.0), direction], device=self.device)
+                slope = -square
+            previous, previous_square = gradient, square
+            velocity = self.sampler.node_gradient(direction)
+            accepted = False
+            for _ in range(30):
+                self.move(velocity, step)
+                held = self.guard.limit(self.points, self.trial) if self.guarded else 0
+                new_cost = self.cost_at(self.trial)
+                # The parabola through the cost, its slope and the trial says where along this direction to stop.
+                bend = (new_cost - cost - slope * step) / step**2
+                best = -slope / (2.0 * bend) if bend > 0.0 else 2.0 * step
+                if new_cost <= cost + SUFFICIENT_DECREASE * slope * step:
+                    accepted = True
+                    break
+                step = max(min(best, 0.5 * step), 0.1 * step)
+            if not accepted:
+                self.cost_at(self.points)
+                return True  # no step along the best direction there is lowers the cost: at round-off
+            small = small + 1 if cost - new_cost <= COST_TOLERANCE * cost else 0
+            self.points, self.trial = self.trial, self.points
+            cost = new_cost
+            step = min(max(best, 0.5 * step), 2.0 * step, longest)
+        return False
+
+
+def resolution_damping(
+    surface: Surface, image: NDArray[np.float64], sampler: SphereSampler, hierarchy: SphereHierarchy
+) -> NDArray[np.float64]:
+    """How much of every wavelet the vertices of an image can follow, between 0 and 1, shape [N].
+
+    A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (3 e / h)^2)^-3: all of it where it
+    spans many edges, next to nothing where it spans one. Nodes far from every vertex (inside a large triangle) get 0.
+    """
+    faces = surface.faces
+    corners = image[faces]
+    squares = np.max([((corners[:, k] - corners[:, k - 1]) ** 2).sum(axis=1) for k in range(3)], axis=0)
+    at_vertices = np.zeros(surface.vertex_count)
+    np.maximum.at(at_vertices, faces.ravel(), np.repeat(squares, 3))
+    longest = np.full(hierarchy.node_count, -np.inf)
+    nodes = hierarchy.faces[sampler.point_faces.numpy()]
+    np.maximum.at(longest, nodes.ravel(), np.repeat(at_vertices, 3))
+    damping = np.ones(hierarchy.node_count)
+    for level in reversed(range(hierarchy.level)):
+        first, last = hierarchy.node_counts[level], hierarchy.node_counts[level + 1]
+        parents = hierarchy.level_parents[level]
+        np.maximum.at(longest, parents.ravel(), np.repeat(longest[first:last], 2))
+        around = np.maximum(longest[first:last], longest[parents].max(axis=1))
+        spacing = 4.0 * np.pi / last
+        with np.errstate(over="ignore"):
+            ratio = np.where(np.isfinite(around), RESOLVED_EDGES**2 * around / spacing, np.inf)
+        damping[first:last] = (1.0 + ratio) ** -FADING
+    return damping

@@ -1,0 +1,129 @@
+"""Kernels of the Lagrangian transport flow: its cost, its force and the motion along a stream function."""
+
+from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+from omtwarp.wavelets.sampling_kernels import spherical_coordinates, triple
+
+wp.set_module_options({"enable_backward": False})
+
+SIXTH = wp.constant(wp.float64(1.0 / 6.0))
+TINY = wp.constant(wp.float64(1e-300))
+
+
+@wp.func
+def logarithm(y: wp.vec3d, x: wp.vec3d):
+    """log_y(x), the tangent vector at y that points to x and has their geodesic distance as its length."""
+    cosine = wp.dot(x, y)
+    across = wp.length(wp.cross(y, x))
+    distance = wp.atan2(across, cosine)
+    return distance / wp.max(across, TINY) * (x - cosine * y), distance
+
+
+@wp.kernel
+def cost_and_force(
+    start: wp.array[wp.vec3d],
+    points: wp.array[wp.vec3d],
+    masses: wp.array[wp.float64],
+    geodesic: int,
+    softening: wp.float64,
+    # Data out:
+    cost: wp.array[wp.float64],
+    turned: wp.array[wp.vec3d],
+):
+    """Cost of every vertex, and c × y with c the derivative of the cost with respect to y."""
+    v = wp.tid()
+    y = points[v]
+    pull, distance = logarithm(y, start[v])
+    mass = masses[v]
+    if geodesic == 1:
+        # The gradient of the distance jumps at y = x; within the softening length it is taken as linear.
+        soft = wp.sqrt(distance * distance + softening * softening)
+        cost[v] = mass * distance
+        turned[v] = wp.cross(-mass / soft * pull, y)
+    else:
+        cost[v] = mass * distance * distance
+        turned[v] = wp.cross(-TWO * mass * pull, y)
+
+
+@wp.func
+def stream_velocity(
+    p: wp.vec3d,
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+    gradients: wp.array[wp.vec3d],
+):
+    """J ∇H at p: p × ∇H, with ∇H linear between the nodes of the finest level.
+
+    The triangle is found by descent through the hierarchy; child 3 of a triangle is the middle one, whose corners are
+    the midpoints that separate it from the other three.
+    """
+    face = int(0)
+    best = wp.float64(-1.0e300)
+    for f in range(level_starts[1]):
+        w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
+        inside = wp.min(w[0], wp.min(w[1], w[2]))
+        if inside > best:
+            best = inside
+            face = int(f)
+    for level in range(level_starts.shape[0] - 2):
+        middle = level_starts[level + 1] + 4 * face + 3
+        ab, bc, ca = nodes[faces[middle, 0]], nodes[faces[middle, 1]], nodes[faces[middle, 2]]
+        child = int(3)
+        if triple(ab, ca, p) > ZERO:
+            child = int(0)
+        elif triple(bc, ab, p) > ZERO:
+            child = int(1)
+        elif triple(ca, bc, p) > ZERO:
+            child = int(2)
+        face = 4 * face + child
+    g = level_starts[level_starts.shape[0] - 2] + face
+    i, j, k = faces[g, 0], faces[g, 1], faces[g, 2]
+    w = spherical_coordinates(nodes[i], nodes[j], nodes[k], p)
+    w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    slope = (w[0] * gradients[i] + w[1] * gradients[j] + w[2] * gradients[k]) / (w[0] + w[1] + w[2])
+    return wp.cross(p, slope)
+
+
+@wp.kernel
+def advect(
+    points: wp.array[wp.vec3d],
+    step: wp.float64,
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+    gradients: wp.array[wp.vec3d],
+    # Data out:
+    moved: wp.array[wp.vec3d],
+):
+    """One fourth-order Runge-Kutta step of dy/dt = J ∇H(y), of length ``step``."""
+    v = wp.tid()
+    p = points[v]
+    half = HALF * step
+    k1 = stream_velocity(p, nodes, faces, level_starts, gradients)
+    k2 = stream_velocity(wp.normalize(p + half * k1), nodes, faces, level_starts, gradients)
+    k3 = stream_velocity(wp.normalize(p + half * k2), nodes, faces, level_starts, gradients)
+    k4 = stream_velocity(wp.normalize(p + step * k3), nodes, faces, level_starts, gradients)
+    moved[v] = wp.normalize(p + step * SIXTH * (k1 + TWO * k2 + TWO * k3 + k4))
+
+
+@wp.kernel
+def combine(
+    first: wp.array[wp.float64],
+    factor: wp.float64,
+    # Data in and out:
+    second: wp.array[wp.float64],
+):
+    """second <- factor * second - first."""
+    i = wp.tid()
+    second[i] = factor * second[i] - first[i]
+
+
+@wp.kernel
+def divide_by_area(
+    weak: wp.array[wp.float64],
+    areas: wp.array[wp.float64],
+    # Data out:
+    strong: wp.array[wp.float64],
+):
+    i = wp.tid()
+    strong[i] = weak[i] * (ONE / areas[i])
