@@ -28,18 +28,19 @@ def compose(
         RGB, or RGBA where it is to be transparent.
     """
     width, height = size
-    drawn = np.zeros((height, width, 4), dtype=np.float32)
-    drawn[: picture.shape[0], : picture.shape[1]] = picture
-    coverage = drawn[..., 3:] / 255.0
+    drawn = picture
+    if picture.shape[:2] != (height, width):
+        drawn = np.zeros((height, width, 4), dtype=np.uint8)
+        drawn[: picture.shape[0], : picture.shape[1]] = picture
+    colors, coverage = drawn[..., :3], drawn[..., 3:]
     if transparent:
-        colors = np.where(coverage > 0, drawn[..., :3] / np.maximum(coverage, 1e-6), np.asarray(hidden, np.float32))
-        return Image.fromarray(_bytes(np.concatenate([colors, drawn[..., 3:]], axis=2)))
-    behind = backdrop(background, width, height).astype(np.float32) * 255.0
-    return Image.fromarray(_bytes(drawn[..., :3] + (1.0 - coverage) * behind))
-
-
-def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    return np.rint(np.clip(values, 0.0, 255.0)).astype(np.uint8)
+        whole = np.maximum(coverage, 1).astype(np.uint16)
+        single = np.minimum((colors * np.uint16(255) + whole // 2) // whole, 255)
+        single = np.where(coverage > 0, single, np.asarray(hidden, dtype=np.uint16))
+        return Image.fromarray(np.concatenate([single.astype(np.uint8), coverage], axis=2))
+    behind = np.rint(backdrop(background, width, height) * 255.0).astype(np.uint16)
+    through = behind * (255 - coverage).astype(np.uint16) + np.uint16(127)
+    return Image.fromarray(np.minimum(colors + through // np.uint16(255), 255).astype(np.uint8))
 
 
 def ink(background: object, transparent: bool) -> tuple[int, int, int]:

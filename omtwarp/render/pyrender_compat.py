@@ -7,6 +7,8 @@ process only (see :mod:`omtwarp.render.drawing_process`), so that its changes to
 from __future__ import annotations
 
 import ctypes.util
+import importlib
+import importlib.util
 import os
 import sys
 import types
@@ -36,6 +38,7 @@ def import_pyrender() -> Any:
     viewer = types.ModuleType("pyrender.viewer")
     viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
     sys.modules.setdefault("pyrender.viewer", viewer)
+    _hollow_trimesh()
     find_library = ctypes.util.find_library
     ctypes.util.find_library = _find_library(find_library)  # type: ignore[assignment]
     try:
@@ -61,6 +64,24 @@ def _missing(error: Exception) -> str:
     if sys.platform.startswith("linux"):
         return f"no OpenGL library with EGL was found ({INSTALL_GL})"
     return f"no OpenGL library was found ({error})"
+
+
+def _hollow_trimesh() -> None:
+    """Give pyrender a trimesh without its ``__init__``, which takes longer to import than all the rest together.
+
+    Of trimesh pyrender needs the submodule ``transformations`` and, in functions not called here, the class names.
+    """
+    spec = importlib.util.find_spec("trimesh")
+    if "trimesh" in sys.modules or spec is None or spec.submodule_search_locations is None:
+        return
+    hollow = types.ModuleType("trimesh")
+    hollow.__path__ = list(spec.submodule_search_locations)
+    sys.modules["trimesh"] = hollow
+    try:
+        importlib.import_module("trimesh.transformations")
+    except Exception:  # a release in which the submodule leans on the package
+        for name in [name for name in sys.modules if name.split(".")[0] == "trimesh"]:
+            del sys.modules[name]
 
 
 def _restore_numpy_name() -> None:
