@@ -14,11 +14,11 @@ from omtwarp.embedding.hierarchical import hierarchical_embedding
 from omtwarp.embedding.predicates import orientation_signs
 from omtwarp.embedding.untangle import untangle
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import Surface, triangle_areas
 
-# Image triangles below this area (of 4π) are too small for float64 to tell their orientation dependably, let alone to
-# be spread out again: a unit vector is known to 1e-16, so a triangle of area 1e-13 to about three digits.
-SMALLEST_AREA = 1e-13
+# Unit vectors in float64 are known to about 1e-16, and so are triple products of them: below this area, in steradians,
+# a triangle's orientation is a matter of rounding.
+SMALLEST_AREA = 1e-15
 # More flips than this part of the faces are no local defect, and repairing them would remake the map.
 REPAIRABLE = 0.02
 
@@ -93,9 +93,9 @@ def _defect(surface: Surface, sphere: NDArray[np.float64]) -> str:
     if not np.isfinite(sphere).all():
         return "the conformal map is not finite"
     areas = triangle_areas(sphere, surface.faces)
-    small = int((areas < SMALLEST_AREA * SPHERE_AREA).sum())
+    small = int((areas < SMALLEST_AREA).sum())
     if small:
-        return f"the conformal map shrinks {small} triangles below an area of {SMALLEST_AREA:g} of the sphere"
+        return f"the conformal map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
     flips = int((orientation_signs(sphere, surface.faces) <= 0).sum())
     if flips > REPAIRABLE * surface.face_count:
         return f"the conformal map flips {flips} of {surface.face_count} triangles"

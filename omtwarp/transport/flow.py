@@ -28,7 +28,7 @@ MAXIMUM_ITERATIONS = {"default": 60, "plain": 1000}
 
 # A wavelet is used in full where it spans several mesh edges, and faded out where it does not: vertices cannot follow
 # a motion finer than they are, and a cost that falls by aliasing is no progress.
-RESOLVED_EDGES = 3.0
+RESOLVED_EDGES = 4.0
 FADING = 3
 
 # The flow stops when the part of the displacement that a mass-preserving motion could still remove is this small
@@ -258,7 +258,7 @@ def resolution_damping(
 ) -> NDArray[np.float64]:
     """How much of every wavelet the vertices of an image can follow, between 0 and 1, shape [N].
 
-    A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (3 e / h)^2)^-3: all of it where it
+    A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (4 e / h)^2)^-3: all of it where it
     spans many edges, next to nothing where it spans one. Nodes far from every vertex (inside a large triangle) get 0.
     """
     faces = surface.faces
