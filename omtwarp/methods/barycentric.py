@@ -86,6 +86,11 @@ class BarycentricMap:
     newton_steps: int
     history: list[float] = field(default_factory=list)
 
+    @property
+    def iterations(self) -> int:
+        """Iterations of all stages together."""
+        return self.relaxation_steps + self.newton_steps
+
 
 def barycentric_map(
     surface: Surface,

@@ -1,0 +1,310 @@
+"""Make Tables 1, 2 and 3 of the paper for any meshes, ours beside the paper's figures.
+
+    python examples/paper_tables.py MESH [MESH ...] --out out/tables
+    python examples/paper_tables.py                              # three small made shapes
+
+Writes ``tables.md``, ``distortion.csv``, ``performance.csv`` and ``tradeoff.csv``. The paper's figures stand beside
+meshes whose file name begins with that of one of its models (gargoyle, maxplanck, skull, bunny, squirrel); a namesake
+need not be the same mesh.
+
+Columns: Tutte and mean-value weights (Gotsman et al. 2003), Haker et al. (2000), Moser, the optimal transport map (MK
+in the paper), its refinement, and with ``--paper-scheme`` Algorithms 1 and 2 as written. Both weightings are given:
+'sphere', by area on the sphere, with which the paper's tables agree, and 'surface', by original area, which counts the
+surface that a map crowds together.
+
+The trade-off curve is the displacement interpolation x -> exp_x(t log_x(y)) between the conformal map (t = 0) and ours
+(t = 1), that is, the transport stopped on its way: angle distortion grows as area distortion falls. Where ours has the
+lower area distortion, the curve says what angle distortion it has at the paper's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import platform
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import omtwarp
+from omtwarp.metrics import Distortion, distortion
+
+METHODS = ("tutte", "mean-value", "haker", "moser", "omt", "refined", "paper")
+TITLES = {
+    "tutte": "Tutte",
+    "mean-value": "Mean value",
+    "haker": "Haker",
+    "moser": "Moser",
+    "omt": "Optimal (MK)",
+    "refined": "Refined",
+    "paper": "Algorithm 2",
+}
+# Tables 1 (angle), 2 (area) and 3 (iterations, seconds) of the paper, in the order of its columns.
+PAPER_COLUMNS = ("tutte", "mean-value", "haker", "moser", "omt")
+PAPER: dict[str, dict[str, tuple[float, ...]]] = {
+    "gargoyle": {
+        "angle": (2.53, 2.458, 2.153, 2.97, 2.33),
+        "area": (4.03, 4.16, 3.78, 2.51, 2.61),
+        "run": (1687, 1451),
+    },
+    "maxplanck": {
+        "angle": (2.62, 2.15, 2.004, 2.38, 2.29),
+        "area": (2.67, 2.32, 2.37, 2.004, 2.007),
+        "run": (2120, 2460),
+    },
+    "skull": {"angle": (2.55, 2.12, 2.11, 2.23, 2.2), "area": (2.71, 2.4, 2.39, 2.01, 2.01), "run": (1371, 2132)},
+    "bunny": {"angle": (2.65, 2.52, 2.02, 3.17, 2.76), "area": (3.47, 3.65, 3.26, 2.57, 2.66), "run": (2530, 3093)},
+    "squirrel": {"run": (814, 971)},
+}
+STEPS = 21
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", type=Path, help="mesh files; none: small made shapes")
+    parser.add_argument("--out", type=Path, default=Path("out/tables"), help="folder for the tables")
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--refine", default="area", help="weight of the refinement; none leaves it out")
+    parser.add_argument("--paper-scheme", action="store_true", help="run Algorithms 1 and 2 as written too (minutes)")
+    parser.add_argument("--optimality", action="store_true", help="measure how far from optimal the maps are")
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    curves: list[dict[str, Any]] = []
+    for name, surface in subjects(options.meshes):
+        print(f"{name}: {surface.vertex_count} vertices", flush=True)
+        new, maps = measure(name, surface, options)
+        rows += new
+        curves += tradeoff(name, surface, maps)
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_csv(options.out / "distortion.csv", [{k: v for k, v in row.items() if k not in RUN} for row in rows])
+    write_csv(options.out / "performance.csv", [{k: row.get(k) for k in ("mesh", "method", *RUN)} for row in rows])
+    write_csv(options.out / "tradeoff.csv", curves)
+    text = markdown(rows, curves)
+    (options.out / "tables.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+def subjects(paths: list[Path]) -> list[tuple[str, omtwarp.Surface]]:
+    """Names and surfaces of the meshes asked for."""
+    if not paths:
+        shapes = omtwarp.shapes
+        return [
+            ("blob", shapes.blob(seed=2, sphere=2000)),
+            ("limbs", shapes.limbs()),
+            ("demo", shapes.demo_shape(4000)),
+        ]
+    out = []
+    for path in paths:
+        mesh = omtwarp.read_mesh(path)
+        out.append((path.name.split(".")[0], omtwarp.Surface(mesh.vertices, mesh.faces)))
+    return out
+
+
+RUN = ("vertices", "faces", "iterations", "seconds", "paper_iterations", "paper_seconds", "relative_curl", "gap")
+
+
+def measure(
+    name: str, surface: omtwarp.Surface, options: argparse.Namespace
+) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+    """One row per method, and the maps."""
+    from omtwarp.methods import solve_barycentric
+
+    rows: list[dict[str, Any]] = []
+    maps: dict[str, np.ndarray] = {}
+
+    def add(method: str, sphere: np.ndarray, iterations: int, seconds: float, note: str = "") -> None:
+        judged = distortion(surface.vertices, surface.faces, sphere)
+        maps[method] = sphere
+        rows.append(row(name, surface, method, judged, iterations, seconds) | {"note": note})
+        print(f"  {TITLES[method]}: {judged}", flush=True)
+
+    for weights in ("tutte", "mean-value"):
+        begun = time.perf_counter()
+        solved = solve_barycentric(surface, weights, device=options.device)
+        note = f"residual {solved.residual:.1e}"
+        add(weights, solved.sphere, solved.iterations, time.perf_counter() - begun, note)
+    last = "omt" if options.refine == "none" else "refine"
+    result = omtwarp.map_to_sphere(surface, until=last, refine=options.refine, device=options.device)
+    stages = {stage["name"]: stage for stage in result.report["stages"]}
+    road = result.report["start"]["road"]
+    kept = {"haker": ("conformal", result.conformal), "moser": ("moser", result.moser)}
+    kept |= {"omt": ("omt", result.transported), "refined": ("refine", result.sphere)}
+    for method, (stage, sphere) in kept.items():
+        if stage in stages and sphere is not None:
+            done = stages[stage]
+            note = f"start: {road}" if method == "haker" else ""
+            add(method, sphere, done["iterations"], done["seconds"], note)
+    if options.paper_scheme:
+        paper = omtwarp.map_to_sphere(surface, scheme="paper", cost="geodesic", until="omt", device=options.device)
+        done = next(stage for stage in paper.report["stages"] if stage["name"] == "omt")
+        add("paper", paper.sphere, done["iterations"], done["seconds"])
+    if options.optimality:
+        from omtwarp.metrics.optimality import optimality
+
+        for entry in rows:
+            if entry["method"] in ("moser", "omt"):
+                report = optimality(
+                    result.conformal, maps[entry["method"]], surface.vertex_areas, surface.faces, device=options.device
+                )
+                entry |= {"relative_curl": report.relative_curl, "gap": report.gap}
+    maps["start"] = result.conformal
+    return rows, maps
+
+
+def row(
+    name: str, surface: omtwarp.Surface, method: str, judged: Distortion, iterations: int, seconds: float
+) -> dict[str, Any]:
+    """Everything known about one map."""
+    paper = paper_of(name)
+    out: dict[str, Any] = {
+        "mesh": name,
+        "method": method,
+        "flips": judged.flips,
+        "angle_sphere": judged.angle["sphere"],
+        "area_sphere": judged.area["sphere"],
+        "angle_surface": judged.angle["surface"],
+        "area_surface": judged.area["surface"],
+        "paper_angle": None,
+        "paper_area": None,
+        "vertices": surface.vertex_count,
+        "faces": surface.face_count,
+        "iterations": iterations,
+        "seconds": seconds,
+        "paper_iterations": None,
+        "paper_seconds": None,
+        "relative_curl": None,
+        "gap": None,
+    }
+    like = {"refined": "omt", "paper": "omt"}.get(method, method)
+    if "angle" in paper:
+        column = PAPER_COLUMNS.index(like)
+        out |= {"paper_angle": paper["angle"][column], "paper_area": paper["area"][column]}
+    if "run" in paper and like == "omt":
+        out |= {"paper_iterations": paper["run"][0], "paper_seconds": paper["run"][1]}
+    return out
+
+
+def paper_of(name: str) -> dict[str, tuple[float, ...]]:
+    plain = name.lower().replace("-", "").replace("_", "")
+    return next((figures for model, figures in PAPER.items() if plain.startswith(model)), {})
+
+
+def interpolate(start: np.ndarray, end: np.ndarray, t: float) -> np.ndarray:
+    """Points a part t of the way along the arcs from start to end, shape [V, 3]."""
+    axis = np.cross(start, end)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, (start * end).sum(axis=1))
+    unit = axis / np.maximum(sine, 1e-300)[:, None]
+    turned = np.cos(t * angle)[:, None] * start + np.sin(t * angle)[:, None] * np.cross(unit, start)
+    return np.where((sine > 1e-15)[:, None], turned, end)
+
+
+def tradeoff(name: str, surface: omtwarp.Surface, maps: dict[str, np.ndarray]) -> list[dict[str, Any]]:
+    """Area against angle on the way from the conformal map to ours, and at the paper's area distortion."""
+    out = []
+    paper = paper_of(name)
+    for method in ("omt", "refined"):
+        if method not in maps:
+            continue
+
+        def at(t: float, method: str = method) -> Distortion:
+            return distortion(surface.vertices, surface.faces, interpolate(maps["start"], maps[method], t))
+
+        def record(t: float, judged: Distortion, kind: str, method: str = method) -> dict[str, Any]:
+            return {
+                "mesh": name,
+                "method": method,
+                "kind": kind,
+                "t": t,
+                "area_sphere": judged.area["sphere"],
+                "angle_sphere": judged.angle["sphere"],
+                "area_surface": judged.area["surface"],
+                "angle_surface": judged.angle["surface"],
+                "flips": judged.flips,
+                "paper_area": None,
+                "paper_angle": None,
+            }
+
+        out += [record(t, at(t), "curve") for t in np.linspace(0.0, 1.0, STEPS)]
+        if "area" not in paper:
+            continue
+        area, angle = paper["area"][-1], paper["angle"][-1]
+        if at(1.0).area["sphere"] > area:
+            continue
+        low, high = 0.0, 1.0  # area falls along the way: bisect for the paper's
+        for _ in range(40):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if at(middle).area["sphere"] > area else (low, middle)
+        out.append(record(high, at(high), "paper's area") | {"paper_area": area, "paper_angle": angle})
+    return out
+
+
+def markdown(rows: list[dict[str, Any]], curves: list[dict[str, Any]]) -> str:
+    """The three tables, and what the trade-off says, as Markdown."""
+    import warp as wp
+
+    names = list(dict.fromkeys(entry["mesh"] for entry in rows))
+    methods = [m for m in METHODS if any(entry["method"] == m for entry in rows)]
+    found = {(entry["mesh"], entry["method"]): entry for entry in rows}
+    lines = [
+        f"Made by `examples/paper_tables.py` on {platform.machine()}, {platform.system()}, Python "
+        f"{platform.python_version()}, warp {wp.config.version}. Ours / the paper's; 2 is perfect.",
+        "",
+    ]
+
+    def table(title: str, cell: Any, columns: list[str] = methods) -> None:
+        lines.extend([f"## {title}", "", "| mesh | faces | " + " | ".join(TITLES[m] for m in columns) + " |"])
+        lines.append("|---|---|" + "---|" * len(columns))
+        for name in names:
+            cells = [cell(found[name, m]) if (name, m) in found else "" for m in columns]
+            faces = next(entry["faces"] for entry in rows if entry["mesh"] == name)
+            lines.append(f"| {name} | {faces} | " + " | ".join(cells) + " |")
+        lines.append("")
+
+    def against(ours: str, paper: str) -> Any:
+        return lambda e: f"{e[ours]:.4g}" + (f" / {e[paper]:g}" if e[paper] is not None else "")
+
+    table("Table 1: angle distortion, by area on the sphere", against("angle_sphere", "paper_angle"))
+    table("Table 2: area distortion, by area on the sphere", against("area_sphere", "paper_area"))
+    table("Table 1, by area on the surface", lambda e: f"{e['angle_surface']:.4g}")
+    table("Table 2, by area on the surface", lambda e: f"{e['area_surface']:.4g}")
+    table("Flipped triangles", lambda e: str(e["flips"]))
+
+    def run(entry: dict[str, Any]) -> str:
+        ours = f"{entry['iterations']} it, {entry['seconds']:.2f} s"
+        paper = entry["paper_iterations"]
+        return ours + (f" / {paper} it, {entry['paper_seconds']} s" if paper is not None else "")
+
+    table("Table 3: iterations and seconds of each stage", run)
+    if any(entry["gap"] is not None for entry in rows):
+        table(
+            "Relative curl left over, and cost over its lower bound",
+            lambda e: f"{e['relative_curl']:.4f}, {100 * e['gap']:.3f} %" if e["gap"] is not None else "",
+            [m for m in methods if m in ("moser", "omt")],
+        )
+    points = [entry for entry in curves if entry["kind"] == "paper's area"]
+    if points:
+        lines += ["## At the paper's area distortion", "", "| mesh | method | area | our angle | the paper's | t |"]
+        lines.append("|---|---|---|---|---|---|")
+        for p in points:
+            lines.append(
+                f"| {p['mesh']} | {TITLES[p['method']]} | {p['area_sphere']:.4g} | {p['angle_sphere']:.4g} "
+                f"| {p['paper_angle']:g} | {p['t']:.3f} |"
+            )
+        lines.append("")
+    return "\n".join(lines)
+
+
+def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    if not rows:
+        return
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
