@@ -52,11 +52,8 @@ def ink(background: object, transparent: bool) -> tuple[int, int, int]:
 
 
 def font(size: float) -> Any:
-    """Pillow's own font; its old bitmap font where Pillow was built without FreeType."""
-    try:
-        return ImageFont.load_default(size=max(size, 8.0))
-    except TypeError:
-        return ImageFont.load_default()
+    """Pillow's own font."""
+    return ImageFont.load_default(size=max(size, 8.0))
 
 
 def bar_width(size: tuple[int, int]) -> int:

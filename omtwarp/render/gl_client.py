@@ -35,6 +35,10 @@ class DrawingFailed(Exception):
         self.lasting = lasting
 
 
+class _Expired(Exception):
+    """The process was ended for idleness just before it was wanted again."""
+
+
 class DrawingProcess:
     """A child process with an OpenGL context.
 
@@ -68,6 +72,8 @@ class DrawingProcess:
         """
         with self._lock:
             self._cancel_idle()
+            if not self.usable:
+                raise _Expired
             try:
                 if self.device is None:
                     kind, payload = self._exchange(None, START_SECONDS)
@@ -81,10 +87,15 @@ class DrawingProcess:
                 raise
             if kind != "pictures":
                 raise DrawingFailed(payload)
-            self._idle = threading.Timer(IDLE_SECONDS, self.close)
+            self._idle = threading.Timer(IDLE_SECONDS, self._expire)
             self._idle.daemon = True
             self._idle.start()
             return payload
+
+    def _expire(self) -> None:
+        with self._lock:
+            if self._idle is threading.current_thread():  # else a picture was asked for in the meantime
+                self.close()
 
     def _exchange(self, job: RenderJob | None, seconds: float) -> tuple[str, Any]:
         """Send a job (or none) and wait for one message; a thread does both, since pipes have no timeout."""
@@ -173,14 +184,17 @@ def draw(job: RenderJob) -> tuple[list[NDArray[np.uint8]], str]:
     reason = reason_against()
     if reason is not None:
         raise DrawingFailed(reason, lasting=True)
-    prepare()
-    assert _current is not None
-    try:
-        return _current.draw(job), _current.device or "unknown"
-    except DrawingFailed as failure:
-        if failure.lasting:
-            _no_use = str(failure)
-        raise
+    while True:
+        prepare()
+        assert _current is not None
+        try:
+            return _current.draw(job), _current.device or "unknown"
+        except _Expired:
+            continue
+        except DrawingFailed as failure:
+            if failure.lasting:
+                _no_use = str(failure)
+            raise
 
 
 def shut_down() -> None:

@@ -97,7 +97,11 @@ def _gif(frames: Sequence[Any], file: Path, fps: float) -> None:
     strip = Image.new("RGB", (width * len(some), height))
     for k, shown in enumerate(some):
         strip.paste(shown.convert("RGB").resize((width, height)), (k * width, 0))
-    palette = strip.quantize(255, method=Image.Quantize.MEDIANCUT)
+    colors = (strip.quantize(254, method=Image.Quantize.MEDIANCUT).getpalette() or [])[: 3 * 254]
+    # The corner's colour exactly, since a background a shade off shows on a page of that colour. 255 stays for holes.
+    corner = frames[0].convert("RGB").getpixel((0, 0))
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colors + list(corner) * (256 - len(colors) // 3))
     pages = []
     for shown in frames:
         page = shown.convert("RGB").quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)

@@ -30,7 +30,7 @@ from omtwarp.render.subject import as_surface_view, map_view
 
 logger = logging.getLogger("omtwarp.render")
 BACKENDS = ("auto", "pyrender", "warp")
-LARGEST = 16384
+LARGEST = 8192
 
 _told: set[str] = set()
 

@@ -27,6 +27,9 @@ from pyrender.renderer import Renderer  # noqa: E402
 from pyrender.shader_program import ShaderProgram, ShaderProgramCache  # noqa: E402
 
 SURFACELESS = "surfaceless"
+# Of the supersampled picture: each pixel takes 40 bytes with its multisample buffers. Larger pictures are drawn with
+# the hardware's four samples alone.
+MOST_PIXELS = 40_000_000
 
 
 class _Program(ShaderProgram):  # type: ignore[misc]
@@ -134,7 +137,8 @@ class GLRenderer:
             One picture per shot, uint8 [height, width, 4], colours multiplied by their coverage.
         """
         self._platform.make_current()
-        samples = max(1, min(job.samples, self.largest_picture // max(job.width, job.height)))
+        room = int((MOST_PIXELS / (job.width * job.height)) ** 0.5)
+        samples = max(1, min(job.samples, room, self.largest_picture // max(job.width, job.height)))
         self._renderer.viewport_width, self._renderer.viewport_height = job.width * samples, job.height * samples
         wires = job.wireframe
         self._programs.defines = {"UNLIT": 1} if job.light.unlit else {}

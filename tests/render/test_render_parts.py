@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -199,6 +201,15 @@ def test_mp4_without_ffmpeg_is_refused_before_the_work(tmp_path, monkeypatch) ->
         preview(TRIANGLE, tmp_path / "film.mp4", backend="warp")
 
 
+def test_mp4_holds_the_frames(tmp_path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    frames = preview(TRIANGLE, tmp_path / "film.mp4", frames=5, fps=10, size=(65, 48), backend="warp")
+    assert len(frames) == 5
+    count, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
+    assert count == 5 and seconds == pytest.approx(0.5, abs=0.11)
+    assert [file.name for file in tmp_path.iterdir()] == ["film.mp4"]
+
+
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(failure, tmp_path, monkeypatch) -> None:
     target = tmp_path / "picture.png"
@@ -302,6 +313,23 @@ def test_a_crashing_or_hanging_driver_does_not_take_the_caller_along(fresh_clien
         assert preview(TRIANGLE, size=(32, 32)).info["backend"].startswith("warp")
     assert words in caplog.text
     assert not gl_client._current.usable  # ended, not left behind
+
+
+def test_an_idle_drawing_process_ends_and_comes_back(fresh_client) -> None:
+    fresh_client.setattr(gl_client, "IDLE_SECONDS", 0.2)
+    try:
+        first = preview(TRIANGLE, size=(32, 32), backend="pyrender")
+    except OmtwarpError:
+        if os.environ.get("CI"):
+            raise
+        pytest.skip("no OpenGL on this machine")
+    process = gl_client._current
+    deadline = time.monotonic() + 20
+    while process.usable and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not process.usable
+    again = preview(TRIANGLE, size=(32, 32), backend="pyrender")
+    assert np.array_equal(np.asarray(first), np.asarray(again))
 
 
 def test_importing_the_package_is_cheap() -> None:

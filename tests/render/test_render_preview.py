@@ -382,6 +382,7 @@ def test_turntable_frames_and_gif(backend: str, tmp_path) -> None:
     again = np.asarray(preview(globe(3), camera=Camera(144, 10), size=(64, 64), backend=backend)).astype(int)
     assert np.abs(arrays[2] - again).mean() < 1.0
     with Image.open(target) as film:
+        assert film.convert("RGB").getpixel((0, 0)) == (255, 255, 255)
         assert film.n_frames == 5 and film.info["loop"] == 0 and film.info["duration"] == 100
     assert [file.name for file in tmp_path.iterdir()] == ["turn.gif"]
 
