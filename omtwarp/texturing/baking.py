@@ -24,14 +24,16 @@ from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.image import as_floats, read_image
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection
-from omtwarp.texturing.seams import unwrap
+from omtwarp.texturing.seams import Unwrapped, unwrap
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
+NOBODY = 2**31 - 1
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
 CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more are worth more samples; a soft gradient is not
 GROW = 1e-6  # texels by which a triangle may claim a centre outside it
+RING = 1.5  # texels around the charts in which the function itself is continued, so that filtering sees it there
 
 
 class _Source:
@@ -243,29 +245,54 @@ def resample(
 class _Layout:
     """Triangles laid out on a picture: which one owns each texel, and values linear over it."""
 
-    def __init__(self, corner_uv: Floats, width: int, height: int, where: Any):
+    def __init__(self, corner_uv: Floats, width: int, height: int, where: Any, padding: int = -1):
         self.width, self.height, self.where = width, height, where
+        self._atlas: Atlas | None = None
         texels = np.stack([corner_uv[..., 0] * width, (1.0 - corner_uv[..., 1]) * height], axis=-1)
         self.corners: Any = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
-        self.owner = wp.full(width * height, 2**31 - 1, dtype=wp.int32, device=where)
+        owner = self._claim(GROW)
+        if padding:
+            ring = self._claim(RING if padding < 0 else min(RING, float(padding)))
+            owner = np.where(owner == NOBODY, ring, owner)
+        self.owner: Any = wp.array(owner, dtype=wp.int32, device=where)
+        self.known = owner != NOBODY
+
+    def _claim(self, grow: float) -> NDArray[np.int32]:
+        owner = wp.full(self.width * self.height, NOBODY, dtype=wp.int32, device=self.where)
         wp.launch(
             kernels.own_texels_kernel,
-            dim=len(corner_uv),
-            inputs=[self.corners, 0, height, width, wp.float64(GROW), self.owner],
-            device=where,
+            dim=len(self.corners),
+            inputs=[self.corners, self.width, self.height, wp.float64(grow), owner],
+            device=self.where,
         )
-        self.known = self.owner.numpy() < 2**31 - 1
+        return owner.numpy()
 
     def owned(self) -> NDArray[np.int32]:
         return np.flatnonzero(self.known).astype(np.int32)
 
     def interpolate(self, values: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
+        """Values at corners [F, 3, C] at the samples of texels, into ``out`` [texels * samples², C]."""
+        if self._atlas is not None:
+            offset, gutter = self._atlas.parameters
+            picture = [self._atlas.kind, wp.float64(offset), wp.float64(gutter)]
+            wp.launch(
+                kernels.owner_values_on_sphere_kernel,
+                dim=len(texels) * samples**2,
+                inputs=[*picture, self._chords, values, self.owner, texels, self.width, self.height, samples, out],
+                device=self.where,
+            )
+            return
         wp.launch(
             kernels.owner_values_kernel,
             dim=len(texels) * samples**2,
             inputs=[self.corners, values, self.owner, texels, self.width, samples, out],
             device=self.where,
         )
+
+    def show_sphere(self, atlas: Atlas, chords: Floats) -> None:
+        """Take places in triangles from the directions of an atlas from now on; ``chords``: corners, [F, 3, 3]."""
+        self._atlas = atlas
+        self._chords: Any = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
 
     def dilate(self, picture: wp.array, rings: int) -> wp.array:
         """Fill texels around the owned ones, one ring after another; -1 fills all."""
@@ -344,7 +371,7 @@ def bake_to_uv(
     faces = np.asarray(faces)
     s = np.asarray(sphere, dtype=np.float64)
     width, height = _picture_size(size)
-    layout = _Layout(_own_uv(uv, faces, uv_faces), width, height, where)
+    layout = _Layout(_own_uv(uv, faces, uv_faces), width, height, where, padding)
     if isinstance(source, VertexValues):
         return _bake_linear(layout, source.corner_values(faces), supersample, padding)
     given = _source(source, projection, where)
@@ -429,12 +456,13 @@ def bake_vertex_values(
     target = _target(atlas, size)
     given = values if isinstance(values, VertexValues) else VertexValues(values)
     faces = np.asarray(faces, dtype=np.int32)
-    given.corner_values(faces[:0])
+    if len(given.values) != len(np.asarray(sphere)):
+        raise OmtwarpError(f"values at vertices: {len(given.values)} given for {len(np.asarray(sphere))} vertices")
     cut = unwrap(
         np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
     )
-    layout = _Layout(cut.uv[cut.faces], target.width, target.height, where)
-    return _bake_linear(layout, (cut.weights @ given.values)[cut.faces], supersample, -1)
+    layout, part = _sphere_layout(cut, target, sphere, rotation, where)
+    return _bake_linear(layout, (cut.weights @ given.values)[cut.faces][part], supersample, -1)
 
 
 def uv_to_sphere(
@@ -471,35 +499,54 @@ def uv_to_sphere(
         np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
     )
     # A part of a face has the own coordinates of that face: linear, whatever seams the mesh's coordinates have.
-    corner_own = _own_at_parts(cut.weights, cut.faces, cut.source_face, faces, own)
-    layout = _Layout(cut.uv[cut.faces], target.width, target.height, where)
-    values: Any = wp.array(np.ascontiguousarray(corner_own), dtype=wp.float64, device=where)
+    corner_own = _own_at_parts(cut, faces, own)
+    layout, part = _sphere_layout(cut, target, sphere, rotation, where)
+    values: Any = wp.array(np.ascontiguousarray(corner_own[part]), dtype=wp.float64, device=where)
     source: Any = wp.array(np.ascontiguousarray(as_floats(array)), dtype=wp.float32, device=where)
     channels = array.shape[2]
     out = wp.zeros((target.width * target.height, channels), dtype=wp.float32, device=where)
     texels, samples = layout.owned(), max(int(supersample), 1)
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
-        part: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
-        count = len(part) * samples**2
+        some: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        count = len(some) * samples**2
         points = wp.empty((count, 2), dtype=wp.float64, device=where)
         colours = wp.empty((count, channels), dtype=wp.float64, device=where)
-        layout.interpolate(values, part, samples, points)
+        layout.interpolate(values, some, samples, points)
         wp.launch(kernels.sample_plane_kernel, dim=count, inputs=[source, points, colours], device=where)
-        wp.launch(kernels.average_kernel, dim=len(part), inputs=[colours, samples, part, out], device=where)
+        wp.launch(kernels.average_kernel, dim=len(some), inputs=[colours, samples, some, out], device=where)
     return layout.dilate(out, -1).numpy().reshape(target.height, target.width, channels)
 
 
-def _own_at_parts(weights: Any, part_faces: NDArray, source_face: NDArray, faces: NDArray, own: Floats) -> Floats:
+def _sphere_layout(
+    cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: Any
+) -> tuple[_Layout, NDArray[np.int64]]:
+    """The parts of faces laid out on the picture of an atlas, and which part each triangle of the layout is, [K]."""
+    points = cut.weights @ np.asarray(sphere, dtype=np.float64)
+    chords = (points if rotation is None else points @ np.asarray(rotation, dtype=np.float64))[cut.faces]
+    corner_uv, part = cut.uv[cut.faces], np.arange(len(cut.faces))
+    if atlas.wraps:
+        # On the picture a pole is the whole top or bottom edge. A triangle at a pole has one point of it, but owns the
+        # rectangle up to the edge; only ownership is taken from here.
+        v = corner_uv[..., 1]
+        poles = np.isin(v, (0.0, 1.0)).sum(axis=1) == 1
+        at = np.flatnonzero(poles)
+        k = np.argmax(np.isin(v[at], (0.0, 1.0)), axis=1)
+        pole, a, b = (corner_uv[at, (k + i) % 3] for i in range(3))
+        over_a, over_b = np.stack([a[:, 0], pole[:, 1]], axis=1), np.stack([b[:, 0], pole[:, 1]], axis=1)
+        corner_uv = np.concatenate([corner_uv, np.stack([over_a, a, b], 1), np.stack([over_a, b, over_b], 1)])
+        part = np.concatenate([part, at, at])
+    layout = _Layout(corner_uv, atlas.width, atlas.height, where)
+    layout.show_sphere(atlas, chords[part])
+    return layout, part
+
+
+def _own_at_parts(cut: Unwrapped, faces: NDArray, own: Floats) -> Floats:
     """Own coordinates of the corners of the parts of faces, shape [M, 3, 2].
 
     Each corner is a combination of vertices of its source face; its coordinates are the same combination of that
     face's corners.
     """
-    matrix = weights.tocsr()
-    rows = part_faces.ravel()
-    corner_face = np.repeat(source_face, 3)
-    share = np.zeros((len(rows), 3))
-    for k in range(3):
-        share[:, k] = np.asarray(matrix[rows, faces[corner_face, k]]).ravel()
+    rows, corner_face = cut.faces.ravel(), np.repeat(cut.source_face, 3)
+    share = np.stack([np.asarray(cut.weights[rows, faces[corner_face, k]]).ravel() for k in range(3)], axis=1)
     return np.einsum("ik,ikj->ij", share, own[corner_face]).reshape(-1, 3, 2)

@@ -269,16 +269,15 @@ def edge_side(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64, px
 @wp.kernel
 def own_texels_kernel(
     corners: wp.array2d(dtype=wp.vec2d),
-    first_row: int,
-    rows: int,
     width: int,
+    height: int,
     grow: wp.float64,
     owner: wp.array(dtype=wp.int32),
 ):
     """Each triangle claims the texels whose centres it contains; the lowest number wins, whatever the order of threads.
 
     ``corners`` are in texels, y down. ``grow`` lets a triangle claim centres up to that many texels outside, so that
-    round-off cannot leave a hole between two triangles.
+    round-off cannot leave a hole between two triangles, or so that a ring around the charts gets an owner.
     """
     f = wp.tid()
     a = corners[f, 0]
@@ -294,8 +293,8 @@ def own_texels_kernel(
     ca = wp.length(a - c) * flip
     low_x = wp.max(int(wp.ceil(wp.min(wp.min(a[0], b[0]), c[0]) - HALF - grow)), 0)
     high_x = wp.min(int(wp.floor(wp.max(wp.max(a[0], b[0]), c[0]) - HALF + grow)), width - 1)
-    low_y = wp.max(int(wp.ceil(wp.min(wp.min(a[1], b[1]), c[1]) - HALF - grow)), first_row)
-    high_y = wp.min(int(wp.floor(wp.max(wp.max(a[1], b[1]), c[1]) - HALF + grow)), first_row + rows - 1)
+    low_y = wp.max(int(wp.ceil(wp.min(wp.min(a[1], b[1]), c[1]) - HALF - grow)), 0)
+    high_y = wp.min(int(wp.floor(wp.max(wp.max(a[1], b[1]), c[1]) - HALF + grow)), height - 1)
     for row in range(low_y, high_y + 1):
         for column in range(low_x, high_x + 1):
             x = wp.float64(column) + HALF
@@ -303,7 +302,7 @@ def own_texels_kernel(
             if edge_side(a[0], a[1], b[0], b[1], x, y) / ab >= -grow:
                 if edge_side(b[0], b[1], c[0], c[1], x, y) / bc >= -grow:
                     if edge_side(c[0], c[1], a[0], a[1], x, y) / ca >= -grow:
-                        wp.atomic_min(owner, (row - first_row) * width + column, f)
+                        wp.atomic_min(owner, row * width + column, f)
 
 
 @wp.func
@@ -312,9 +311,15 @@ def barycentric(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, x: wp.float64, y: wp.floa
     area = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
     u = edge_side(b[0], b[1], c[0], c[1], x, y) / area
     v = edge_side(c[0], c[1], a[0], a[1], x, y) / area
+    return drawn_back(u, v, slack)
+
+
+@wp.func
+def drawn_back(u: wp.float64, v: wp.float64, slack: wp.float64):
+    """Barycentric coordinates, moved towards the middle until none is below the slack."""
     w = ONE - u - v
     least = wp.min(wp.min(u, v), w)
-    if least < -slack:  # towards the middle until just the slack is left
+    if least < -slack:
         third = ONE / wp.float64(3.0)
         t = (third + slack) / (third - least)
         u = third + t * (u - third)
@@ -346,6 +351,47 @@ def owner_values_kernel(
     y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
     f = owner[number]
     bary = barycentric(corners[f, 0], corners[f, 1], corners[f, 2], x, y, HALF)
+    for c in range(values.shape[2]):
+        out[i, c] = bary[0] * values[f, 0, c] + bary[1] * values[f, 1, c] + bary[2] * values[f, 2, c]
+
+
+@wp.kernel
+def owner_values_on_sphere_kernel(
+    kind: int,
+    offset: wp.float64,
+    gutter: wp.float64,
+    points: wp.array2d(dtype=wp.vec3d),
+    values: wp.array3d(dtype=wp.float64),
+    owner: wp.array(dtype=wp.int32),
+    texels: wp.array(dtype=wp.int32),
+    width: int,
+    height: int,
+    samples: int,
+    out: wp.array2d(dtype=wp.float64),
+):
+    """As owner_values_kernel, but with the place in the owning triangle taken from the sample's own direction.
+
+    ``points`` are the triangles' corners on the sphere. Which triangle owns a texel is known from texture coordinates,
+    which are linear only to a fraction of a texel; where in it the sample lies is exact.
+    """
+    i = wp.tid()
+    per_texel = samples * samples
+    number = texels[i // per_texel]
+    k = i % per_texel
+    step = ONE / wp.float64(samples)
+    x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
+    y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
+    d = picture_direction(kind, x, y, width, height, offset, gutter)
+    f = owner[number]
+    p = points[f, 0]
+    q = points[f, 1]
+    r = points[f, 2]
+    u = wp.dot(d, wp.cross(q, r))
+    v = wp.dot(d, wp.cross(r, p))
+    total = u + v + wp.dot(d, wp.cross(p, q))
+    bary = wp.vec3d(ONE / wp.float64(3.0), ONE / wp.float64(3.0), ONE / wp.float64(3.0))
+    if total != ZERO:
+        bary = drawn_back(u / total, v / total, HALF)
     for c in range(values.shape[2]):
         out[i, c] = bary[0] * values[f, 0, c] + bary[1] * values[f, 1, c] + bary[2] * values[f, 2, c]
 
