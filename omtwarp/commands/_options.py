@@ -38,15 +38,15 @@ class Scheme(StrEnum):
 
 
 def refine_weight(text: str) -> str:
-    """Check what --refine is given: a name, or a number that is not negative."""
+    """Check what --refine is given: a name, or a positive number."""
     if text in ("none", "area", "balanced", "angle"):
         return text
     try:
         number = float(text)
     except ValueError:
-        number = -1.0
-    if not 0.0 <= number < float("inf"):
-        raise typer.BadParameter(f"'{text}' is neither none, area, balanced or angle nor a number from 0 on")
+        number = 0.0
+    if not 0.0 < number < float("inf"):
+        raise typer.BadParameter(f"'{text}' is neither none, area, balanced or angle nor a positive number")
     return text
 
 

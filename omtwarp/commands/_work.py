@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -99,15 +101,22 @@ def load_map(path: Path) -> Any:
     """
     from omtwarp.result import MapResult
 
-    if not path.is_file():
-        raise OmtwarpError(f"{path}: no such file")
-    try:
-        return MapResult.load(path)
-    except OmtwarpError:
-        raise
-    except Exception as error:
-        detail = " ".join(str(error).split())[:160] or type(error).__name__
-        raise OmtwarpError(f"{path}: not a map made by 'omtwarp map': {detail}") from None
+    return MapResult.load(path)
+
+
+def report_text(report: dict[str, Any]) -> str:
+    """A report as JSON; numbers that JSON does not have become null."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {str(name): plain(entry) for name, entry in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(entry) for entry in value]
+        if hasattr(value, "tolist"):  # of NumPy
+            return plain(value.tolist())
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
 
 
 def make_map(mesh: Input, *, quiet: bool, **options: Any) -> Any:
@@ -144,21 +153,17 @@ def map_from(
     return make_map(sound, quiet=quiet, device=device, **options)
 
 
-def flipped_faces(result: Any) -> NDArray:
-    """Indices of the triangles that the map turns over: det[s0, s1, s2] not positive."""
-    import numpy as np
-
-    s0, s1, s2 = (result.sphere[result.faces[:, k]] for k in range(3))
-    return np.flatnonzero(~(np.einsum("ij,ij->i", s0, np.cross(s1, s2)) > 0))
-
-
 def require_no_flips(result: Any, saved: Path) -> None:
     """Say so, after the map was saved, if triangles are turned over.
 
     Raises:
         OmtwarpError: how many, and where the first is.
     """
-    flips = flipped_faces(result)
+    import numpy as np
+
+    from omtwarp.embedding.predicates import orientation_signs
+
+    flips = np.flatnonzero(orientation_signs(result.sphere, result.faces) <= 0)
     if len(flips):
         raise OmtwarpError(
             f"the map has {len(flips)} flipped triangle{'s' * (len(flips) > 1)}, first face {flips[0]}; "

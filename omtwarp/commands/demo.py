@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated
@@ -22,14 +21,13 @@ def demo(
     quiet: QuietOption = False,
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
-    from omtwarp.commands._work import Input, make_map, require_no_flips, start_device
+    from omtwarp.commands._work import Input, make_map, report_text, require_no_flips, start_device
     from omtwarp.commands.map import save, summary
     from omtwarp.errors import OmtwarpError
     from omtwarp.mesh.shapes import demo_shape
     from omtwarp.mesh.write import write_mesh
-    from omtwarp.render import comparison, preview
-    from omtwarp.texturing import rasterize, texture
 
+    start_device(device)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -38,12 +36,14 @@ def demo(
     mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = (
         check_output(output / name, ()) for name in names
     )
-    start_device(device)
     start = time.perf_counter()
 
     def tell(text: str) -> None:
         if not quiet:
             print(f"{time.perf_counter() - start:6.1f} s  {text}", flush=True)
+
+    from omtwarp.render import comparison, preview
+    from omtwarp.texturing import rasterize, texture
 
     surface = demo_shape(faces)
     with staged(mesh_file) as file:
@@ -53,7 +53,7 @@ def demo(
     with staged(map_file) as file:
         save(result, file, {})
     with staged(report_file) as file:
-        file.write_text(json.dumps(result.report, indent=1) + "\n", "utf-8")
+        file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
     tell(summary(result, map_file))
     globe = texture(result, pattern="globe", device=device)
     with staged(model_file) as file:

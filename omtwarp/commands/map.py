@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -49,7 +48,7 @@ def map_mesh(
     OUTPUT.npz holds vertices, faces, sphere, conformal and density (float64, in the input's order). A mesh suffix
     (.ply, .obj, .off, .stl, .glb) holds the sphere with the input's faces.
     """
-    from omtwarp.commands._work import make_map, read_sound_mesh, require_no_flips, start_device
+    from omtwarp.commands._work import make_map, read_sound_mesh, report_text, require_no_flips, start_device
     from omtwarp.mesh.write import SUFFIXES
 
     target = check_output(output, (".npz", *SUFFIXES), mesh)
@@ -64,14 +63,15 @@ def map_mesh(
         cost=cost.value,
         scheme=scheme.value,
         refine=refine,
+        optimality=report is not None,
         device=device,
     )
     with staged(target) as file:
         save(result, file, sound.origins)
     if report_target is not None:
-        content = {**result.report, "input": {"path": str(mesh), "notes": sound.notes}}
+        source = {"path": str(mesh), "notes": sound.notes}
         with staged(report_target) as file:
-            file.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
+            file.write_text(report_text({"input": source, **result.report, "history": result.history}), "utf-8")
     if not quiet:
         print(summary(result, output))
     if method is Method.OMT:
