@@ -243,8 +243,7 @@ def obj_files(textured: TexturedSurface, place: Path) -> list[tuple[Path, bytes]
         "illum 1",
         "Pr 0.65",
         "Pm 0.0",
-        # Bilinear filtering must not cross the picture's border where u does not wrap.
-        f"map_Kd {'' if textured.wraps else '-clamp on '}{picture.name}",
+        f"map_Kd {picture.name}",  # no options: several readers take them for a part of the name
         "",
     ]
     return [(picture, png_bytes(textured.image)), (material, "\n".join(lines).encode()), (place, text.encode())]

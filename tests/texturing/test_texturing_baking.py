@@ -92,7 +92,7 @@ def test_gutters_show_what_lies_beyond(name):
     for dx in (0, 1):
         for dy in (0, 1):
             corner = picture[np.clip(low[:, 1] + dy, 0, atlas.height - 1), np.clip(low[:, 0] + dx, 0, atlas.width - 1)]
-            assert np.linalg.norm(corner - d, axis=1).max() < 4 * atlas.texel_angle
+            assert np.linalg.norm(corner - d, axis=1).max() < 5 * atlas.texel_angle
 
 
 def test_supersampling_is_the_mean_over_the_texel():
