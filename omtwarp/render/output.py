@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from omtwarp.errors import OmtwarpError
 
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
@@ -104,7 +106,10 @@ def _gif(frames: Sequence[Any], file: Path, fps: float) -> None:
     palette.putpalette(colors + list(corner) * (256 - len(colors) // 3))
     pages = []
     for shown in frames:
-        page = shown.convert("RGB").quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
+        opaque = shown.convert("RGB")
+        page = opaque.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
+        same = (np.asarray(opaque) == corner).all(axis=2)  # Pillow's search for the nearest colour is not exact
+        page.paste(254, mask=Image.fromarray(same))
         if clear:  # GIF knows no half-transparent pixel
             page.paste(255, mask=shown.getchannel("A").point(lambda alpha: 255 if alpha < 128 else 0))
         pages.append(page)

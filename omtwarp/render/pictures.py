@@ -65,8 +65,8 @@ def preview(
     """Draw a surface and, if a path is given, write the picture there.
 
     Args:
-        subject: a mesh file, a ``trimesh.Trimesh``, a ``MapResult`` or its .npz file, (vertices, faces), or a
-            :class:`SurfaceView`. Textures and colours of files and meshes are kept.
+        subject: a mesh file, a ``trimesh.Trimesh``, a ``MapResult`` or its .npz file, a ``TexturedSurface``,
+            (vertices, faces), or a :class:`SurfaceView`. Textures and colours of files and meshes are kept.
         path: .png, .jpg, .webp, .tif, .gif or .mp4; the file appears whole or not at all.
         size: width and height of a view in pixels.
         views: a name (front, back, left, right, top, bottom, three-quarter), ``"AZ,EL"`` or (azimuth, elevation) in

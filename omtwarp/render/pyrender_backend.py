@@ -172,7 +172,7 @@ class GLRenderer:
         texture = None
         if part.image is not None:
             wrap = GL.GL_REPEAT if part.repeat else GL.GL_CLAMP_TO_EDGE
-            vertical = wrap if part.kind == "uv" else GL.GL_CLAMP_TO_EDGE  # nothing lies beyond a pole
+            vertical = GL.GL_REPEAT if part.repeat_rows else GL.GL_CLAMP_TO_EDGE
             sampler = pyrender.Sampler(wrapS=wrap, wrapT=vertical)
             texture = _Texture(source=_fitted(part.image, self.largest_texture), source_channels="RGB", sampler=sampler)
             texture.mipmaps = part.mipmaps

@@ -131,6 +131,7 @@ def _picture(job: RenderJob, where: Any) -> Any:
     picture.heights = wp.array(np.array([height for _, height in sizes], np.int32), dtype=wp.int32, device=where)
     picture.levels = len(sizes)
     picture.repeat = int(part is not None and part.repeat)
+    picture.repeat_rows = int(part is not None and part.repeat_rows)
     tint = srgb_to_linear(part.tint if part is not None else (1.0, 1.0, 1.0))
     picture.tint = wp.vec3(*(float(channel) for channel in tint))
     return picture

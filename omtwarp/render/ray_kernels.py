@@ -48,6 +48,7 @@ class Picture:
     decode: wp.array(dtype=wp.float32)  # sRGB byte to linear
     levels: wp.int32
     repeat: wp.int32
+    repeat_rows: wp.int32
     tint: wp.vec3  # linear
 
 
@@ -102,7 +103,7 @@ def texel(picture: Picture, level: int, column: int, row: int):
 
 
 @wp.func
-def bilinear(picture: Picture, u: float, v: float, level: int, repeat_rows: int):
+def bilinear(picture: Picture, u: float, v: float, level: int):
     width = picture.widths[level]
     height = picture.heights[level]
     x = u * float(width) - 0.5
@@ -113,26 +114,26 @@ def bilinear(picture: Picture, u: float, v: float, level: int, repeat_rows: int)
     t = y - wp.floor(y)
     left = wrapped(column, width, picture.repeat)
     right = wrapped(column + 1, width, picture.repeat)
-    top = wrapped(row, height, repeat_rows)
-    bottom = wrapped(row + 1, height, repeat_rows)
+    top = wrapped(row, height, picture.repeat_rows)
+    bottom = wrapped(row + 1, height, picture.repeat_rows)
     above = (1.0 - s) * texel(picture, level, left, top) + s * texel(picture, level, right, top)
     below = (1.0 - s) * texel(picture, level, left, bottom) + s * texel(picture, level, right, bottom)
     return (1.0 - t) * above + t * below
 
 
 @wp.func
-def trilinear(picture: Picture, u: float, v: float, level: float, repeat_rows: int):
+def trilinear(picture: Picture, u: float, v: float, level: float):
     clamped = wp.clamp(level, 0.0, float(picture.levels - 1))
     lower = int(wp.floor(clamped))
     blend = clamped - float(lower)
-    found = bilinear(picture, u, v, lower, repeat_rows)
+    found = bilinear(picture, u, v, lower)
     if blend > 0.0:
-        found = (1.0 - blend) * found + blend * bilinear(picture, u, v, lower + 1, repeat_rows)
+        found = (1.0 - blend) * found + blend * bilinear(picture, u, v, lower + 1)
     return found
 
 
 @wp.func
-def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2, repeat_rows: int):
+def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
     """The mean over the ellipse that the derivatives span: probes along its long axis at the level of the short one."""
     width = float(picture.widths[0])
     height = float(picture.heights[0])
@@ -163,7 +164,7 @@ def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2, 
     first_v = uv[1] - 0.5 * (probes - 1.0) * step_v
     total = wp.vec3(0.0, 0.0, 0.0)
     for k in range(int(probes)):
-        total += trilinear(picture, first_u + float(k) * step_u, first_v + float(k) * step_v, level, repeat_rows)
+        total += trilinear(picture, first_u + float(k) * step_u, first_v + float(k) * step_v, level)
     return total / probes
 
 
@@ -182,7 +183,7 @@ def sphere_color(picture: Picture, p: wp.vec3, px: wp.vec3, py: wp.vec3):
     uv = wp.vec2(0.5 + wp.atan2(p[1], p[0]) / (2.0 * PI_F), 0.5 + wp.atan2(p[2], wp.sqrt(flat2)) / PI_F)
     along_x = wp.vec2(longitude_x / (2.0 * PI_F), latitude_x / PI_F)
     along_y = wp.vec2(longitude_y / (2.0 * PI_F), latitude_y / PI_F)
-    return filtered(picture, uv, along_x, along_y, 0)
+    return filtered(picture, uv, along_x, along_y)
 
 
 @wp.func
@@ -295,13 +296,13 @@ def sample(view: View, shape: Geometry, picture: Picture, look: Look, x: float, 
         albedo = wp.vec3(to_linear(value[0]), to_linear(value[1]), to_linear(value[2]))
         if kind == KIND_UV:
             if picture.levels == 1:
-                albedo = bilinear(picture, value[0], value[1], 0, picture.repeat)
+                albedo = bilinear(picture, value[0], value[1], 0)
             else:
                 grad_x = ux * a1 + vx * a2
                 grad_y = uy * a1 + vy * a2
                 along_x = wp.vec2(grad_x[0], grad_x[1])
                 along_y = wp.vec2(grad_y[0], grad_y[1])
-                albedo = filtered(picture, wp.vec2(value[0], value[1]), along_x, along_y, picture.repeat)
+                albedo = filtered(picture, wp.vec2(value[0], value[1]), along_x, along_y)
             albedo = wp.cw_mul(albedo, picture.tint)
         if kind == KIND_SPHERE:
             albedo = wp.cw_mul(sphere_color(picture, value, ux * a1 + vx * a2, uy * a1 + vy * a2), picture.tint)

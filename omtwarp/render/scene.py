@@ -81,7 +81,8 @@ class SurfaceView:
         image: a picture, PIL image or [height, width, 3 or 4] bytes (or numbers in [0, 1]); row 0 is its top.
         sphere: unit vectors, shape [V, 3]: the image is equirectangular (longitude atan2(y, x) grows to the right
             from -π, latitude π/2 on top) and looked up anew at every pixel, so that neither seam nor pole shows.
-        uv: texture coordinates, shape [V, 2] or per corner [F, 3, 2]; (0, 0) is the image's bottom left, it repeats.
+        uv: texture coordinates, shape [V, 2] or per corner [F, 3, 2]; (0, 0) is the image's bottom left; it repeats to
+            the right, and upwards where coordinates leave [0, 1] there.
         colors: RGB per vertex [V, 3] or per face [F, 3]; bytes, or numbers in [0, 1].
         scalar: a number per vertex or per face with its colour map.
         color: the colour where nothing else is given (None: clay), and a factor on an image (None: white).
@@ -178,6 +179,7 @@ class Part:
         image: uint8 [H, W, 3] sRGB for the two looked-up kinds, row 0 on top.
         tint: sRGB factor on the image.
         repeat: the image repeats to the right (sphere, textures) or ends at its border (colour maps).
+        repeat_rows: it repeats upwards too.
         mipmaps: average over the area of a pixel; off for colour maps, which hold no picture.
         edges: draw the triangles' edges; needs N = 3F, corner k of face f in row 3f + k.
     """
@@ -190,6 +192,7 @@ class Part:
     image: NDArray[np.uint8] | None = None
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
     repeat: bool = True
+    repeat_rows: bool = False
     mipmaps: bool = True
     edges: bool = False
 
@@ -314,7 +317,7 @@ def build_part(view: SurfaceView, edges: bool = False) -> Part:
     centre, radius = normalisation(view)
     positions = (vertices - centre) / radius
     image, tint, repeat, mipmaps, kind = None, (1.0, 1.0, 1.0), True, True, "color"
-    per_face = False
+    per_face, repeat_rows = False, False
     if view.image is not None:
         image = view.image
         if view.color is not None:
@@ -324,6 +327,8 @@ def build_part(view: SurfaceView, edges: bool = False) -> Part:
             kind, value = "sphere", np.asarray(view.sphere)
         else:
             kind, value = "uv", np.asarray(view.uv)
+            # Tiling upwards is rare, and where there is none the top row must not bleed into the bottom one.
+            repeat_rows = bool(value[..., 1].min() < -1e-6 or value[..., 1].max() > 1.0 + 1e-6)
     elif view.scalar is not None:
         kind, repeat, mipmaps = "uv", False, False
         image, value = _scalar_lookup(view.scalar)
@@ -364,6 +369,7 @@ def build_part(view: SurfaceView, edges: bool = False) -> Part:
         image=image,
         tint=tint,
         repeat=repeat,
+        repeat_rows=repeat_rows,
         mipmaps=mipmaps,
         edges=edges,
     )

@@ -15,7 +15,7 @@ from omtwarp.render.scene import SurfaceView, as_image
 
 
 def as_surface_view(subject: Any, image: Any = None) -> SurfaceView:
-    """Make a view of a file, a ``trimesh.Trimesh``, a ``MapResult``, a pair (vertices, faces) or a view itself.
+    """Make a view of a file, a ``trimesh.Trimesh``, a ``MapResult``, ``TexturedSurface``, (vertices, faces) or a view.
 
     Args:
         subject: what to look at. Textures, texture coordinates and colours of files and trimesh meshes are kept.
@@ -39,6 +39,8 @@ def as_surface_view(subject: Any, image: Any = None) -> SurfaceView:
         view = _from_trimesh(subject)
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
+    elif all(hasattr(subject, name) for name in ("vertices", "faces", "uv", "image")):
+        view = SurfaceView(subject.vertices, subject.faces, image=subject.image, uv=subject.uv)
     elif hasattr(subject, "vertices") and hasattr(subject, "faces"):
         view = SurfaceView(subject.vertices, subject.faces)
     else:

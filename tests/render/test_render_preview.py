@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 import os
-import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +27,7 @@ from omtwarp.render import (
 )
 from omtwarp.render.camera import SIX_VIEWS, VIEWS, frame
 from omtwarp.render.colors import srgb_to_linear
+from omtwarp.result import MapResult
 
 DARK, LIGHT = np.array([40, 90, 160]), np.array([240, 225, 205])
 COLUMNS, ROWS = 24, 12
@@ -415,15 +415,27 @@ def test_sheet_and_comparison(backend: str) -> None:
     assert clear.mode == "RGBA" and clear.getpixel((0, 0))[3] == 0
 
 
-def test_finished_map_file_is_drawn_like_the_map(tmp_path, monkeypatch) -> None:
+def test_finished_map_file_is_drawn_like_the_map(tmp_path) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=2)
-    points = np.asarray(mesh.vertices)
-    made = SimpleNamespace(vertices=points, faces=mesh.faces, sphere=points, conformal=points)
-    module = ModuleType("omtwarp.result")
-    module.MapResult = SimpleNamespace(load=lambda path: made if path.name == "ball.npz" else None)
-    monkeypatch.setitem(sys.modules, "omtwarp.result", module)
+    points, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32)
+    made = MapResult(points, faces, points, points, np.ones(len(points)))
+    made.save(tmp_path / "ball.npz")
     one, two = (np.asarray(preview(it, size=(48, 48), backend="warp")) for it in (tmp_path / "ball.npz", made))
     assert np.array_equal(one, two)
+
+
+def test_image_repeats_upwards_only_where_coordinates_ask_for_it(backend: str) -> None:
+    """Within [0, 1] the top row does not bleed into the bottom one; beyond, the image is tiled."""
+    vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    image = np.array([[[250, 10, 10]], [[10, 10, 250]]], np.uint8).repeat(16, axis=0).repeat(16, axis=1)
+    uv = (vertices[:, :2] + 1) / 2
+    options = {"views": "front", "size": (100, 100), "light": "flat", "backend": backend}
+    once = np.asarray(preview(SurfaceView(vertices, faces, image=image, uv=uv), **options)).astype(int)
+    assert np.abs(once[6, 50] - [250, 10, 10]).max() <= 3 and np.abs(once[93, 50] - [10, 10, 250]).max() <= 3
+    tiled = np.asarray(preview(SurfaceView(vertices, faces, image=image, uv=uv * 2), **options)).astype(int)
+    quarter = tiled[[16, 39, 61, 84], 50]  # the middles of the four stripes
+    assert np.abs(quarter - [[250, 10, 10], [10, 10, 250]] * 2).max() <= 3
 
 
 def test_scalar_field_of_ratios_is_logarithmic(backend: str) -> None:
