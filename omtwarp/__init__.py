@@ -19,7 +19,11 @@ _PUBLIC = {
     "OmtwarpError": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
     "check": "omtwarp.mesh.validate",
+    "conformal_map": "omtwarp.conformal",
+    "distortion": "omtwarp.metrics",
     "map_to_sphere": "omtwarp.pipeline",
+    "moser_map": "omtwarp.moser",
+    "optimal_transport": "omtwarp.transport",
     "preview": "omtwarp.render",
     "read_mesh": "omtwarp.mesh.read",
     "repair": "omtwarp.mesh.repair",
@@ -27,6 +31,7 @@ _PUBLIC = {
 }
 
 if TYPE_CHECKING:
+    from omtwarp.conformal import conformal_map as conformal_map
     from omtwarp.errors import OmtwarpError as OmtwarpError
     from omtwarp.mesh import shapes as shapes
     from omtwarp.mesh.read import read_mesh as read_mesh
@@ -34,6 +39,13 @@ if TYPE_CHECKING:
     from omtwarp.mesh.surface import Surface as Surface
     from omtwarp.mesh.validate import Defect as Defect
     from omtwarp.mesh.validate import check as check
+    from omtwarp.metrics import distortion as distortion
+    from omtwarp.moser import moser_map as moser_map
+    from omtwarp.pipeline import map_to_sphere as map_to_sphere
+    from omtwarp.render import preview as preview
+    from omtwarp.result import MapResult as MapResult
+    from omtwarp.texturing import texture as texture
+    from omtwarp.transport import optimal_transport as optimal_transport
 
 __all__ = [
     "Defect",
@@ -42,7 +54,11 @@ __all__ = [
     "Surface",
     "__version__",
     "check",
+    "conformal_map",
+    "distortion",
     "map_to_sphere",
+    "moser_map",
+    "optimal_transport",
     "preview",
     "read_mesh",
     "repair",

@@ -262,6 +262,7 @@ def test_public_names():
     import omtwarp
 
     assert set(omtwarp.__all__) <= set(dir(omtwarp))
+    assert all(getattr(omtwarp, name) is not None for name in omtwarp.__all__)
     assert omtwarp.OmtwarpError is OmtwarpError and omtwarp.shapes is shapes
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = omtwarp.nothing
