@@ -139,16 +139,24 @@ class CutMesh:
         Where the map is folded, several faces contain the direction; every one of them gets its vertex.
         """
         d = np.asarray(direction, dtype=np.float64)
-        length = np.linalg.norm(self.points, axis=1)
-        if np.any(_on_line(self.points, d) & (self.points @ d > 0) & (length > 0)):
+        along = self.points @ d
+        if np.any(_on_line(self.points, d) & (along > 0)):
             return
-        p0, p1, p2 = (self.points[self.faces[:, k]] for k in range(3))
-        share = np.stack([np.cross(p1, p2) @ d, np.cross(p2, p0) @ d, np.cross(p0, p1) @ d], axis=1)
-        share *= np.sign(np.einsum("ij,ij->i", p0, np.cross(p1, p2)))[:, None]
-        total = share.sum(axis=1)
-        inside = (total > 0) & np.all(share >= -1e-12 * np.abs(total)[:, None], axis=1)
-        bary = np.zeros_like(share)
-        bary[inside] = share[inside] / total[inside, None]
+        bary = np.zeros((len(self.faces), 3))
+        inside = np.zeros(len(self.faces), dtype=bool)
+        # The triangle is looked for near the direction first, and among all only where triangles are huge.
+        near = (along > 0.9)[self.faces].any(axis=1)
+        for which in (np.flatnonzero(near), np.flatnonzero(~near)):
+            p0, p1, p2 = (self.points[self.faces[which, k]] for k in range(3))
+            normals = np.cross(p1, p2), np.cross(p2, p0), np.cross(p0, p1)
+            share = np.stack([n @ d for n in normals], axis=1)
+            share *= np.sign(np.einsum("ij,ij->i", p0, normals[0]))[:, None]
+            total = share.sum(axis=1)
+            found = (total > 0) & np.all(share >= -1e-12 * np.abs(total)[:, None], axis=1)
+            bary[which[found]] = share[found] / total[found, None]
+            inside[which[found]] = True
+            if found.any():
+                break
         on_edge = inside & (bary.min(axis=1) < 1e-10)
         interior = np.flatnonzero(inside & ~on_edge)
         if len(interior):
