@@ -23,6 +23,7 @@ from omtwarp.metrics.distortion import distortion
 from omtwarp.moser import moser_map
 from omtwarp.result import MapResult
 from omtwarp.transport.flow import COSTS, optimal_transport, transport_cost
+from omtwarp.transport.polish import polish_transport
 
 METHODS = ("omt", "haker", "moser", "tutte", "mean-value")
 STAGES = ("conformal", "moser", "omt", "refine")
@@ -220,6 +221,12 @@ class _Run:
             )
             sphere, repaired = self.mend(initial, moved.sphere)
             history, converged = moved.history, moved.converged
+            if scheme == "default" and cost == "squared":
+                polished = polish_transport(self.surface, start, sphere, device=self.device, progress=tell)
+                sphere = polished.sphere
+                history = history + [
+                    record | {"iteration": len(history) + k} for k, record in enumerate(polished.history[1:])
+                ]
         self.finish("omt", sphere, len(history) - 1, repaired=repaired, converged=converged)
         return sphere, history
 
