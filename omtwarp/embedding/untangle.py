@@ -132,6 +132,30 @@ def untangle(
     return UntangleResult(points, before, int(flipped.sum()), rounds, moved, history)
 
 
+def untangle_patches(
+    surface: Surface,
+    sphere: NDArray[np.float64],
+    seeds: NDArray[np.bool_],
+    schedule: Schedule,
+    device: wp.Device,
+) -> tuple[NDArray[np.float64], int]:
+    """One attempt to untangle the patches around given triangles.
+
+    Args:
+        surface: the original surface, V vertices and F faces.
+        sphere: unit vectors, shape [V, 3].
+        seeds: the triangles to free, shape [F].
+        schedule: how.
+        device: a Warp device.
+
+    Returns:
+        The map, shape [V, 3], and the number of vertices freed.
+    """
+    patches = _Patches(surface, sphere, seeds, schedule, device)
+    points, _ = patches.solve()
+    return points, patches.size
+
+
 def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
     """Vertices within ``rings`` edges of the seed vertices, as a mask of shape [V]."""
     mask = seed.copy()

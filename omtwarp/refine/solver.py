@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.untangle import flipped_faces
+from omtwarp.embedding.untangle import Schedule, flipped_faces, untangle_patches
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import DistortionEnergy, Terms
@@ -28,8 +28,14 @@ WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area c
 MEMORY = 8  # pairs kept by limited-memory BFGS
 SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 25  # of the step as a whole
+MENDED = 3  # of them tried with repair of what they flip
 HOLDS = 30  # of the shares of corners of triangles in trouble
 LEAST_CAUTION = 0.03
+REPAIRS = (
+    Schedule(rings=2, factor=0.2, steps=2, thinnest=0.0),
+    Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02),
+)  # how the few triangles that a step flips are mended, before the step is shortened
+MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
 SLOW = 0.6  # a corrected step must lower the decrement at least to this share, or the matrix is renewed
 
 
@@ -179,8 +185,11 @@ class Refiner:
                 result.converged = True
                 break
             if fresh:
-                caution = max(caution / 3.0, LEAST_CAUTION) if length == 1.0 and held == 0 else caution
-                caution = min(1.0, 3.0 * caution) if length < 0.5 else caution
+                trust = 2.0 * gain / decrement
+                if length == 1.0 and held == 0 and 0.75 < trust < 1.25:
+                    caution = max(caution / 3.0, LEAST_CAUTION)
+                elif length < 1.0 or trust < 0.5:
+                    caution = min(1.0, 3.0 * caution)
             renew = self._renew(fresh, length, held, decrement, previous, gain, tolerance)
         result.sphere = points.numpy().copy()
         return result
@@ -221,16 +230,45 @@ class Refiner:
         along = (gradient * direction).sum(axis=1)
         reach = float(np.sqrt((direction * direction).sum(axis=1).max()))
         length = 1.0 / max(1.0, 2.0 * reach)  # no vertex may swing farther than half a radian
-        for _ in range(HALVINGS):
-            moved, share = self._held_back(points, d_direction, d_volume, length)
-            if moved is not None:
-                slope = length * float(along @ share)
-                if slope < 0.0:
-                    after = self.energy.terms(moved)
-                    if after.total(weight) <= before + SUFFICIENT * slope:
-                        return moved, after, length, int((share < 1.0).sum())
+        for attempt in range(HALVINGS):
+            moved, held = self._mended(points, d_direction, d_volume, length) if attempt < MENDED else (None, 0)
+            slope = length * float(along.sum())
+            if moved is None:
+                moved, share = self._held_back(points, d_direction, d_volume, length)
+                if moved is not None:
+                    held, slope = int((share < 1.0).sum()), length * float(along @ share)
+            if moved is not None and slope < 0.0:
+                after = self.energy.terms(moved)
+                if after.total(weight) <= before + SUFFICIENT * slope:
+                    return moved, after, length, held
             length *= 0.5
         return None
+
+    def _mended(self, points, direction, volume, length):
+        """Points moved by the whole step, and the patches around triangles that it flips untangled where they are.
+
+        Holding a few vertices back while all around them move on would tangle them more.
+        """
+        device, energy = self.device, self.energy
+        count, faces = self.surface.vertex_count, self.surface.face_count
+        share = wp.full(count, 1.0, dtype=wp.float64, device=device)
+        moved = wp.empty(count, dtype=wp.vec3d, device=device)
+        trouble = wp.empty(faces, dtype=wp.int32, device=device)
+        inputs = [points, direction, share, wp.float64(length)]
+        wp.launch(retract, dim=count, inputs=inputs, outputs=[moved], device=device)
+        wp.launch(triangle_trouble, dim=faces, inputs=[moved, energy.d_faces, volume], outputs=[trouble], device=device)
+        seeds = trouble.numpy() > 0
+        mended = 0
+        for schedule in REPAIRS:
+            if not seeds.any():
+                return moved, mended
+            if seeds.mean() > MOST_TROUBLE:
+                return None, 0
+            sphere, patch = untangle_patches(self.surface, moved.numpy(), seeds, schedule, device)
+            mended += patch
+            moved = energy.upload(sphere)
+            seeds = flipped_faces(sphere, self.surface.faces)
+        return (None, 0) if seeds.any() else (moved, mended)
 
     def _held_back(self, points, direction, volume, length):
         """Points moved with the largest shares of the step, halved corner by corner, that keep every triangle."""
