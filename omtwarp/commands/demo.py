@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from omtwarp.commands._files import check_output, staged
 from omtwarp.commands._options import DeviceOption, QuietOption
+
+POSE: dict[str, Any] = {"up": "z", "front": "-y", "views": (40.0, 15.0)}
+"""The creature stands on its feet and looks past the viewer's right shoulder."""
 
 
 def demo(
@@ -55,16 +58,16 @@ def demo(
     with staged(report_file) as file:
         file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
     tell(summary(result, map_file))
-    globe = texture(result, pattern="globe", device=device)
+    globe = texture(result, pattern="globe", rotate=[180.0, 0.0, 0.0], device=device)  # Africa on its flank
     with staged(model_file) as file:
         globe.export(file)
     tell(f"{model_file}: a globe pulled back to it")
     circles = texture(result, pattern="circles", device=device)
     for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
         with staged(file_to_be) as file:
-            preview(textured.trimesh, file, up="z", front="-y", device=device)
+            preview(textured.trimesh(), file, **POSE, device=device)
         tell(f"{file_to_be}")
     with staged(comparison_file) as file:
-        comparison(result, file, image=rasterize("circles", 2048, device=device), up="z", device=device)
+        comparison(result, file, image=rasterize("circles", 2048, device=device), **POSE, device=device)
     tell(f"{comparison_file}: the conformal map beside the area-preserving one")
     require_no_flips(result, map_file)

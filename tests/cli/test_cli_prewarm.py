@@ -1,0 +1,24 @@
+"""Compiling ahead: every kernel of the package is found."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+
+import omtwarp
+from omtwarp._prewarm import kernel_modules
+
+
+def test_every_module_with_kernels_is_found():
+    """Found by reading the files; checked against the kernels that the imported modules really hold."""
+    from omtwarp._warp import wp
+
+    holding = set()
+    for module in pkgutil.walk_packages(omtwarp.__path__, "omtwarp."):
+        if module.name.rpartition(".")[2] == "__main__":
+            continue
+        members = inspect.getmembers(importlib.import_module(module.name))
+        holding |= {value.module.name for _, value in members if isinstance(value, wp.Kernel)}
+    own = {name for name in holding if name.startswith("omtwarp")}
+    assert own and own == set(kernel_modules())
