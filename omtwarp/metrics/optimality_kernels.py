@@ -9,12 +9,15 @@ Triangles are the leaves of a complete binary tree in heap order: the children o
 """
 # mypy: ignore-errors
 
-from omtwarp._warp import HALF, ONE, ZERO, wp
+from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
 
 wp.set_module_options({"enable_backward": False})
 
+mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
+vec6d = wp.types.vector(length=6, dtype=wp.float64)
+
 LARGE = wp.constant(wp.float64(1.0e300))
-RIDGE = wp.constant(wp.float64(1.0e-6))
+RIDGE = wp.constant(wp.float64(1.0e-10))
 SLACK = wp.constant(wp.float64(1.0e-14))
 POLISH_ROUNDS = wp.constant(12)
 
@@ -135,6 +138,40 @@ def admissible_differences(
     high_out[e] = half_squared_distance(sources[a], images[b]) - half_squared_distance(sources[a], images[a])
 
 
+@wp.func
+def solve_definite(matrix: mat66d, right: vec6d) -> vec6d:
+    """The solution of a symmetric positive definite system of six equations, by Cholesky's factorisation."""
+    low = matrix
+    x = right
+    for j in range(6):
+        for k in range(j):
+            low[j, j] = low[j, j] - low[j, k] * low[j, k]
+        low[j, j] = wp.sqrt(wp.max(low[j, j], wp.float64(1.0e-30)))
+        for i in range(j + 1, 6):
+            for k in range(j):
+                low[i, j] = low[i, j] - low[i, k] * low[j, k]
+            low[i, j] = low[i, j] / low[j, j]
+    for i in range(6):
+        for k in range(i):
+            x[i] = x[i] - low[i, k] * x[k]
+        x[i] = x[i] / low[i, i]
+    for m in range(6):
+        i = 5 - m
+        for k in range(i + 1, 6):
+            x[i] = x[i] - low[k, i] * x[k]
+        x[i] = x[i] / low[i, i]
+    return x
+
+
+@wp.func
+def lowest_on_interval(slope: wp.float64, bend: wp.float64, radius: wp.float64) -> wp.float64:
+    """The least value of bend s²/2 - slope s over 0 <= s <= radius, for slope >= 0."""
+    s = radius
+    if bend * radius > slope:
+        s = slope / bend
+    return HALF * bend * s * s - slope * s
+
+
 @wp.kernel
 def build_nodes(
     # Mesh, faces in the order of the leaves:
@@ -146,15 +183,17 @@ def build_nodes(
     divisions: int,
     # Out:
     centre_out: wp.array[wp.vec3d],
-    slope_out: wp.array[wp.vec3d],
-    curvature_out: wp.array[wp.float64],
+    axis_out: wp.array[wp.vec3d],
+    slope_out: wp.array[wp.vec2d],
+    bends_out: wp.array[wp.vec2d],
     level_out: wp.array[wp.float64],
     radius_out: wp.array[wp.float64],
 ):
     """Of every node, a ball that holds the lattice points below it and a paraboloid above the potential there.
 
-    |z - c| <= radius and ψ(z) <= level + slope · (z - c) + curvature |z - c|² / 2 for every lattice point z: slope and
-    curvature are a fit, and level is raised until the inequality holds.
+    With w the part of z - c tangent at the centre c, in the frame (axis, c × axis), every lattice point z below the
+    node has |z - c| <= radius and ψ(z) <= level + slope · w + (bends_0 w_0² + bends_1 w_1²) / 2. Frame, slope and bends
+    come from a fit; level is raised until the inequality holds.
     """
     node = wp.tid()
     if node == 0:
@@ -190,9 +229,11 @@ def build_nodes(
         face = faces[f]
         for k in range(3):
             size = wp.max(size, wp.length(points[face[k]] - c))
-    # Least squares over corners and edge midpoints, in units of the node's size.
-    gram = wp.identity(n=4, dtype=wp.float64) * (RIDGE * wp.float64(last - first + 1))
-    right = wp.vec4d()
+    # Least squares over corners and edge midpoints, in units of the node's size. On one triangle it interpolates.
+    gram = mat66d()
+    right = vec6d()
+    for k in range(6):
+        gram[k, k] = RIDGE * wp.float64(last - first + 1)
     for f in range(first, last + 1):
         face = faces[f]
         values = wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]])
@@ -204,15 +245,30 @@ def build_nodes(
                 b[s - 3] = HALF
                 b[(s - 2) % 3] = HALF
             w = (point_at(points[face[0]], points[face[1]], points[face[2]], b) - c) / size
-            row = wp.vec4d(ONE, wp.dot(w, u), wp.dot(w, v), HALF * wp.dot(w, w))
-            gram += wp.outer(row, row)
-            right += potential_at(values, edge[f], b) * row
-    fit = wp.inverse(gram) * right
-    slope = (fit[1] * u + fit[2] * v) / size
-    curvature = fit[3] / (size * size)
-    if not (wp.abs(curvature) < wp.float64(1.0e12)):
-        curvature = ZERO
-        slope = wp.vec3d()
+            a0 = wp.dot(w, u)
+            a1 = wp.dot(w, v)
+            row = vec6d(ONE, a0, a1, HALF * a0 * a0, a0 * a1, HALF * a1 * a1)
+            value = potential_at(values, edge[f], b)
+            for k in range(6):
+                for l in range(6):
+                    gram[k, l] = gram[k, l] + row[k] * row[l]
+                right[k] = right[k] + value * row[k]
+    fit = solve_definite(gram, right)
+    # Principal axes of the fitted second derivative.
+    turn = HALF * wp.atan2(TWO * fit[4], fit[3] - fit[5])
+    cosine = wp.cos(turn)
+    sine = wp.sin(turn)
+    axis = cosine * u + sine * v
+    across = wp.cross(c, axis)
+    slope = wp.vec2d(cosine * fit[1] + sine * fit[2], cosine * fit[2] - sine * fit[1]) / size
+    mixed = TWO * cosine * sine * fit[4]
+    bends = wp.vec2d(
+        cosine * cosine * fit[3] + mixed + sine * sine * fit[5],
+        sine * sine * fit[3] - mixed + cosine * cosine * fit[5],
+    ) / (size * size)
+    if not (wp.abs(bends[0]) + wp.abs(bends[1]) < wp.float64(1.0e12)):
+        bends = wp.vec2d()
+        slope = wp.vec2d()
 
     level = -LARGE
     radius = ZERO
@@ -223,12 +279,15 @@ def build_nodes(
             for j in range(divisions + 1 - i):
                 b = lattice(i, j, divisions)
                 w = point_at(points[face[0]], points[face[1]], points[face[2]], b) - c
-                squared = wp.dot(w, w)
-                radius = wp.max(radius, squared)
-                level = wp.max(level, potential_at(values, edge[f], b) - wp.dot(slope, w) - HALF * curvature * squared)
+                a0 = wp.dot(w, axis)
+                a1 = wp.dot(w, across)
+                radius = wp.max(radius, wp.dot(w, w))
+                model = slope[0] * a0 + slope[1] * a1 + HALF * (bends[0] * a0 * a0 + bends[1] * a1 * a1)
+                level = wp.max(level, potential_at(values, edge[f], b) - model)
     centre_out[node] = c
+    axis_out[node] = axis
     slope_out[node] = slope
-    curvature_out[node] = curvature
+    bends_out[node] = bends
     level_out[node] = level
     radius_out[node] = wp.sqrt(radius)
 
@@ -237,30 +296,30 @@ def build_nodes(
 def node_bound(
     x: wp.vec3d,
     c: wp.vec3d,
-    slope: wp.vec3d,
-    curvature: wp.float64,
+    axis: wp.vec3d,
+    slope: wp.vec2d,
+    bends: wp.vec2d,
     level: wp.float64,
     radius: wp.float64,
 ) -> wp.float64:
     """A number that c(x, z) - ψ(z) does not go below at any lattice point z of a node.
 
     θ²/2 is a convex function of x · z, so it lies above its tangent at the centre: c(x, z) >= c(x, c) - κ x · (z - c)
-    with κ = θ/sin θ. With q = κ x + slope and z - c = w - |z - c|² c / 2, w tangent at c, what is left is a quadratic
-    in s = |z - c|: at least -|q_t| s + (q·c - curvature) s²/2, over 0 <= s <= radius.
+    with κ = θ/sin θ. Since z - c = w - |z - c|² c / 2 with w tangent at c, and |z - c|² >= |w|², what is left is a
+    quadratic in w, with w_0 and w_1 apart from each other: each is at least its least value over |w_k| <= radius.
     """
     cosine = wp.min(wp.max(wp.dot(x, c), -ONE), ONE)
     kappa = stretch_ratio(cosine)
-    if kappa > wp.float64(1.0e6):
+    if kappa > wp.float64(1.0e6) or radius > ONE:
         return -LARGE  # next to the antipode the tangent is vertical and says nothing
-    q = kappa * x + slope
-    normal = wp.dot(q, c)
-    q_t = wp.length(q - normal * c)
-    bend = normal - curvature
-    s = radius
-    if bend * radius > q_t:
-        s = q_t / bend
+    normal = kappa * cosine
+    if normal < ZERO:
+        normal = normal / (ONE - wp.float64(0.25) * radius * radius)  # |z - c|² = |w|² / (1 - |z - c|² / 4)
+    first = wp.abs(kappa * wp.dot(x, axis) + slope[0])
+    second = wp.abs(kappa * wp.dot(x, wp.cross(c, axis)) + slope[1])
     angle = angle_between(x, c)
-    return HALF * angle * angle - level - q_t * s + HALF * bend * s * s
+    least = lowest_on_interval(first, normal - bends[0], radius) + lowest_on_interval(second, normal - bends[1], radius)
+    return HALF * angle * angle - level + least
 
 
 @wp.kernel
@@ -275,33 +334,43 @@ def c_transform(
     edge: wp.array[wp.vec3d],
     leaf_count: int,
     divisions: int,
+    tolerance: wp.float64,
     # Tree:
     centres: wp.array[wp.vec3d],
-    slopes: wp.array[wp.vec3d],
-    curvatures: wp.array[wp.float64],
+    axes: wp.array[wp.vec3d],
+    slopes: wp.array[wp.vec2d],
+    bends: wp.array[wp.vec2d],
     levels: wp.array[wp.float64],
     radii: wp.array[wp.float64],
     # Out:
     value_out: wp.array[wp.float64],
+    proven_out: wp.array[wp.float64],
     leaf_out: wp.array[wp.int32],
     weights_out: wp.array[wp.vec3d],
     visited_out: wp.array[wp.int32],
 ):
-    """φ(x) = min of c(x, z) - ψ(z) over all lattice points z (exact), and then downhill from the best one inside its
-    triangle. A branch is left out only where its bound proves that it holds nothing below the best value so far."""
+    """φ(x) = min of c(x, z) - ψ(z) over all lattice points z, and then downhill from the best one inside its triangle.
+
+    A branch is left out where its bound proves that it holds nothing lower than the best value so far minus the
+    tolerance. ``value`` is the least value found, ``proven`` the lower of it and all bounds that were relied upon:
+    no lattice point has a value below ``proven``, which is at most the tolerance below the true minimum.
+    """
     i = wp.tid()
     x = sources[i]
     best = seeds[i]
     best_leaf = int(-1)
     best_weights = wp.vec3d()
+    relied = LARGE
     visited = int(0)
     node = int(1)
     while node > 0:
         visited += 1
         inside = bool(False)
         if levels[node] > -LARGE:
-            bound = node_bound(x, centres[node], slopes[node], curvatures[node], levels[node], radii[node])
-            inside = bound < best + SLACK
+            bound = node_bound(x, centres[node], axes[node], slopes[node], bends[node], levels[node], radii[node])
+            inside = bound < best - tolerance
+            if not inside:
+                relied = wp.min(relied, bound - SLACK)
         if inside and node < leaf_count:
             node = 2 * node
         else:
@@ -347,6 +416,7 @@ def c_transform(
             if wp.length(best_weights - centre) == ZERO:
                 step = step * HALF
     value_out[i] = best
+    proven_out[i] = wp.min(best, relied)
     leaf_out[i] = best_leaf
     weights_out[i] = best_weights
     visited_out[i] = visited

@@ -88,7 +88,7 @@ def test_the_bound_is_exact_on_the_lattice():
     divisions = 4
     surface = shapes.icosphere(4)
     for roughness in (0.0, 0.01, 0.3):
-        dual = _Dual(type(surface)(y, faces), x, masses, divisions, "cpu")
+        dual = _Dual(type(surface)(y, faces), x, masses, divisions, "cpu", tolerance=0.0)
         potential = dual.initial_potential() + roughness * rng.normal(size=len(y))
         found = dual.bound(potential)
         steps = [(i, j) for i in range(divisions + 1) for j in range(divisions + 1 - i)]
@@ -115,6 +115,13 @@ def test_the_bound_is_exact_on_the_lattice():
             attained = 0.5 * geodesic(x, point) ** 2 - value
         own = dual.cost - potential
         np.testing.assert_allclose(transform, np.where(found.face >= 0, attained, own), atol=1e-12)
+        # With a tolerance less is looked at, and no more than the tolerance is conceded.
+        loose = _Dual(type(surface)(y, faces), x, masses, divisions, "cpu", tolerance=0.02)
+        quick = loose.bound(potential)
+        assert quick.visited.sum() < found.visited.sum()
+        conceded = quick.vertex_gap - found.vertex_gap
+        assert (loose.cost - potential - quick.vertex_gap <= least + 1e-12).all()
+        assert conceded.max() <= loose.tolerance + 1e-3
 
 
 @settings(max_examples=10, deadline=None)
