@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
+
+from omtwarp.errors import OmtwarpError
 
 
 class Factorization:
     """A direct factorisation of a symmetric positive definite matrix.
 
     CHOLMOD (scikit-sparse) does it where it is installed, SuperLU otherwise; both give the same solution to round-off.
+
+    Raises:
+        OmtwarpError: the matrix is singular.
     """
 
     def __init__(self, matrix: sparse.spmatrix):
@@ -24,9 +31,12 @@ class Factorization:
             # diagonal is safe for positive definite matrices and keeps that ordering.
             self._order: NDArray[np.intp] = np.random.default_rng(0).permutation(self.size)
             shuffled = matrix[self._order][:, self._order].tocsc()
-            self._lu = splu(
-                shuffled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-            )
+            try:
+                self._lu = splu(
+                    shuffled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+                )
+            except RuntimeError as error:
+                raise OmtwarpError(f"a sparse system of {self.size} unknowns is singular") from error
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for one right-hand side, shape [N], or several, shape [N, K]."""
@@ -61,9 +71,15 @@ class LaplacianSolver:
         return out - out.mean(axis=0)
 
 
-def _cholmod_factor(matrix: sparse.csc_matrix):
+def _cholmod_factor(matrix: sparse.csc_matrix) -> Callable[[NDArray[np.float64]], NDArray[np.float64]] | None:
+    """CHOLMOD's solution of systems with this matrix, or None where it is not installed or finds it not definite."""
     try:
-        from sksparse.cholmod import cholesky
+        from sksparse import cholmod
     except ImportError:
         return None
-    return cholesky(matrix)
+    try:
+        if hasattr(cholmod, "cho_factor"):  # scikit-sparse 0.5; it keeps the given order unless told otherwise
+            return cholmod.cho_factor(matrix, order="default").solve
+        return cholmod.cholesky(matrix)
+    except cholmod.CholmodError:  # semidefinite to round-off: SuperLU goes on where it can
+        return None

@@ -45,8 +45,8 @@ def conformal_map(surface: Surface, *, device: str | None = "cpu") -> ConformalM
     """Map a closed genus-0 surface to the sphere conformally, centred (section 4.1).
 
     The triangle removed is the one nearest to equilateral: the paper leaves the choice open, and a thin one would spoil
-    the map around the pole. D is assembled from all triangles, as in Haker et al. (2000); it is factorised once, for
-    both coordinates and for the Poisson problem of Moser's flow.
+    the map around the pole. D is assembled from all triangles, as in Haker et al. (2000), and factorised once for both
+    coordinates. The dipole on one triangle makes the map exact to first order in that triangle's size.
 
     Args:
         surface: a valid closed mesh (see :func:`omtwarp.mesh.validate.require_valid`).
