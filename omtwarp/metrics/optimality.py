@@ -219,6 +219,45 @@ def exact_transport(
     return SPHERE_AREA * float((plan * squared).sum()), SPHERE_AREA * float(a @ angle**2)
 
 
+def sampled_optimum(
+    conformal: ArrayLike, sphere: ArrayLike, faces: ArrayLike, face_masses: ArrayLike, *, samples: int | None = None
+) -> tuple[float, float]:
+    """A map's cost beside the exact optimum onto a sphere sampled without knowledge of the map.
+
+    Both take the mass of every triangle at its middle, which stands for a spread-out mass to second order where a
+    vertex with a third of the triangles around it does not. The optimum's targets are points of equal mass on a golden
+    spiral, and it is :func:`exact_transport`'s second number that is given: spreading each triangle's mass is no part
+    of a map's cost. What is left between the two numbers besides the map's own excess is of the order of the squared
+    edge length over the mean squared displacement, and the area that the map does not preserve, of either sign.
+
+    Args:
+        conformal: the x_i, unit vectors, shape [V, 3].
+        sphere: the y_i, unit vectors, shape [V, 3].
+        faces: shape [F, 3].
+        face_masses: original areas, shape [F]; scaled to sum to 4π.
+        samples: how many targets; twice as many as faces by default. Memory and time grow with F times this.
+
+    Returns:
+        The map's cost and the optimum's.
+
+    Raises:
+        OmtwarpError: as :func:`exact_transport`.
+    """
+    x, y, _, triangles = _inputs(conformal, sphere, np.ones(len(np.asarray(sphere))), faces)
+    masses = np.asarray(face_masses, dtype=np.float64)
+    sources, images = (p[triangles].mean(axis=1) for p in (x, y))
+    sources /= np.linalg.norm(sources, axis=1)[:, None]
+    images /= np.linalg.norm(images, axis=1)[:, None]
+    count = 2 * len(triangles) if samples is None else samples
+    k = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    radius = np.sqrt(1.0 - height**2)
+    targets = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+    _, optimum = exact_transport(sources, masses, targets, np.ones(count))
+    angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(sources - images, axis=1) / 2.0, 0.0, 1.0))
+    return SPHERE_AREA * float(masses @ angle**2) / float(masses.sum()), optimum
+
+
 @dataclass(frozen=True)
 class _Bound:
     """A potential and the c-transform it leads to."""
