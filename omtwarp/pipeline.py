@@ -21,6 +21,7 @@ from omtwarp.mesh.validate import require_valid
 from omtwarp.metrics.certificate import certify
 from omtwarp.metrics.distortion import distortion
 from omtwarp.moser import moser_map
+from omtwarp.refine.solver import refine_map
 from omtwarp.result import MapResult
 from omtwarp.transport.flow import COSTS, optimal_transport, transport_cost
 from omtwarp.transport.polish import polish_transport
@@ -231,11 +232,8 @@ class _Run:
         return sphere, history
 
     def refine(self, sphere: NDArray[np.float64], weight: str | float) -> NDArray[np.float64]:
-        from omtwarp.refine import refine_map
-
-        def tell(*arguments: Any) -> None:
-            done, total, *rest = [a for a in arguments if not isinstance(a, str)]
-            self.tell("refine", int(done), int(total), rest[0] if rest and isinstance(rest[0], dict) else {})
+        def tell(text: str, done: int, total: int) -> None:
+            self.tell("refine", done, total, {"text": text})
 
         refined = refine_map(self.surface, sphere, weight=weight, device=self.device, progress=tell)
         self.finish("refine", refined.sphere, len(refined.history), weight=weight, converged=refined.converged)

@@ -19,6 +19,7 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
+from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.kernels import advect, combine, cost_and_force, divide_by_area
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 
@@ -36,6 +37,9 @@ FADING = 3
 CURL_TOLERANCE = 2e-3
 COST_TOLERANCE = 3e-5
 SUFFICIENT_DECREASE = 0.1
+# ... and before the area error has grown by more than this: from there on the cost would fall at its expense.
+AREA_LOSS = 0.1
+AREA_SLACK = 1e-4
 LONGEST_STEP = 4.0
 
 
@@ -46,8 +50,9 @@ class TransportMap:
     Attributes:
         sphere: image of every vertex, unit vectors, float64, shape [V, 3].
         history: one record per iteration, the start first: ``iteration``, ``cost`` (the paper's M, total mass 4π),
-            ``curl`` (relative size of the removable part), ``step`` and ``held`` (vertices held back from a flip).
-        converged: whether a tolerance was met before the iterations ran out.
+            ``curl`` (relative size of the removable part), ``step``, ``held`` (vertices held back from a flip) and
+            ``area_error``.
+        converged: whether a tolerance was met before the iterations ran out or area began to suffer.
     """
 
     sphere: NDArray[np.float64]
@@ -154,6 +159,7 @@ class _Flow:
             wp.array(np.concatenate(levels), dtype=wp.int32, device=device),
             wp.array(starts, dtype=wp.int32, device=device),
         ]
+        self.monitor = AreaMonitor(surface, device)
         self.guard = StepGuard(surface, device)
         self.guarded = self.guard.count(self.points) == 0
         self.costs = wp.empty(self.count, dtype=wp.float64, device=device)
@@ -203,12 +209,15 @@ class _Flow:
         previous_square = 0.0
         held = 0
         small = 0
+        area_error = self.monitor.error(self.points)
+        largest_error = (1.0 + AREA_LOSS) * area_error + AREA_SLACK
         for iteration in range(most + 1):
             gradient = self.gradient()
             image = self.precondition(gradient)
             square = float(wp.utils.array_inner(gradient, image))
             curl = float(np.sqrt(max(square / scale, 0.0) / max(scale * cost, 1e-300)))
             record = {"iteration": iteration, "cost": cost, "curl": curl, "step": step, "held": held}
+            record["area_error"] = area_error
             self.history.append(record)
             if progress is not None:
                 progress(iteration, most, record)
@@ -246,6 +255,9 @@ class _Flow:
             if not accepted:
                 self.cost_at(self.points)
                 return True  # no step along the best direction there is lowers the cost: at round-off
+            area_error = self.monitor.error(self.trial)
+            if area_error > largest_error:
+                return False
             small = small + 1 if cost - new_cost <= COST_TOLERANCE * cost else 0
             self.points, self.trial = self.trial, self.points
             cost = new_cost

@@ -107,6 +107,24 @@ def advect(
 
 
 @wp.kernel
+def capped_area_error(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    areas: wp.array[wp.float64],
+    largest: wp.float64,
+    # Data out:
+    error: wp.array[wp.float64],
+):
+    """Area times D + 1/D - 2 of every triangle, D the area of its flat image over its own, at most ``largest``."""
+    f = wp.tid()
+    face = faces[f]
+    p0 = points[face[0]]
+    image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
+    ratio = wp.max(image / areas[f], wp.float64(1e-150))
+    error[f] = areas[f] * wp.min(ratio + ONE / ratio - TWO, largest)
+
+
+@wp.kernel
 def combine(
     first: wp.array[wp.float64],
     factor: wp.float64,

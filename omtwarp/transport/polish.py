@@ -18,8 +18,9 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.linear import LaplacianSolver
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.moser.kernels import vertex_field
+from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import TransportMap, transport_cost
 from omtwarp.transport.polish_kernels import displacements, move_by_potentials, weak_curl_and_area
 
@@ -29,8 +30,6 @@ STEP = 0.5
 # A round has to take at least this part off the curl to be worth another.
 WORTHWHILE = 0.03
 NEGLIGIBLE = 1e-3
-# A triangle's area error D + 1/D - 2 counts at most this much: a few hopeless triangles decide nothing.
-LARGEST_ERROR = 0.1
 
 
 def polish_transport(
@@ -65,6 +64,7 @@ def polish_transport(
     moved, pull, curl_field, area_field = (wp.empty_like(points) for _ in range(4))
     curl, energy, area = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(3))
     guard = StepGuard(surface, where)
+    monitor = AreaMonitor(surface, where)
     guarded = guard.count(points) == 0
     solver = LaplacianSolver(cotangent_laplacian(sphere, surface.faces))
     history: list[dict[str, Any]] = []
@@ -89,7 +89,7 @@ def polish_transport(
             "curl": relative,
             "step": STEP,
             "held": held,
-            "area_error": _area_error(surface, values),
+            "area_error": monitor.error(points),
         }
         history.append(record)
         if progress is not None:
@@ -114,10 +114,3 @@ def polish_transport(
         held = guard.limit(points, moved) if guarded else 0
         points, moved = moved, points
     return TransportMap(best, history, True)
-
-
-def _area_error(surface: Surface, sphere: NDArray[np.float64]) -> float:
-    """Mean of D + 1/D - 2, each at most :data:`LARGEST_ERROR`, weighted by original area."""
-    areas = triangle_areas(sphere, surface.faces)
-    ratio = np.maximum(areas * (SPHERE_AREA / areas.sum()) / surface.face_areas, 1e-150)
-    return float(surface.face_areas @ np.minimum(ratio + 1.0 / ratio - 2.0, LARGEST_ERROR) / SPHERE_AREA)

@@ -1,6 +1,6 @@
 """Kernels of the last step of transport, on the image mesh itself."""
 
-from omtwarp._warp import HALF, ZERO, wp
+from omtwarp._warp import HALF, wp
 from omtwarp.transport.kernels import logarithm
 
 wp.set_module_options({"enable_backward": False})

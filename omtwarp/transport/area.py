@@ -1,0 +1,37 @@
+"""Whether a motion still preserves area: the check that a falling cost is real."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from omtwarp._warp import wp
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.transport.kernels import capped_area_error
+
+# A triangle's area error D + 1/D - 2 counts at most this much: a few hopeless triangles decide nothing.
+LARGEST_ERROR = 0.1
+
+
+class AreaMonitor:
+    """Measures the area error of a moving map on the device.
+
+    Where a mesh is too coarse for a motion, its vertices can shorten their way by giving up area, and the cost falls
+    below what any mass-preserving map can reach. A cost that falls proves nothing unless this stays where it was.
+    """
+
+    def __init__(self, surface: Surface, device: Any):
+        self.device = device
+        self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
+        self._areas = wp.array(surface.face_areas, dtype=wp.float64, device=device)
+        self._errors = wp.empty(surface.face_count, dtype=wp.float64, device=device)
+
+    def error(self, points: Any) -> float:
+        """Mean of D + 1/D - 2 weighted by original area, each triangle at most :data:`LARGEST_ERROR`."""
+        wp.launch(
+            capped_area_error,
+            dim=len(self._errors),
+            inputs=[points, self._faces, self._areas, wp.float64(LARGEST_ERROR)],
+            outputs=[self._errors],
+            device=self.device,
+        )
+        return float(wp.utils.array_sum(self._errors)) / SPHERE_AREA
