@@ -53,8 +53,8 @@ class Certificate:
 def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: str | None = "cpu") -> Certificate:
     """Examine a sphere map.
 
-    A piecewise map of a closed surface to the sphere whose triangles are all positively oriented is a covering; a degree
-    of 1 makes it one to one. Orientation is decided with exact arithmetic wherever rounding could matter.
+    A piecewise map of a closed surface to the sphere whose triangles are all positively oriented is a covering; a
+    degree of 1 makes it one to one. Orientation is decided with exact arithmetic wherever rounding could matter.
 
     Args:
         faces: shape [F, 3].
@@ -75,7 +75,7 @@ def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: st
         degree=round(degree) if np.isfinite(degree) else 0,
         ray_degree=_ray_degree(faces, sphere, device),
         rays=RAYS,
-        smallest_area=float(areas[smallest] * (SPHERE_AREA / areas.sum())),
+        smallest_area=float(areas[smallest] * SPHERE_AREA / max(areas.sum(), np.finfo(float).tiny)),
         smallest_face=smallest,
     )
 

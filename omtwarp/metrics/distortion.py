@@ -49,11 +49,13 @@ class Distortion:
 
     def to_dict(self) -> dict[str, Any]:
         """The aggregates as plain numbers, ready for JSON."""
-        return {"flips": self.flips, "degree": self.degree, "finite": self.finite, "area": self.area, "angle": self.angle}
+        names = ("flips", "degree", "finite", "area", "angle")
+        return {name: getattr(self, name) for name in names}
 
     def __str__(self) -> str:
         return (
-            f"flips {self.flips}  degree {self.degree:.6f}  area {self.area['surface']:.4f} (p95 {self.area['p95']:.4f})"
+            f"flips {self.flips}  degree {self.degree:.6f}"
+            f"  area {self.area['surface']:.4f} (p95 {self.area['p95']:.4f})"
             f"  angle {self.angle['surface']:.4f} (p95 {self.angle['p95']:.3f})"
         )
 
@@ -107,7 +109,8 @@ def summarize(
     }
 
     def aggregate(values: NDArray[np.float64]) -> dict[str, float]:
-        out = {name: float((weight * values).sum()) for name, weight in weights.items()}
+        with np.errstate(all="ignore"):
+            out = {name: float((weight * values).sum()) for name, weight in weights.items()}
         return out | {
             "median": float(np.median(values)),
             "p95": float(np.percentile(values, 95)),

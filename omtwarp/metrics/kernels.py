@@ -70,16 +70,18 @@ def count_crossings(
 ):
     """Signed number of spherical triangles over every ray from the centre; rays too near an edge are marked.
 
-    The counts are integers, so the order of the additions does not matter.
+    A ray is inside a triangle where its three triple products have the sign of the triangle's own; with the opposite
+    sign all three, its antipode is. The counts are integers, so the order of the additions does not matter.
     """
     f, r = wp.tid()
     face = faces[f]
     a, b, c = sphere[face[0]], sphere[face[1]], sphere[face[2]]
     ray = rays[r]
     w0, w1, w2 = triple_product(ray, b, c), triple_product(ray, c, a), triple_product(ray, a, b)
-    positive = w0 > -clearance and w1 > -clearance and w2 > -clearance
-    negative = w0 < clearance and w1 < clearance and w2 < clearance
-    if (positive or negative) and wp.dot(ray, a + b + c) > wp.float64(0.0):
+    upright = triple_product(a, b, c) > wp.float64(0.0)
+    positive = upright and w0 > -clearance and w1 > -clearance and w2 > -clearance
+    negative = not upright and w0 < clearance and w1 < clearance and w2 < clearance
+    if positive or negative:
         if wp.min(wp.min(wp.abs(w0), wp.abs(w1)), wp.abs(w2)) < clearance:
             wp.atomic_add(doubtful, r, 1)
         elif positive:
