@@ -32,12 +32,16 @@ class Schedule:
         factor: what ε is multiplied by from one round to the next.
         steps: Newton steps in a round.
         thinnest: see :func:`omtwarp.refine.frames.triangle_frames`.
+        weight: λ, how much area counts against angle.
+        largest: the first ε; the larger, the freer are triangles to pass through one another.
     """
 
     rings: int
     factor: float
     steps: int
     thinnest: float
+    weight: float = 1.0
+    largest: float = 1.0
 
 
 SCHEDULES = (
@@ -48,9 +52,7 @@ SCHEDULES = (
     Schedule(rings=17, factor=0.7, steps=8, thinnest=0.3),
     Schedule(rings=10**9, factor=0.7, steps=10, thinnest=0.3),
 )
-LARGEST_EPSILON = 1.0
 SMALLEST_EPSILON = 1e-4
-AREA_WEIGHT = 1.0  # λ
 SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 20
 
@@ -236,7 +238,7 @@ class _Patches:
     def solve(self) -> tuple[NDArray[np.float64], int]:
         """Lower ε until no patch has a flipped triangle, or it is at its smallest; the map and the number of rounds."""
         points = wp.array(self.sphere[self.vertices], dtype=wp.vec3d, device=self.device)
-        epsilon = np.full(self.count, LARGEST_EPSILON)
+        epsilon = np.full(self.count, self.schedule.largest)
         active = np.ones(self.count, dtype=bool)
         rounds = 0
         while active.any():
@@ -255,7 +257,7 @@ class _Patches:
     def _newton_step(self, points, epsilon, active):
         face_epsilon = wp.array(epsilon[self.face_patch], dtype=wp.float64, device=self.device)
         energy = self._energy(points, face_epsilon)
-        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(AREA_WEIGHT)]
+        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(
             untangle_newton, dim=len(self.faces), inputs=inputs, outputs=[self.d_gradient, self.d_hessian],
             device=self.device,
@@ -300,7 +302,7 @@ class _Patches:
 
     def _energy(self, points, face_epsilon) -> NDArray[np.float64]:
         """Energy of every patch."""
-        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(AREA_WEIGHT)]
+        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(
             untangle_value, dim=len(self.faces), inputs=inputs, outputs=[self.d_value, self.d_ratio],
             device=self.device,

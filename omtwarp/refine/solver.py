@@ -36,7 +36,7 @@ REPAIRS = (
     Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02),
 )  # how the few triangles that a step flips are mended, before the step is shortened
 MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
-SLOW = 0.6  # a corrected step must lower the decrement at least to this share, or the matrix is renewed
+SPAN, SLOW = 2, 0.5  # as many steps must lower the decrement at least to this share, or the matrix is renewed
 
 
 @dataclass
@@ -151,7 +151,8 @@ class Refiner:
         result = RefineResult(sphere, weight)
         result.history.append(_record(terms, weight, 0.0, 0.0, 0, False))
         memory: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
-        caution, renew, decrement = 1.0, True, np.inf
+        caution, renew = 1.0, True
+        since: list[float] = []
         for step in range(iterations):
             if renew:
                 self.matrix.factorise(energy.hessian(points, terms, weight, caution))
@@ -160,7 +161,7 @@ class Refiner:
                 result.factorisations += 1
             direction = -self._corrected(points, gradient, memory)
             slope = float((gradient * direction).sum())
-            previous, decrement = decrement, -slope
+            decrement = -slope
             moved = self._search(points, terms, gradient, direction, weight) if slope < 0.0 else None
             if moved is None:
                 if renew and caution == 1.0:
@@ -181,21 +182,19 @@ class Refiner:
             result.history.append(_record(terms, weight, decrement, length, held, fresh))
             if progress is not None:
                 progress(f"refining: area {terms.area + 2:.4f}, angle {terms.angle + 2:.4f}", step + 1, iterations)
-            if decrement < 2.0 * tolerance and length == 1.0 and fresh:
+            if decrement < 2.0 * tolerance and length == 1.0:
                 result.converged = True
                 break
+            trust = 2.0 * gain / decrement
             if fresh:
-                trust = 2.0 * gain / decrement
                 if length == 1.0 and held == 0 and 0.75 < trust < 1.25:
                     caution = max(caution / 3.0, LEAST_CAUTION)
                 elif length < 1.0 or trust < 0.5:
                     caution = min(1.0, 3.0 * caution)
-            renew = self._renew(fresh, length, held, decrement, previous, gain, tolerance)
+            since = [decrement] if fresh else [*since, decrement]
+            renew = length < 1.0 or held > 0 or trust < 0.5 or (len(since) > SPAN and since[-1] > SLOW * since[-1 - SPAN])
         result.sphere = points.numpy().copy()
         return result
-
-    def _renew(self, fresh, length, held, decrement, previous, gain, tolerance) -> bool:
-        return True
 
     def _corrected(self, points, gradient, memory) -> NDArray[np.float64]:
         """The factorised matrix's step for a gradient, corrected by the steps since, tangent to the sphere."""
