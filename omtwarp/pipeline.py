@@ -23,6 +23,7 @@ from omtwarp.metrics.distortion import distortion
 from omtwarp.moser import moser_map
 from omtwarp.refine.solver import refine_map
 from omtwarp.result import MapResult
+from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import COSTS, optimal_transport, transport_cost
 from omtwarp.transport.polish import polish_transport
 
@@ -194,8 +195,8 @@ class _Run:
             steps += flowed.steps
             mended, flips = self.mend(sphere, flowed.sphere)
             repaired += flips
-            if k > 0 and self.area_error(mended) >= self.area_error(sphere):
-                break  # where μ is steep a second pass can lose more to repairs than it gains
+            if self.area_error(mended) >= self.area_error(sphere):
+                break  # where the image is badly stretched, repairs can lose more than the flow gains
             sphere = mended
         self.finish("moser", sphere, steps, repaired=repaired)
         return sphere
@@ -240,12 +241,12 @@ class _Run:
         return refined.sphere
 
     def barycentric(self, method: str) -> MapResult:
-        from omtwarp.methods.barycentric import barycentric_map
+        from omtwarp.methods.barycentric import solve_barycentric
 
-        solved = barycentric_map(self.surface, method, device=self.device)
-        sphere = solved if isinstance(solved, np.ndarray) else solved.sphere
+        solved = solve_barycentric(self.surface, "tutte" if method == "tutte" else "mean-value", device=self.device)
+        sphere = solved.sphere
         self.start = sphere
-        self.finish(method, sphere, getattr(solved, "iterations", 0))
+        self.finish(method, sphere, solved.iterations, converged=solved.converged)
         face_density, vertex_density = density(self.surface, sphere)
         return MapResult(
             vertices=self.surface.vertices,
@@ -257,9 +258,7 @@ class _Run:
             report=self.report(None, method, "", "", None, sphere),
         )
 
-    def mend(
-        self, before: NDArray[np.float64], after: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], int]:
+    def mend(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Repair the flips of a stage; what cannot be repaired is held back where the map before it was.
 
         Returns:
@@ -278,15 +277,15 @@ class _Run:
         return held.numpy(), flips
 
     def area_error(self, sphere: NDArray[np.float64]) -> float:
-        return distortion(self.surface.vertices, self.surface.faces, sphere, device=self.device).area["surface"]
+        points: Any = wp.array(np.ascontiguousarray(sphere), dtype=wp.vec3d, device=self.device)
+        return AreaMonitor(self.surface, resolve_device(self.device)).error(points)
 
     def optimality(
         self, start: NDArray[np.float64], moser: NDArray[np.float64] | None, transported: NDArray[np.float64]
     ) -> dict[str, Any]:
         from omtwarp.metrics.optimality import optimality
 
-        measured = optimality(start, transported, self.surface.vertex_areas, self.surface.faces)
-        return measured.to_dict() if hasattr(measured, "to_dict") else dict(measured)
+        return optimality(start, transported, self.surface.vertex_areas, self.surface.faces).to_dict()
 
     def report(
         self,
