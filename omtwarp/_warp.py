@@ -42,7 +42,9 @@ def resolve_device(device: str | None = "auto") -> wp.Device:
         return wp.get_device(name)
     except Exception as error:
         count = wp.get_cuda_device_count()
-        raise OmtwarpError(f"device '{name}' does not exist: this machine has {count} CUDA device(s), 0 to {count - 1}") from error
+        raise OmtwarpError(
+            f"device '{name}' does not exist: this machine has {count} CUDA device(s), 0 to {count - 1}"
+        ) from error
 
 
 __all__ = ["HALF", "ONE", "PI", "THREE", "TWO", "ZERO", "resolve_device", "wp"]

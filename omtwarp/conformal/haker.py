@@ -99,9 +99,9 @@ def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.
     """The right-hand sides a and b of section 4.1 as columns, shape [V, 2]."""
     a, b, c = (points[k] for k in face)
     ab = b - a
-    length = np.linalg.norm(ab)
+    length = float(np.linalg.norm(ab))
     theta = ab @ (c - a) / length**2
-    height = np.linalg.norm(c - (a + theta * ab))
+    height = float(np.linalg.norm(c - (a + theta * ab)))
     right = np.zeros((len(points), 2))
     right[face, 0] = [-1.0 / length, 1.0 / length, 0.0]
     # The paper prints both entries of b at A and B with the sign of C's; they have to sum to zero with it (Haker et al.

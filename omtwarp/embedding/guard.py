@@ -19,8 +19,8 @@ class StepGuard:
     """Keeps every triangle of a moving sphere map positive.
 
     A vertex of a triangle that a step would flip has its own step halved, again and again, and is held in the end; its
-    neighbours follow only where that in turn would flip one of theirs. Since the map before the step has no flip, holding
-    vertices always ends in a map without one, and a few bad triangles slow nobody but themselves.
+    neighbours follow only where that in turn would flip one of theirs. Since the map before the step has no flip,
+    holding vertices always ends in a map without one, and a few bad triangles slow nobody but themselves.
     """
 
     def __init__(self, surface: Surface, device: Any):

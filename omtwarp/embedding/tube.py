@@ -1,7 +1,7 @@
 """A start for long thin shapes, where the conformal map underflows: latitude by area, longitude by a harmonic function.
 
-A tube of length L and girth C shrinks by exp(-2πL/C) under a conformal map to the sphere. Here the latitude is spread by
-area instead, so that nothing shrinks exponentially, after the polar parametrisation of Brechbühler, Gerig and Kübler
+A tube of length L and girth C shrinks by exp(-2πL/C) under a conformal map to the sphere. Here the latitude is spread
+by area instead, so that nothing shrinks exponentially, after the polar parametrisation of Brechbühler, Gerig and Kübler
 ("Parametrization of closed surfaces for 3-D shape description", 1995).
 """
 
@@ -72,7 +72,7 @@ def poles(surface: Surface) -> tuple[int, int]:
 
 
 def positive_cotangent_weights(surface: Surface) -> NDArray[np.float64]:
-    """Cotangent weight of every edge, kept positive so that harmonic functions obey the maximum principle, shape [E]."""
+    """Cotangent weight of every edge, kept positive so that functions obey the maximum principle, shape [E]."""
     points, faces = surface.scaled_vertices, surface.faces
     count = np.int64(surface.vertex_count)
     corner = points[faces]

@@ -307,4 +307,4 @@ class _Patches:
             untangle_value, dim=len(self.faces), inputs=inputs, outputs=[self.d_value, self.d_ratio],
             device=self.device,
         )
-        return np.bincount(self.face_patch, self.d_value.numpy(), minlength=self.count)
+        return np.bincount(self.face_patch, self.d_value.numpy(), minlength=self.count).astype(np.float64, copy=False)

@@ -58,7 +58,8 @@ class Surface:
     def sum_to_vertices(self, per_face: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum a number per face, shape [F], over the faces around every vertex, shape [V]."""
         weights = np.repeat(per_face, 3)
-        return np.bincount(self.faces.ravel(), weights=weights, minlength=self.vertex_count)
+        sums = np.bincount(self.faces.ravel(), weights=weights, minlength=self.vertex_count)
+        return sums.astype(np.float64, copy=False)
 
     @cached_property
     def face_neighbours(self) -> NDArray[np.int32]:

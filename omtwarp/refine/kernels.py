@@ -195,7 +195,7 @@ def triangle_hessian(
     caution: wp.float64,
     hessian: wp.array2d(dtype=wp.float64),
 ):
-    """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the tangent bases of the corners, shape [F, 36].
+    """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the corners' tangent bases, shape [F, 36].
 
     The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
     known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,

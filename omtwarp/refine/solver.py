@@ -2,8 +2,8 @@
 
 A projected Newton method. The Hessian of every triangle is made positive semidefinite in closed form, the sparse system
 is factorised, and between factorisations limited-memory BFGS corrects the last one (Nocedal and Wright, "Numerical
-Optimization", algorithm 7.4, with the factorisation as initial Hessian). A step that would flip a triangle, or take most
-of its volume, is shortened at that triangle's corners alone.
+Optimization", algorithm 7.4, with the factorisation as initial Hessian). A step that would flip a triangle, or take
+most of its volume, is shortened at that triangle's corners alone.
 """
 
 from __future__ import annotations
@@ -113,8 +113,8 @@ def refine_map(
     flipped = flipped_faces(start, surface.faces)
     if flipped.any():
         raise OmtwarpError(
-            f"the map to refine has {int(flipped.sum())} flipped triangles, the first is face {int(np.argmax(flipped))}: "
-            "untangle it first"
+            f"the map to refine has {int(flipped.sum())} flipped triangles, "
+            f"the first is face {int(np.argmax(flipped))}: untangle it first"
         )
     refiner = Refiner(surface, resolve_device(device))
     return refiner.minimise(start, value, iterations=iterations, tolerance=tolerance, progress=progress)
@@ -192,7 +192,8 @@ class Refiner:
                 elif length < 1.0 or trust < 0.5:
                     caution = min(1.0, 3.0 * caution)
             since = [decrement] if fresh else [*since, decrement]
-            renew = length < 1.0 or held > 0 or trust < 0.5 or (len(since) > SPAN and since[-1] > SLOW * since[-1 - SPAN])
+            slow = len(since) > SPAN and since[-1] > SLOW * since[-1 - SPAN]
+            renew = length < 1.0 or held > 0 or trust < 0.5 or slow
         result.sphere = points.numpy().copy()
         return result
 
@@ -222,7 +223,7 @@ class Refiner:
 
     def _search(self, points, terms: Terms, gradient, direction, weight):
         """A step along the direction that lowers the energy and flips nothing: points, terms, length, vertices held."""
-        device, count = self.device, self.surface.vertex_count
+        device = self.device
         before = terms.total(weight)
         d_direction = wp.array(direction, dtype=wp.vec3d, device=device)
         d_volume = wp.array(terms.volume, dtype=wp.float64, device=device)
