@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from dataclasses import dataclass, field
@@ -88,7 +89,8 @@ class MapResult:
         except OSError as error:
             raise OmtwarpError(f"cannot write '{target}': {error.strerror or error}") from error
         finally:
-            partial.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> MapResult:
@@ -103,6 +105,8 @@ class MapResult:
                 arrays = {name: data[name] for name in data.files}
         except FileNotFoundError:
             raise OmtwarpError(f"'{source}' does not exist") from None
+        except PermissionError as error:
+            raise OmtwarpError(f"'{source}' cannot be read: {error.strerror}") from error
         except (OSError, ValueError, EOFError, KeyError) as error:
             raise OmtwarpError(f"'{source}' is not a map: make one with 'omtwarp map MESH -o MAP.npz'") from error
         except Exception as error:  # zipfile and zlib raise kinds of their own on a damaged file
@@ -110,22 +114,22 @@ class MapResult:
         missing = [name for name in REQUIRED if name not in arrays]
         if missing:
             raise OmtwarpError(f"'{source}' is not a map: it has no '{missing[0]}'")
-        vertices = np.asarray(arrays["vertices"], dtype=np.float64)
-        sphere = np.asarray(arrays["sphere"], dtype=np.float64)
-        faces = np.asarray(arrays["faces"], dtype=np.int32)
-        if sphere.shape != vertices.shape or (len(faces) and faces.max() >= len(vertices)):
-            raise OmtwarpError(f"'{source}' is not a map: its sphere and its mesh do not belong together")
+        fields: dict[str, Any] = {}
+        vertex_count, face_count = (len(np.atleast_1d(arrays[name])) for name in ("vertices", "faces"))
+        for name in REQUIRED + OPTIONAL:
+            if name in arrays:
+                shape = {"faces": (face_count, 3), "density": (vertex_count,), "face_density": (face_count,)}
+                kinds = "iu" if name == "faces" else "iuf"
+                wanted = shape.get(name, (vertex_count, 3))
+                if arrays[name].dtype.kind not in kinds or arrays[name].shape != wanted:
+                    raise OmtwarpError(f"'{source}' is not a map: '{name}' is not an array of numbers, shape {wanted}")
+                fields[name] = arrays[name].astype(np.int32 if name == "faces" else np.float64)
+        if face_count and (arrays["faces"].min() < 0 or arrays["faces"].max() >= vertex_count):
+            raise OmtwarpError(f"'{source}' is not a map: its faces name vertices that it does not have")
         try:
             report = json.loads(str(arrays["report"])) if "report" in arrays else {}
         except ValueError:
             report = {}
-        return cls(
-            vertices=vertices,
-            faces=faces,
-            sphere=sphere,
-            conformal=np.asarray(arrays["conformal"], dtype=np.float64),
-            density=np.asarray(arrays["density"], dtype=np.float64),
-            history=report.pop("history", []),
-            report=report,
-            **{name: np.asarray(arrays[name], dtype=np.float64) for name in OPTIONAL if name in arrays},
-        )
+        if not isinstance(report, dict):
+            report = {}
+        return cls(**fields, history=report.pop("history", []), report=report)
