@@ -3,7 +3,8 @@
 Along a vertex the paper's transport equation g_t + v · ∇g = 0 with v = -(1/μ) J∇H reads dy/dt = J∇H(y): with g area
 preserving, the image moves with a divergence-free field of the *uniform* sphere, and nothing is interpolated back and
 forth. The stream function H lives on a subdivided icosahedron and is the derivative of the cost with respect to such a
-motion (the weak curl of m log_y(x) on the image), preconditioned in the paper's own wavelet basis.
+motion (the weak curl of log_y(x) times area, at the centres of the image's triangles), preconditioned in the paper's
+own wavelet basis.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ MAXIMUM_ITERATIONS = {"default": 60, "plain": 1000}
 
 # A wavelet is used in full where it spans several mesh edges, and faded out where it does not: vertices cannot follow
 # a motion finer than they are, and a cost that falls by aliasing is no progress.
-RESOLVED_EDGES = 4.0
+RESOLVED_EDGES = 3.0
 FADING = 3
 
 # The flow stops when the part of the displacement that a mass-preserving motion could still remove is this small
@@ -67,17 +68,26 @@ class TransportMap:
 def transport_cost(
     surface: Surface, start: NDArray[np.float64], sphere: NDArray[np.float64], cost: str = "squared"
 ) -> float:
-    """M(g), equation 6: the sum of vertex mass times Φ(x, g(x)); total mass 4π, distances in radians.
+    """M(g), equation 6: the sum of triangle area times Φ(x, g(x)) at its centre; total area 4π, distances in radians.
+
+    Centres of triangles stand for the paper's dual vertices; a mesh has twice as many of them as vertices, and large
+    triangles count where they are.
 
     Args:
-        surface: the surface whose vertex areas are the masses.
+        surface: the surface whose areas are the masses.
         start: the points x, unit vectors, shape [V, 3] (the conformal or substitute start).
         sphere: their images g(x), unit vectors, shape [V, 3].
         cost: ``squared`` or ``geodesic`` distance.
     """
-    across = np.linalg.norm(np.cross(start, sphere), axis=1)
-    distance = np.arctan2(across, np.einsum("ij,ij->i", start, sphere))
-    return float(surface.vertex_areas @ (distance**2 if cost == "squared" else distance))
+    x, y = triangle_centres(surface, start), triangle_centres(surface, sphere)
+    distance = np.arctan2(np.linalg.norm(np.cross(x, y), axis=1), np.einsum("ij,ij->i", x, y))
+    return float(surface.face_areas @ (distance**2 if cost == "squared" else distance))
+
+
+def triangle_centres(surface: Surface, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Centres of a map's triangles on the sphere, unit vectors, shape [F, 3]."""
+    sums = np.asarray(sphere)[surface.faces].sum(axis=1)
+    return np.asarray(sums / np.linalg.norm(sums, axis=1)[:, None])
 
 
 def optimal_transport(
@@ -95,7 +105,7 @@ def optimal_transport(
     """Lower the transport cost of a mass-preserving map by a mass-preserving flow until it is optimal (section 4.3).
 
     Args:
-        surface: the surface; its vertex areas, total 4π, are the masses.
+        surface: the surface; the areas of its triangles, total 4π, are the masses.
         start: the points x that are transported, unit vectors, shape [V, 3].
         initial: a mass-preserving map g^0 of them, unit vectors, shape [V, 3]; if it has no flip, no step makes one.
         cost: ``squared`` geodesic distance (its optimum is unique), or the paper's ``geodesic`` distance.
@@ -142,9 +152,13 @@ class _Flow:
         self.start = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=device)
         self.points = wp.array(np.array(initial, dtype=np.float64), dtype=wp.vec3d, device=device)
         self.trial = wp.empty_like(self.points)
-        self.masses = wp.array(surface.vertex_areas, dtype=wp.float64, device=device)
+        self.faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
+        self.face_count = surface.face_count
+        self.centres = wp.empty(surface.face_count, dtype=wp.vec3d, device=device)
+        self.masses = wp.array(surface.face_areas, dtype=wp.float64, device=device)
         self.hierarchy = sphere_hierarchy(level_for(1.2 * surface.vertex_count, lowest=2))
-        self.sampler = SphereSampler(self.hierarchy, self.points, device=str(device))
+        centres = triangle_centres(surface, initial)
+        self.sampler = SphereSampler(self.hierarchy, centres, device=str(device))
         # Within a grid cell the direction to x is not resolved anyway.
         self.softening = self.hierarchy.node_spacing(self.hierarchy.level)
         damping = resolution_damping(surface, np.asarray(initial), self.sampler, self.hierarchy)
@@ -162,22 +176,22 @@ class _Flow:
         self.monitor = AreaMonitor(surface, device)
         self.guard = StepGuard(surface, device)
         self.guarded = self.guard.count(self.points) == 0
-        self.costs = wp.empty(self.count, dtype=wp.float64, device=device)
-        self.turned = wp.empty(self.count, dtype=wp.vec3d, device=device)
+        self.costs = wp.empty(self.face_count, dtype=wp.float64, device=device)
+        self.turned = wp.empty(self.face_count, dtype=wp.vec3d, device=device)
 
     def cost_at(self, points: Any) -> float:
         wp.launch(
             cost_and_force,
-            dim=self.count,
-            inputs=[self.start, points, self.masses, int(self.geodesic), wp.float64(self.softening)],
-            outputs=[self.costs, self.turned],
+            dim=self.face_count,
+            inputs=[self.start, points, self.faces, self.masses, int(self.geodesic), wp.float64(self.softening)],
+            outputs=[self.costs, self.turned, self.centres],
             device=self.device,
         )
         return float(wp.utils.array_sum(self.costs))
 
     def gradient(self) -> Any:
         """The derivative of the cost with respect to H at the nodes, weak form; needs :meth:`cost_at` before."""
-        self.sampler.locate(self.points)
+        self.sampler.locate(self.centres)
         return self.sampler.gradient_adjoint(self.turned, smooth=True)
 
     def precondition(self, gradient: Any) -> Any:
@@ -270,17 +284,15 @@ def resolution_damping(
 ) -> NDArray[np.float64]:
     """How much of every wavelet the vertices of an image can follow, between 0 and 1, shape [N].
 
-    A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (4 e / h)^2)^-3: all of it where it
+    A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (3 e / h)^2)^-3: all of it where it
     spans many edges, next to nothing where it spans one. Nodes far from every vertex (inside a large triangle) get 0.
     """
     faces = surface.faces
     corners = image[faces]
     squares = np.max([((corners[:, k] - corners[:, k - 1]) ** 2).sum(axis=1) for k in range(3)], axis=0)
-    at_vertices = np.zeros(surface.vertex_count)
-    np.maximum.at(at_vertices, faces.ravel(), np.repeat(squares, 3))
     longest = np.full(hierarchy.node_count, -np.inf)
     nodes = hierarchy.faces[sampler.point_faces.numpy()]
-    np.maximum.at(longest, nodes.ravel(), np.repeat(at_vertices, 3))
+    np.maximum.at(longest, nodes.ravel(), np.repeat(squares, 3))
     damping = np.ones(hierarchy.node_count)
     for level in reversed(range(hierarchy.level)):
         first, last = hierarchy.node_counts[level], hierarchy.node_counts[level + 1]

@@ -18,30 +18,39 @@ def logarithm(y: wp.vec3d, x: wp.vec3d):
     return distance / wp.max(across, TINY) * (x - cosine * y), distance
 
 
+@wp.func
+def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
+    return wp.normalize(points[face[0]] + points[face[1]] + points[face[2]])
+
+
 @wp.kernel
 def cost_and_force(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
     masses: wp.array[wp.float64],
     geodesic: int,
     softening: wp.float64,
     # Data out:
     cost: wp.array[wp.float64],
     turned: wp.array[wp.vec3d],
+    centres: wp.array[wp.vec3d],
 ):
-    """Cost of every vertex, and c × y with c the derivative of the cost with respect to y."""
-    v = wp.tid()
-    y = points[v]
-    pull, distance = logarithm(y, start[v])
-    mass = masses[v]
+    """Cost of every triangle, and c × y with c the derivative of the cost with respect to its centre y."""
+    f = wp.tid()
+    face = faces[f]
+    y = centre(points, face)
+    centres[f] = y
+    pull, distance = logarithm(y, centre(start, face))
+    mass = masses[f]
     if geodesic == 1:
         # The gradient of the distance jumps at y = x; within the softening length it is taken as linear.
         soft = wp.sqrt(distance * distance + softening * softening)
-        cost[v] = mass * distance
-        turned[v] = wp.cross(-mass / soft * pull, y)
+        cost[f] = mass * distance
+        turned[f] = wp.cross(-mass / soft * pull, y)
     else:
-        cost[v] = mass * distance * distance
-        turned[v] = wp.cross(-TWO * mass * pull, y)
+        cost[f] = mass * distance * distance
+        turned[f] = wp.cross(-TWO * mass * pull, y)
 
 
 @wp.func
