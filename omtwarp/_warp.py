@@ -4,13 +4,75 @@ Keeping the start in one place means that ``import omtwarp`` does not pay for it
 the same words everywhere.
 """
 
+import contextlib
+import ctypes
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+
 import warp as wp
 
 from omtwarp.errors import OmtwarpError
 
+_NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
+
+
+def _has_cuda_driver() -> bool:
+    """Whether the driver's library can be loaded; the names are those that Warp tries."""
+    for name in ("nvcuda.dll",) if os.name == "nt" else ("libcuda.so", "libcuda.so.1"):
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(name)
+            return True
+    return False
+
+
+@contextlib.contextmanager
+def _without_driver_message() -> Iterator[None]:
+    """Keep one line off standard error: that there is no CUDA driver, which is no fault on a machine without a GPU.
+
+    Warp's native code writes it past Python and past ``log_level``, so that only the file descriptor can be turned
+    elsewhere. Whatever else arrives there in the meantime, from this thread or another, is passed on afterwards.
+    """
+    try:
+        # First of all, since a file opened while standard error is closed would take its number.
+        kept = os.dup(2)
+    except OSError:  # closed
+        yield
+        return
+    try:
+        aside = tempfile.TemporaryFile()
+    except OSError:  # no place for it: better a line too many
+        os.close(kept)
+        yield
+        return
+    with aside:
+        _flush_stderr()
+        os.dup2(aside.fileno(), 2)
+        try:
+            yield
+        finally:
+            _flush_stderr()
+            os.dup2(kept, 2)
+            os.close(kept)
+            aside.seek(0)
+            rest = b"".join(line for line in aside if _NO_DRIVER not in line)
+            while rest:
+                try:
+                    rest = rest[os.write(2, rest) :]
+                except OSError:  # nobody reads any more
+                    break
+
+
+def _flush_stderr() -> None:
+    with contextlib.suppress(AttributeError, OSError, ValueError):  # there may be none, or a closed one
+        sys.stderr.flush()
+
+
 if wp.config.log_level < wp.LOG_WARNING:
     wp.config.log_level = wp.LOG_WARNING  # no banner in a library; a caller who asked for less noise keeps it
-wp.init()
+with contextlib.nullcontext() if _has_cuda_driver() else _without_driver_message():
+    wp.init()
 
 # Kernels are float64 throughout: a literal 0.5 does not compile against a float64, so the constants live here.
 ZERO = wp.constant(wp.float64(0.0))

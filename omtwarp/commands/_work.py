@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -74,23 +72,9 @@ def start_device(device: str) -> None:
     known = device in ("auto", "cpu", "cuda") or (device.startswith("cuda:") and device[5:].isdigit())
     if not known:  # needs no start of Warp to tell
         raise OmtwarpError(f"unknown device '{device}': use auto, cpu, cuda or cuda:N")
-    with _no_driver_messages():
-        from omtwarp._warp import resolve_device
+    from omtwarp._warp import resolve_device
+
     resolve_device(device)
-
-
-@contextlib.contextmanager
-def _no_driver_messages() -> Iterator[None]:
-    """Keep off the terminal what the native runtime writes there about a missing CUDA driver, which is no fault."""
-    sys.stderr.flush()
-    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(null, 2)
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(null)
 
 
 def load_map(path: Path) -> Any:
