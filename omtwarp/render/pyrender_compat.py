@@ -39,8 +39,8 @@ def import_pyrender() -> Any:
     viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
     sys.modules.setdefault("pyrender.viewer", viewer)
     _hollow_trimesh()
-    find_library = ctypes.util.find_library
-    ctypes.util.find_library = _find_library(find_library)  # type: ignore[assignment]
+    # For good: PyOpenGL looks for libraries when they are first used, EGL long after this.
+    ctypes.util.find_library = _find_library(ctypes.util.find_library)  # type: ignore[assignment]
     try:
         import OpenGL
 
@@ -55,8 +55,6 @@ def import_pyrender() -> Any:
         raise GLUnavailable(_missing(error)) from error
     except (AttributeError, OSError) as error:  # libEGL without libGL: 'NoneType' has no attribute 'glGetError'
         raise GLUnavailable(_missing(error)) from error
-    finally:
-        ctypes.util.find_library = find_library  # type: ignore[assignment]
     return pyrender
 
 

@@ -288,6 +288,21 @@ def test_without_an_opengl_library_the_ray_caster_steps_in(fresh_client, caplog)
         preview(TRIANGLE, size=(32, 32), backend="pyrender")
 
 
+def test_a_library_that_only_the_loader_finds_is_used(fresh_client) -> None:
+    """As unpacked without rights, on LD_LIBRARY_PATH, where neither ldconfig nor a linker knows of it."""
+    pytest.importorskip("pyrender")
+    try:
+        preview(TRIANGLE, size=(32, 32), backend="pyrender")
+    except OmtwarpError:
+        if os.environ.get("CI"):
+            raise
+        pytest.skip("no OpenGL on this machine")
+    gl_client.shut_down()
+    unknown = "import ctypes.util; ctypes.util.find_library = lambda name: None"
+    fresh_client.setattr(gl_client, "_COMMAND", f"{unknown};{gl_client._COMMAND}")
+    assert preview(TRIANGLE, size=(32, 32), backend="pyrender").info["backend"].startswith("pyrender")
+
+
 def test_without_pyrender_the_ray_caster_steps_in(fresh_client, caplog) -> None:
     find = gl_client.importlib.util.find_spec
     fresh_client.setattr(gl_client.importlib.util, "find_spec", lambda name: None if name == "pyrender" else find(name))
