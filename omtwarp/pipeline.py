@@ -285,7 +285,9 @@ class _Run:
     ) -> dict[str, Any]:
         from omtwarp.metrics.optimality import optimality
 
-        return optimality(start, transported, self.surface.vertex_areas, self.surface.faces).to_dict()
+        surface = self.surface
+        measured = optimality(start, transported, surface.vertex_areas, surface.faces, device=self.device)
+        return measured.to_dict()
 
     def report(
         self,
