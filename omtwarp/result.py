@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
 from omtwarp.metrics.distortion import Distortion, distortion
 
 Array = NDArray[np.float64]
@@ -81,16 +81,9 @@ class MapResult:
             if getattr(self, name) is not None:
                 arrays[name] = getattr(self, name)
         arrays["report"] = np.array(json.dumps(self.report | {"history": self.history}))
-        partial = target.with_name(f".{target.name}.{os.getpid()}.part")
-        try:
-            with open(partial, "wb") as stream:
-                np.savez(stream, **arrays)
-            os.replace(partial, target)
-        except OSError as error:
-            raise OmtwarpError(f"cannot write '{target}': {error.strerror or error}") from error
-        finally:
-            with contextlib.suppress(OSError):
-                partial.unlink(missing_ok=True)
+        # Given a name, NumPy would add a suffix to it.
+        with staged(target) as file, open(file, "wb") as stream:
+            np.savez(stream, **arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> MapResult:

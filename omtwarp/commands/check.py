@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._files import check_output, staged
 from omtwarp.commands._options import MeshArgument
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output, staged
 
 
 def check_mesh(

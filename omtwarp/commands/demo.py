@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from omtwarp.commands._files import check_output, staged
 from omtwarp.commands._options import DeviceOption, QuietOption
+from omtwarp.files import check_output, staged
 
 POSE: dict[str, Any] = {"up": "z", "front": "-y", "views": (40.0, 15.0)}
 """The creature stands on its feet and looks past the viewer's right shoulder."""

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import typer
 
-from omtwarp.commands._files import check_output, staged
 from omtwarp.commands._options import (
     Cost,
     CostOption,
@@ -23,6 +22,7 @@ from omtwarp.commands._options import (
     Until,
     UntilOption,
 )
+from omtwarp.files import check_output, staged
 
 
 def map_mesh(

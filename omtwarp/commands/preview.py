@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from omtwarp.commands._files import check_output, staged
 from omtwarp.commands._options import DeviceOption, QuietOption, SizeOption, as_size
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output, staged
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
 

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._files import check_output, staged
 from omtwarp.commands._options import (
     Cost,
     CostOption,
@@ -26,6 +25,7 @@ from omtwarp.commands._options import (
     UntilOption,
 )
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output, staged
 
 
 class PatternName(StrEnum):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
 
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 FILM_FORMATS = (".gif", ".mp4")
@@ -54,12 +55,13 @@ def save_still(image: Any, path: str | os.PathLike[str]) -> None:
     """
     target = Path(path)
     kind = STILL_FORMATS.get(target.suffix.lower(), "GIF")
-    if kind == "JPEG":
-        _write(target, lambda file: image.convert("RGB").save(file, kind, quality=93, subsampling=0))
-    elif kind == "PNG":  # a twentieth larger than at Pillow's level, in half the time
-        _write(target, lambda file: image.save(file, kind, compress_level=4))
-    else:
-        _write(target, lambda file: image.save(file, kind))
+    with staged(target) as file:
+        if kind == "JPEG":
+            image.convert("RGB").save(file, kind, quality=93, subsampling=0)
+        elif kind == "PNG":  # a twentieth larger than at Pillow's level, in half the time
+            image.save(file, kind, compress_level=4)
+        else:
+            image.save(file, kind)
 
 
 def save_film(frames: Sequence[Any], path: str | os.PathLike[str], fps: float) -> None:
@@ -69,23 +71,11 @@ def save_film(frames: Sequence[Any], path: str | os.PathLike[str], fps: float) -
         OmtwarpError: the file cannot be written, or an MP4 is asked for without ffmpeg.
     """
     target = Path(path)
-    if target.suffix.lower() == ".gif":
-        _write(target, lambda file: _gif(frames, file, fps))
-    else:
-        _write(target, lambda file: _mp4(frames, file, fps))
-
-
-def _write(target: Path, save: Any) -> None:
-    """Save beside the target and rename, so that no half-written file is ever seen under its name."""
-    # The suffix stays at the end: ffmpeg goes by it.
-    partial = target.with_name(f".{target.stem}.{os.getpid()}.part{target.suffix}")
-    try:
-        save(partial)
-        os.replace(partial, target)
-    except OSError as error:
-        raise OmtwarpError(f"cannot write '{target}': {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    with staged(target) as file:
+        if target.suffix.lower() == ".gif":
+            _gif(frames, file, fps)
+        else:
+            _mp4(frames, file, fps)
 
 
 def _gif(frames: Sequence[Any], file: Path, fps: float) -> None:

@@ -1,7 +1,6 @@
 """Writing textured meshes: GLB, OBJ with MTL and PNG, and PLY with colours at the vertices.
 
-Every file is written under a temporary name beside its place and renamed when all of them are whole, so that a failure,
-a full disk or Ctrl-C leaves either the old file or none.
+The files appear when all of them are whole, so that a failure, a full disk or Ctrl-C leaves the old ones or none.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ import io
 import json
 import os
 import struct
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
 
 if TYPE_CHECKING:
     from omtwarp.texturing.textured import TexturedSurface
@@ -43,47 +42,28 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
     return suffix
 
 
-def write_files(files: Iterable[tuple[Path, bytes]]) -> None:
-    """Write several files so that all of them appear whole or none does.
+def export(textured: TexturedSurface, path: str | os.PathLike[str]) -> list[Path]:
+    """Write a textured surface in the format of the path's suffix; returns the files written.
 
     Raises:
-        OmtwarpError: a folder that is missing or may not be written to, a full disk.
+        OmtwarpError: another suffix, a folder that is missing or may not be written to, a full disk.
     """
-    pending: list[tuple[Path, Path]] = []
-    place: Path | None = None
-    try:
-        for place, content in files:
-            if place.is_dir():
-                raise OmtwarpError(f"cannot write '{place}': it is a folder")
-            temporary = place.with_name(f".{place.name}.{os.getpid()}.part")
-            pending.append((temporary, place))
-            with open(temporary, "wb") as stream:
-                stream.write(content)
-        for temporary, place in pending:
-            os.replace(temporary, place)
-    except OSError as error:
-        reason = (
-            "the folder does not exist"
-            if isinstance(error, FileNotFoundError)
-            else (error.strerror or str(error)).lower()
-        )
-        raise OmtwarpError(f"cannot write '{place}': {reason}") from error
-    finally:
-        for temporary, _ in pending:
-            temporary.unlink(missing_ok=True)
-
-
-def export(textured: TexturedSurface, path: str | os.PathLike[str]) -> list[Path]:
-    """Write a textured surface in the format of the path's suffix; returns the files written."""
     place = Path(path)
     suffix = check_suffix(place)
+    if not place.parent.is_dir():
+        raise OmtwarpError(f"cannot write '{place}': the folder does not exist")
     if suffix == ".glb":
         files = [(place, glb_bytes(textured))]
     elif suffix == ".ply":
         files = [(place, ply_bytes(textured))]
     else:
         files = obj_files(textured, place)
-    write_files(files)
+    for name, _ in files:
+        if name.is_dir():
+            raise OmtwarpError(f"cannot write '{name}': it is a folder")
+    with staged(place) as file:
+        for name, content in files:
+            file.with_name(name.name).write_bytes(content)
     return [name for name, _ in files]
 
 

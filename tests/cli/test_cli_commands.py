@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from omtwarp.cli import main
-from omtwarp.commands._files import check_output, staged
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
@@ -165,26 +164,6 @@ def test_python_m_omtwarp_and_version(capsys):
     assert done.stdout.startswith("omtwarp ") and done.stderr == ""
 
 
-def test_staging_leaves_nothing_after_an_error(tmp_path):
-    target = check_output(tmp_path / "it.obj", (".obj",))
-    target.write_text("old")
-    with pytest.raises(RuntimeError), staged(target) as file:
-        file.write_text("half")
-        raise RuntimeError
-    assert target.read_text() == "old" and list(tmp_path.iterdir()) == [target]
-    with staged(target) as file:
-        file.write_text("new")
-        file.with_suffix(".mtl").write_text("beside")
-    assert target.read_text() == "new" and (tmp_path / "it.mtl").read_text() == "beside"
-    assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_full_disk_is_one_line(tmp_path):
-    with pytest.raises(OmtwarpError, match="No space left on device"), staged(tmp_path / "it.npz"):
-        raise OSError(28, "No space left on device")
-    assert list(tmp_path.iterdir()) == []
-
-
 # Native code that never looks at signals: once holding the interpreter's lock, once having let it go.
 BUSY = {
     "holding": "sum(range(10**13))",
@@ -196,7 +175,6 @@ import sys
 from pathlib import Path
 import omtwarp.commands._work as work
 from omtwarp import cli
-from omtwarp.commands import _files
 def busy(*args, **options):
     print("busy", file=sys.stderr, flush=True)
     {busy}

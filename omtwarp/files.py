@@ -1,4 +1,7 @@
-"""Outputs that appear whole or not at all, and are known to be writable before the work starts."""
+"""Outputs that appear whole or not at all, and are known to be writable before the work starts.
+
+Every file that the package writes for a user goes through :func:`staged`.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from omtwarp.errors import OmtwarpError
+
+PREFIX = ".omtwarp-"  # of the directories that files are written in before they are moved
 
 
 def check_output(path: Path, suffixes: tuple[str, ...], *inputs: Path | None) -> Path:
@@ -44,7 +49,7 @@ def check_output(path: Path, suffixes: tuple[str, ...], *inputs: Path | None) ->
     try:
         if target.exists() and not os.access(target, os.W_OK):
             raise PermissionError(13, "Permission denied")
-        os.rmdir(tempfile.mkdtemp(prefix=".omtwarp-", dir=target.parent))
+        os.rmdir(tempfile.mkdtemp(prefix=PREFIX, dir=target.parent))
     except OSError as error:
         raise OmtwarpError(f"cannot write '{path}': {error.strerror or error}") from None
     return target
@@ -55,28 +60,29 @@ def staged(target: Path) -> Iterator[Path]:
     """Give a path of the same name in a new directory beside the target; at the end, move all that was written there.
 
     Whatever is written beside the file under that path (materials, textures) moves with it. After an error or an
-    interruption nothing is left, neither parts nor the directory.
+    interruption nothing is left, neither parts nor the directory, and an older file is as it was. May be nested.
 
     Raises:
-        OmtwarpError: the disk is full, or the files cannot be moved.
+        OmtwarpError: there is no such directory, the disk is full, or the files cannot be moved.
     """
-    folder = Path(tempfile.mkdtemp(prefix=".omtwarp-", dir=target.parent))
+    folder: Path | None = None
     try:
+        folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=target.parent))
         with _tidy_when_interrupted(folder):
             yield folder / target.name
             # Companions first, so that the file that refers to them is never there without them.
             for file in sorted(folder.iterdir(), key=lambda file: file.name == target.name):
-                if file.name == target.name or not file.name.startswith("."):
-                    os.replace(file, target.parent / file.name)
+                os.replace(file, target.parent / file.name)
+    except BrokenPipeError:  # of standard output, not of a file
+        raise
     except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
         raise OmtwarpError(f"cannot write '{target}': {error.strerror or error}") from error
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
-def die_by(number: int) -> None:
+def _die_by(number: int) -> None:
     """End as the signal would have ended the process, so that a shell's loop stops too."""
     if os.name == "posix":
         signal.signal(number, signal.SIG_DFL)
@@ -99,7 +105,7 @@ def _tidy_when_interrupted(folder: Path) -> Iterator[None]:
 
     def tidy(number: int, frame: Any = None) -> None:
         shutil.rmtree(folder, ignore_errors=True)
-        die_by(number)
+        _die_by(number)
 
     def watch() -> None:
         received = os.read(readable, 1)

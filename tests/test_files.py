@@ -1,0 +1,74 @@
+"""Files appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output, staged
+
+
+def test_staging_leaves_nothing_after_an_error(tmp_path):
+    target = check_output(tmp_path / "it.obj", (".obj",))
+    target.write_text("old")
+    with pytest.raises(RuntimeError), staged(target) as file:
+        file.write_text("half")
+        raise RuntimeError
+    assert target.read_text() == "old" and list(tmp_path.iterdir()) == [target]
+    with staged(target) as file:
+        file.write_text("new")
+        file.with_suffix(".mtl").write_text("beside")
+    assert target.read_text() == "new" and (tmp_path / "it.mtl").read_text() == "beside"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    with pytest.raises(OmtwarpError, match="No space left on device"), staged(tmp_path / "it.npz"):
+        raise OSError(28, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_directory_is_one_line(tmp_path):
+    with pytest.raises(OmtwarpError, match=r"cannot write '.*it\.npz': No such file or directory"):
+        with staged(tmp_path / "none" / "it.npz") as file:
+            file.write_text("never")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_directory_in_the_way_is_one_line(tmp_path):
+    (tmp_path / "it.npz").mkdir()
+    with pytest.raises(OmtwarpError, match="cannot write"), staged(tmp_path / "it.npz") as file:
+        file.write_text("new")
+    assert os.listdir(tmp_path) == ["it.npz"] and os.listdir(tmp_path / "it.npz") == []
+
+
+def test_staging_inside_of_staging(tmp_path):
+    """As where a command stages what a function of the library stages once more."""
+    target = tmp_path / "it.obj"
+    with staged(target) as outer:
+        with staged(outer) as inner:
+            inner.write_text("surface")
+            inner.with_suffix(".mtl").write_text("material")
+        assert not target.exists() and outer.read_text() == "surface"
+    assert sorted(os.listdir(tmp_path)) == ["it.mtl", "it.obj"]
+
+
+def test_companions_of_a_hidden_file_come_along(tmp_path):
+    with staged(tmp_path / ".it.obj") as file:
+        file.write_text("surface")
+        file.with_name(".it.mtl").write_text("material")
+    assert sorted(os.listdir(tmp_path)) == [".it.mtl", ".it.obj"]
+
+
+def test_nothing_written_is_nothing_moved(tmp_path):
+    with staged(tmp_path / "it.npz"):
+        pass
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_closed_pipe_is_not_taken_for_a_file(tmp_path):
+    with pytest.raises(BrokenPipeError), staged(tmp_path / "it.npz"):
+        raise BrokenPipeError
+    assert os.listdir(tmp_path) == []
