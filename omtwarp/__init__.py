@@ -18,20 +18,32 @@ _PUBLIC = {
     "MapResult": "omtwarp.result",
     "OmtwarpError": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
+    "barycentric_map": "omtwarp.methods",
+    "certify": "omtwarp.metrics.certificate",
     "check": "omtwarp.mesh.validate",
     "conformal_map": "omtwarp.conformal",
     "distortion": "omtwarp.metrics",
+    "hierarchical_embedding": "omtwarp.embedding.hierarchical",
     "map_to_sphere": "omtwarp.pipeline",
+    "mobius_centring": "omtwarp.conformal",
     "moser_map": "omtwarp.moser",
     "optimal_transport": "omtwarp.transport",
+    "optimality": "omtwarp.metrics.optimality",
+    "paper_flow": "omtwarp.transport",
     "preview": "omtwarp.render",
     "read_mesh": "omtwarp.mesh.read",
+    "refine_map": "omtwarp.refine.solver",
     "repair": "omtwarp.mesh.repair",
     "texture": "omtwarp.texturing",
+    "transport_cost": "omtwarp.transport",
+    "untangle": "omtwarp.embedding.untangle",
 }
 
 if TYPE_CHECKING:
     from omtwarp.conformal import conformal_map as conformal_map
+    from omtwarp.conformal import mobius_centring as mobius_centring
+    from omtwarp.embedding.hierarchical import hierarchical_embedding as hierarchical_embedding
+    from omtwarp.embedding.untangle import untangle as untangle
     from omtwarp.errors import OmtwarpError as OmtwarpError
     from omtwarp.mesh import shapes as shapes
     from omtwarp.mesh.read import read_mesh as read_mesh
@@ -39,13 +51,19 @@ if TYPE_CHECKING:
     from omtwarp.mesh.surface import Surface as Surface
     from omtwarp.mesh.validate import Defect as Defect
     from omtwarp.mesh.validate import check as check
+    from omtwarp.methods import barycentric_map as barycentric_map
     from omtwarp.metrics import distortion as distortion
+    from omtwarp.metrics.certificate import certify as certify
+    from omtwarp.metrics.optimality import optimality as optimality
     from omtwarp.moser import moser_map as moser_map
     from omtwarp.pipeline import map_to_sphere as map_to_sphere
+    from omtwarp.refine.solver import refine_map as refine_map
     from omtwarp.render import preview as preview
     from omtwarp.result import MapResult as MapResult
     from omtwarp.texturing import texture as texture
     from omtwarp.transport import optimal_transport as optimal_transport
+    from omtwarp.transport import paper_flow as paper_flow
+    from omtwarp.transport import transport_cost as transport_cost
 
 __all__ = [
     "Defect",
@@ -53,17 +71,26 @@ __all__ = [
     "OmtwarpError",
     "Surface",
     "__version__",
+    "barycentric_map",
+    "certify",
     "check",
     "conformal_map",
     "distortion",
+    "hierarchical_embedding",
     "map_to_sphere",
+    "mobius_centring",
     "moser_map",
     "optimal_transport",
+    "optimality",
+    "paper_flow",
     "preview",
     "read_mesh",
+    "refine_map",
     "repair",
     "shapes",
     "texture",
+    "transport_cost",
+    "untangle",
 ]
 
 
