@@ -7,23 +7,32 @@ from typing import Any
 import numpy as np
 
 from omtwarp._warp import wp
-from omtwarp.embedding.guard_kernels import flag_flips, shorten_steps
+from omtwarp.embedding.guard_kernels import flag_bad_steps, flag_flips, shorten_steps
 from omtwarp.mesh.surface import Surface
 
 # A vertex whose step was halved this often stays where it was.
 HALVINGS = 6
 MAXIMUM_ROUNDS = 500
+# A step that leaves a triangle a hundredth of its area is as good as a flip: on scanned shapes a single such triangle
+# costs the whole map's area distortion more than the step gains.
+SMALLEST_PART = 0.2
 
 
 class StepGuard:
-    """Keeps every triangle of a moving sphere map positive.
+    """Keeps every triangle of a moving sphere map positive, and from all but vanishing.
 
     A vertex of a triangle that a step would flip has its own step halved, again and again, and is held in the end; its
     neighbours follow only where that in turn would flip one of theirs. Since the map before the step has no flip,
     holding vertices always ends in a map without one, and a few bad triangles slow nobody but themselves.
+
+    Args:
+        surface: the surface; its triangles' areas, total 4π, are what they should have on the sphere.
+        device: where the kernels run.
+        smallest: a step may shrink no triangle below this part of its area on the surface; a triangle that is smaller
+            already may only grow. With 0 only flips count.
     """
 
-    def __init__(self, surface: Surface, device: Any):
+    def __init__(self, surface: Surface, device: Any, smallest: float = SMALLEST_PART):
         self.device = device
         self.vertex_count = surface.vertex_count
         self.face_count = surface.face_count
@@ -31,6 +40,8 @@ class StepGuard:
         offsets, corners = surface.vertex_corners
         self._offsets = wp.array(offsets, dtype=wp.int32, device=device)
         self._corners = wp.array(corners, dtype=wp.int32, device=device)
+        # det[s0, s1, s2] of a small triangle is twice its area.
+        self._floors = wp.array(2.0 * smallest * surface.face_areas, dtype=wp.float64, device=device)
         self._flags = wp.empty(self.face_count, dtype=wp.int32, device=device)
         self._count = wp.zeros(1, dtype=wp.int32, device=device)
         self._halvings = wp.empty(self.vertex_count, dtype=wp.int32, device=device)
@@ -43,13 +54,19 @@ class StepGuard:
         wp.launch(flag_flips, dim=self.face_count, inputs=inputs, device=self.device)
         return int(self._count.numpy()[0])
 
+    def _count_bad(self, old: Any, new: Any) -> int:
+        self._count.zero_()
+        inputs = [old, new, self._faces, self._floors, self._flags, self._count]
+        wp.launch(flag_bad_steps, dim=self.face_count, inputs=inputs, device=self.device)
+        return int(self._count.numpy()[0])
+
     def limit(self, old: Any, new: Any) -> int:
-        """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips.
+        """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips or shrinks too far.
 
         Returns:
             The number of vertices whose step was shortened.
         """
-        if self.count(new) == 0:
+        if self._count_bad(old, new) == 0:
             return 0
         wp.copy(self._trial, new)
         self._halvings.zero_()
@@ -60,7 +77,7 @@ class StepGuard:
                 inputs=[old, self._trial, self._offsets, self._corners, self._flags, HALVINGS, self._halvings, new],
                 device=self.device,
             )
-            if self.count(new) == 0:
+            if self._count_bad(old, new) == 0:
                 return int(np.count_nonzero(self._halvings.numpy()))
         wp.copy(new, old)
         return self.vertex_count

@@ -23,6 +23,28 @@ def flag_flips(
 
 
 @wp.kernel
+def flag_bad_steps(
+    start: wp.array[wp.vec3d],
+    end: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    floors: wp.array[wp.float64],
+    # Data out:
+    flags: wp.array[wp.int32],
+    count: wp.array[wp.int32],
+):
+    """Triangles that a step flips, or shrinks below their floor; one that is below it already may grow."""
+    f = wp.tid()
+    face = faces[f]
+    after = wp.dot(end[face[0]], wp.cross(end[face[1]], end[face[2]]))
+    before = wp.dot(start[face[0]], wp.cross(start[face[1]], start[face[2]]))
+    flags[f] = 1
+    if after > ZERO and (after >= before or after >= floors[f]):
+        flags[f] = 0
+    else:
+        wp.atomic_add(count, 0, 1)
+
+
+@wp.kernel
 def shorten_steps(
     old: wp.array[wp.vec3d],
     trial: wp.array[wp.vec3d],

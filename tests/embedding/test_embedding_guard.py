@@ -13,11 +13,13 @@ from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.mesh.surface import Surface
 
 
-def limited(surface: Surface, old: np.ndarray, new: np.ndarray, device: str = "cpu") -> tuple[np.ndarray, int]:
+def limited(
+    surface: Surface, old: np.ndarray, new: np.ndarray, device: str = "cpu", smallest: float = 0.0
+) -> tuple[np.ndarray, int]:
     where = resolve_device(device)
     before = wp.array(np.ascontiguousarray(old), dtype=wp.vec3d, device=where)
     after = wp.array(np.ascontiguousarray(new), dtype=wp.vec3d, device=where)
-    held = StepGuard(surface, where).limit(before, after)
+    held = StepGuard(surface, where, smallest).limit(before, after)
     np.testing.assert_array_equal(before.numpy(), old)
     return after.numpy(), held
 
@@ -55,6 +57,22 @@ def test_a_shortened_step_lies_on_the_way(seed):
     way = np.linalg.norm(wanted - old, axis=1)
     assert (np.linalg.norm(got - old, axis=1) <= way + 1e-14).all()
     np.testing.assert_allclose(np.einsum("ij,ij->i", got, np.cross(old, wanted)), 0.0, atol=1e-14)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 100_000), size=st.floats(0.01, 1.0), smallest=st.floats(0.01, 0.9))
+def test_no_triangle_shrinks_below_its_floor(seed, size, smallest):
+    """det is twice the area of a small triangle; one below its floor before the step may grow but not shrink."""
+    surface = random_sphere(300, seed)
+    old = twisted(surface.vertices, 0.3)
+    if count_flips(old, surface.faces):
+        return
+    wanted = unit(old + size * np.random.default_rng(seed).normal(size=old.shape))
+    got, _ = limited(surface, old, wanted, smallest=smallest)
+    before, after = (np.linalg.det(points[surface.faces]) for points in (old, got))
+    floor = np.minimum(before, 2.0 * smallest * surface.face_areas)
+    assert (after >= floor - 1e-14).all()
+    assert (after > 0.0).all()
 
 
 def test_a_valid_step_is_not_touched(device):
