@@ -1,0 +1,389 @@
+"""The whole pipeline against maps known in closed form, and what every map of a surface has to be."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sphere_truths import SHARED, apart, judge, mean_edge, random_rotation, rms, turned
+
+import omtwarp
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.shapes import blob, icosphere, random_sphere, tube
+from omtwarp.mesh.surface import Surface
+from omtwarp.metrics.certificate import certify
+from omtwarp.pipeline import STAGES, as_surface, map_to_sphere, parse_refinement
+from omtwarp.transport.flow import transport_cost
+
+ROOT = Path(__file__).resolve().parents[1]
+MAPS = ("conformal", "moser", "transported")
+
+
+def mapped(surface: Surface, **options):
+    return map_to_sphere((surface.vertices, surface.faces), **({"until": "omt", "device": "cpu"} | options))
+
+
+# Maps known in closed form ------------------------------------------------------------------------------------------
+
+
+def test_a_sphere_maps_to_itself_up_to_a_rotation(device):
+    """Every stage, to first order in the edges: that is how well the conformal map's pole is resolved."""
+    errors = []
+    for frequency in (8, 16):
+        surface = turned(icosphere(frequency))
+        result = mapped(surface, device=device)
+        edge = mean_edge(surface, surface.vertices)
+        for name in MAPS:
+            error = apart(getattr(result, name), surface.vertices)
+            assert rms(error) < 0.25 * edge
+            assert error.max() < edge
+        errors.append(rms(apart(result.sphere, surface.vertices)))
+        assert result.distortion().area["surface"] < 2.002
+        # No farther from its start than the start is from the truth, in the root mean square.
+        cost = result.report["stages"][-1]["transport_cost"]
+        assert np.sqrt(cost / (4 * np.pi)) < 2 * rms(apart(result.conformal, surface.vertices))
+    assert errors[1] < 0.6 * errors[0]
+
+
+def ellipsoid_areas(sine: np.ndarray, equator: float, pole: float) -> np.ndarray:
+    """Area of an ellipsoid of revolution between the equator and a reduced latitude, over 2π times the equator.
+
+    ∫ √(b² + k u²) du with u the latitude's sine and k = a² - b².
+    """
+    k = equator**2 - pole**2
+    root, s = np.sqrt(pole**2 + k * sine**2), np.sqrt(abs(k))
+    arc = np.arcsinh(sine * s / pole) if k > 0 else np.arcsin(sine * s / pole)
+    return (sine * root + pole**2 / s * arc) / 2.0
+
+
+@pytest.mark.parametrize(("equator", "pole"), [(1.0, 0.6), (1.0, 1.8)], ids=["oblate", "prolate"])
+def test_an_ellipsoid_of_revolution_maps_by_its_authalic_latitude(device, equator, pole):
+    """Its conformal map keeps meridians; the optimal rearrangement moves points along them until area is kept.
+
+    So the transported map is the equal-area one of cartography in closed form, and its cost the integral of
+    (authalic - conformal latitude)², whatever happened on the way.
+    """
+    errors = []
+    for frequency in (8, 16):
+        sphere = turned(icosphere(frequency))
+        surface = Surface(sphere.vertices * [equator, equator, pole], sphere.faces)
+        result = mapped(surface, device=device)
+        x, y, z = sphere.vertices.T
+        height = ellipsoid_areas(z, equator, pole) / ellipsoid_areas(np.float64(1.0), equator, pole)
+        ring = np.sqrt(1.0 - height**2) / np.hypot(x, y)
+        truth = np.stack([ring * x, ring * y, height], axis=1)
+        error = apart(result.transported, truth)
+        assert rms(error) < 0.25 * mean_edge(sphere, sphere.vertices)
+        errors.append(rms(error))
+        assert result.distortion().area["surface"] < 2.005
+    assert errors[1] < 0.6 * errors[0]
+
+    u, weights = np.polynomial.legendre.leggauss(400)
+    authalic = np.arcsin(ellipsoid_areas(u, equator, pole) / ellipsoid_areas(np.float64(1.0), equator, pole))
+    sine = np.sin(np.arctan2(equator * u, pole * np.sqrt(1 - u * u)))  # of the geodetic latitude
+    square = 1.0 - (pole / equator) ** 2
+    e = np.sqrt(abs(square))
+    conformal = np.arcsin(
+        np.tanh(np.arctanh(sine) - (e * np.arctanh(e * sine) if square > 0 else -e * np.arctan(e * sine)))
+    )
+    density = np.sqrt(pole**2 + (equator**2 - pole**2) * u * u)
+    share = weights * density / (weights @ density)
+    cost = 4 * np.pi * share @ (authalic - conformal) ** 2
+    # A first-order error of the start enters the cost with its square, and with its product with the distance moved.
+    assert result.report["stages"][-1]["transport_cost"] == pytest.approx(cost, rel=0.15)
+
+
+# What every map has to be -------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=12)
+@given(
+    seed=st.integers(0, 10_000),
+    amplitude=st.floats(0.05, 0.5),
+    degree=st.integers(1, 8),
+    faces=st.sampled_from([200, 600, 1000]),
+    irregular=st.booleans(),
+)
+def test_random_blobs_map_to_bijections(seed, amplitude, degree, faces, irregular):
+    """Finite, no flip, degree 1, certified exactly, at every stage; and area kept better from stage to stage."""
+    base = random_sphere(faces, seed) if irregular else faces
+    surface = blob(seed=seed, amplitude=amplitude, degree=degree, sphere=base)
+    result = mapped(surface)
+    assert result.bijective
+    for stage in result.report["stages"]:
+        assert stage["finite"]
+        assert stage["flips"] == 0
+        assert stage["degree"] == pytest.approx(1.0, abs=1e-6)
+    for name in MAPS:
+        sphere = getattr(result, name)
+        np.testing.assert_allclose(np.linalg.norm(sphere, axis=1), 1.0, atol=1e-14)
+        assert certify(surface.faces, sphere).bijective
+    assert np.isfinite(result.density).all() and (result.density > 0).all()
+    areas = [stage["area"]["surface"] for stage in result.report["stages"]]
+    assert areas[1] <= areas[0]
+
+
+def test_refinement_keeps_the_bijection_and_betters_the_area():
+    surface = blob(seed=6, amplitude=0.3, degree=5, sphere=1280)
+    result = mapped(surface, until="refine")
+    assert result.bijective
+    assert [stage["name"] for stage in result.report["stages"]] == list(STAGES)
+    before, after = result.distortion("transported"), result.distortion()
+    assert after.area["surface"] < before.area["surface"]
+    np.testing.assert_array_equal(result.transported, mapped(surface).transported)  # stages do not look ahead
+
+
+BASE = blob(seed=1, amplitude=0.35, degree=5, sphere=1280)
+
+
+@pytest.fixture(scope="module")
+def base():
+    return mapped(BASE)
+
+
+def same_up_to_rotation(one, other, limit: float, order=slice(None), mirror=(1.0, 1.0, 1.0)) -> None:
+    for name in MAPS:
+        assert apart(getattr(one, name) * mirror, getattr(other, name)[order]).max() < limit, name
+
+
+def test_position_does_not_matter(base):
+    moved = Surface(BASE.vertices @ random_rotation(3).T + [3.0, 4.0, 5.0], BASE.faces)
+    same_up_to_rotation(mapped(moved), base, 1e-8)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e30, 2.0**-100, 2.0**100])
+def test_unit_does_not_matter(base, scale):
+    """Powers of two round nothing at all; other units round the coordinates, by 1e-16 magnified along the way."""
+    result = mapped(Surface(scale * BASE.vertices, BASE.faces))
+    same_up_to_rotation(result, base, 1e-8)
+    if np.log2(scale) == round(np.log2(scale)):
+        for name in MAPS:
+            np.testing.assert_array_equal(getattr(result, name), getattr(base, name))
+    np.testing.assert_array_equal(result.vertices, scale * BASE.vertices)
+
+
+def test_order_of_vertices_does_not_matter(base):
+    order = np.random.default_rng(0).permutation(BASE.vertex_count)
+    renamed = Surface(BASE.vertices[order], np.argsort(order)[BASE.faces])
+    same_up_to_rotation(mapped(renamed), base, 1e-8, order=order)
+
+
+@pytest.mark.parametrize("change", ["order of faces", "first corner", "mirror"])
+def test_faces_told_otherwise_and_mirror_images_differ_within_a_triangle(base, change):
+    """The first corner turns the conformal map about its pole, and with it the image against the transport's grid; the
+    order of faces decides in which of its triangles a vertex begins. The conformal map shows neither; what follows may,
+    by a fraction of an edge.
+    """
+    faces, mirror = BASE.faces, np.ones(3)
+    if change == "order of faces":
+        faces = faces[np.random.default_rng(0).permutation(len(faces))]
+    elif change == "first corner":
+        faces = np.roll(faces, 1, axis=1)
+    else:
+        mirror = np.array([1.0, 1.0, -1.0])
+        faces = faces[:, ::-1]
+    result = mapped(Surface(BASE.vertices * mirror, faces))
+    assert apart(result.conformal * mirror, base.conformal).max() < 1e-8
+    same_up_to_rotation(result, base, 0.25 * mean_edge(BASE, base.sphere), mirror=mirror)
+
+
+# The same answer twice ----------------------------------------------------------------------------------------------
+
+SCRIPT = """
+import hashlib, sys
+from omtwarp.mesh.shapes import blob
+from omtwarp.pipeline import map_to_sphere
+surface = blob(seed=1, amplitude=0.35, degree=5, sphere=1280)
+result = map_to_sphere((surface.vertices, surface.faces), until="omt", device="cpu")
+for name in ("conformal", "moser", "transported", "sphere", "density"):
+    print(hashlib.sha256(getattr(result, name).tobytes()).hexdigest())
+"""
+
+
+def test_the_same_bits_in_this_process_and_in_another(base):
+    names = (*MAPS, "sphere", "density")
+    digests = [hashlib.sha256(getattr(base, name).tobytes()).hexdigest() for name in names]
+    again = mapped(BASE)
+    assert [hashlib.sha256(getattr(again, name).tobytes()).hexdigest() for name in names] == digests
+    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": paths, "PYTHONHASHSEED": "12345"},
+        cwd=ROOT,
+    )
+    assert done.stdout.split() == digests
+
+
+# What goes in and what comes out ------------------------------------------------------------------------------------
+
+
+def test_meshes_in_every_form_give_the_same_map():
+    surface = blob(seed=2, amplitude=0.2, sphere=320)
+    forms = [
+        (surface.vertices, surface.faces),
+        [surface.vertices.tolist(), surface.faces.tolist()],
+        trimesh.Trimesh(surface.vertices, surface.faces, process=False),
+        surface,
+    ]
+    results = [map_to_sphere(form, until="conformal", device="cpu") for form in forms]
+    for result in results:
+        np.testing.assert_array_equal(result.sphere, results[0].sphere)
+        np.testing.assert_array_equal(result.vertices, surface.vertices)
+        np.testing.assert_array_equal(result.faces, surface.faces)
+        assert result.sphere.dtype == result.vertices.dtype == result.density.dtype == np.float64
+        assert result.faces.dtype == np.int32
+
+
+def test_the_input_is_not_changed():
+    vertices, faces = BASE.vertices.copy(), BASE.faces.copy()
+    vertices.flags.writeable = faces.flags.writeable = False
+    map_to_sphere((vertices, faces), until="omt", device="cpu")
+
+
+def test_report_tells_every_stage(base):
+    report = json.loads(json.dumps(base.report, allow_nan=False))
+    assert [stage["name"] for stage in report["stages"]] == ["conformal", "moser", "omt"]
+    for stage in report["stages"]:
+        assert {"seconds", "iterations", "flips", "degree", "area", "angle", "transport_cost"} <= set(stage)
+        for measure in ("area", "angle"):
+            assert {"mean", "surface", "sphere", "median", "p95", "max"} <= set(stage[measure])
+    assert report["mesh"]["vertices"] == BASE.vertex_count
+    assert report["mesh"]["faces"] == BASE.face_count
+    assert report["device"] == "cpu"
+    assert {"omtwarp", "python", "numpy", "scipy", "warp"} <= set(report["versions"])
+    assert report["certificate"]["bijective"] is True
+    assert report["seconds"] >= sum(stage["seconds"] for stage in report["stages"]) * 0.9
+    assert json.loads(json.dumps(base.history, allow_nan=False)) == base.history
+    costs = [transport_cost(BASE, base.conformal, getattr(base, name)) for name in MAPS]
+    assert [stage["transport_cost"] for stage in report["stages"]] == pytest.approx(costs, rel=1e-12)
+    assert costs[2] < 1.01 * costs[1]  # a hundredth is what the area error of the first map may have hidden
+
+
+def test_density_is_area_over_area(base):
+    """μ of a triangle times its area on the sphere is its area on the surface, both 4π in all."""
+    corners = base.conformal[BASE.faces]
+    image = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    np.testing.assert_allclose(base.face_density * image / image.sum() * 4 * np.pi, BASE.face_areas, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "names", "made"),
+    [
+        ({"until": "conformal"}, ["conformal"], (False, False)),
+        ({"until": "moser"}, ["conformal", "moser"], (True, False)),
+        ({"until": "omt"}, ["conformal", "moser", "omt"], (True, True)),
+        ({"until": "omt", "cost": "geodesic"}, ["conformal", "moser", "omt"], (True, True)),
+        ({"until": "omt", "scheme": "plain"}, ["conformal", "moser", "omt"], (True, True)),
+        ({"until": "refine", "refine": None}, ["conformal", "moser", "omt"], (True, True)),
+        ({"method": "haker"}, ["conformal"], (False, False)),
+        ({"method": "moser"}, ["conformal", "moser"], (True, False)),
+        ({"method": "tutte"}, ["tutte"], (False, False)),
+        ({"method": "mean-value"}, ["mean-value"], (False, False)),
+    ],
+    ids=str,
+)
+def test_stages_and_methods(options, names, made):
+    surface = blob(seed=2, amplitude=0.2, degree=3, sphere=320)
+    result = mapped(surface, **options)
+    assert [stage["name"] for stage in result.report["stages"]] == names
+    assert (result.moser is not None, result.transported is not None) == made
+    assert result.bijective
+    last = result.transported if made[1] else result.moser if made[0] else result.conformal
+    np.testing.assert_array_equal(result.sphere, last)
+
+
+def test_progress_names_the_stages_in_order():
+    told = []
+    result = mapped(blob(seed=2, sphere=320), progress=lambda *arguments: told.append(arguments))
+    stages = list(dict.fromkeys(stage for stage, *_ in told))
+    assert [stage for stage in stages if stage in STAGES] == ["conformal", "moser", "omt"]
+    assert all(0 <= done <= total and isinstance(details, dict) for _, done, total, details in told)
+    assert result.bijective
+
+
+def test_a_tube_too_long_for_a_conformal_map_says_what_it_started_from():
+    result = mapped(tube(length=30.0, girth=1.0, face_count=1500))
+    assert result.bijective
+    assert result.report["start"]["road"] == "hierarchical"
+    assert "conformal map" in result.report["start"]["reason"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "magic"}, "unknown method 'magic': use omt, haker, moser, tutte, mean-value"),
+        ({"until": "noon"}, "unknown stage 'noon': use conformal, moser, omt, refine"),
+        ({"cost": "cubed"}, "unknown cost 'cubed': use squared, geodesic"),
+        ({"scheme": "fancy"}, "unknown scheme 'fancy': use default, plain, paper"),
+        ({"refine": "everything"}, "unknown refinement 'everything'"),
+        ({"refine": -1.0}, "unknown refinement '-1.0'"),
+        ({"refine": float("nan")}, "unknown refinement 'nan'"),
+        ({"device": "tpu"}, "unknown device 'tpu'"),
+    ],
+    ids=str,
+)
+def test_unknown_options_are_refused_before_any_work(options, message):
+    with pytest.raises(OmtwarpError, match=message) as caught:
+        map_to_sphere(object(), **options)  # no mesh: options come first
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["area", "balanced", "angle", 2.5, "2.5", "none", None])
+def test_known_refinements(value):
+    assert parse_refinement(value) == {"none": None, "2.5": 2.5}.get(value, value)
+
+
+def test_meshes_that_cannot_be_mapped():
+    surface = icosphere(3)
+    hole = np.where(np.arange(surface.vertex_count) == 4, np.nan, 1.0)[:, None]
+    cases = {
+        "open boundary|boundary": (surface.vertices, surface.faces[1:]),
+        "inward|outside": (surface.vertices, surface.faces[:, ::-1]),
+        "genus": _torus(),
+        "NaN|finite": (surface.vertices * hole, surface.faces),
+        "expected a trimesh": 7,
+    }
+    for message, mesh in cases.items():
+        with pytest.raises(OmtwarpError, match=message) as caught:
+            map_to_sphere(mesh, device="cpu")
+        assert "\n" not in str(caught.value)
+
+
+def _torus():
+    mesh = trimesh.creation.torus(1.0, 0.4, major_sections=16, minor_sections=8)
+    return mesh.vertices, mesh.faces
+
+
+def test_top_level_names_are_these():
+    assert omtwarp.map_to_sphere is map_to_sphere
+    assert isinstance(as_surface((BASE.vertices, BASE.faces)), Surface)
+
+
+# Real meshes, where they are ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["cortex_gu_5k", "bucket_10k"])
+def test_real_meshes_by_the_judge(name):
+    path = SHARED / "data" / f"{name}.ply"
+    if not path.exists():
+        pytest.skip("the evaluation meshes are not beside this checkout (../shared/data)")
+    verdict_of = judge()
+    mesh = trimesh.load(path, process=False)
+    result = map_to_sphere(mesh, until="omt", device="cpu")
+    for stage in (*MAPS, "sphere"):
+        verdict = verdict_of(np.asarray(mesh.vertices), getattr(result, stage), np.asarray(mesh.faces))
+        assert verdict["finite"]
+        assert verdict["flips"] == 0
+        assert verdict["degree"] == pytest.approx(1.0, abs=1e-9)
+    assert verdict["area"]["surface"] <= 2.02
+    assert result.bijective
