@@ -15,6 +15,7 @@ from omtwarp.commands.check import check_mesh
 from omtwarp.commands.demo import demo
 from omtwarp.commands.map import map_mesh
 from omtwarp.commands.preview import preview_mesh
+from omtwarp.commands.report import report_on_map
 from omtwarp.commands.texture import texture_mesh
 from omtwarp.errors import OmtwarpError
 
@@ -29,6 +30,7 @@ app = typer.Typer(
 app.command("map")(map_mesh)
 app.command("texture")(texture_mesh)
 app.command("preview")(preview_mesh)
+app.command("report")(report_on_map)
 app.command("check")(check_mesh)
 app.command("demo")(demo)
 
@@ -84,7 +86,7 @@ def _interruptible() -> Iterator[None]:
 
     Python's own handler waits until native code returns, which in a factorisation or a long kernel takes more than a
     second. Nothing is lost: files are staged, and while there is anything to tidy up, the signal is handled by
-    :func:`omtwarp.commands._files.staged`.
+    :func:`omtwarp.files.staged`.
     """
     own = threading.current_thread() is threading.main_thread()
     handled = own and signal.getsignal(signal.SIGINT) is signal.default_int_handler

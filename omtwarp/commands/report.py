@@ -1,0 +1,90 @@
+"""``omtwarp report``: a page about a map, to be opened in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._options import (
+    Cost,
+    CostOption,
+    DeviceOption,
+    MapOption,
+    Method,
+    MethodOption,
+    OptionalMesh,
+    QuietOption,
+    RefineOption,
+    RepairOption,
+    Scheme,
+    SchemeOption,
+    Until,
+    UntilOption,
+)
+from omtwarp.commands.texture import PatternName
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output, staged
+
+
+def report_on_map(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help=".html, with everything in it.")],
+    mesh: OptionalMesh = None,
+    finished: MapOption = None,
+    image: Annotated[
+        Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to show on the surface.")
+    ] = None,
+    pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead; circles by default.")] = None,
+    title: Annotated[str | None, typer.Option(help="Heading of the page; the mesh's name by default.")] = None,
+    up: Annotated[str, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...")] = "y",
+    optimality: Annotated[
+        bool, typer.Option("--optimality", help="Also measure how far the map is from optimal (slower).")
+    ] = False,
+    method: MethodOption = Method.OMT,
+    until: UntilOption = Until.REFINE,
+    cost: CostOption = Cost.SQUARED,
+    scheme: SchemeOption = Scheme.DEFAULT,
+    refine: RefineOption = "area",
+    device: DeviceOption = "auto",
+    repair: RepairOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file."""
+    from omtwarp.commands._work import map_from, start_device
+    from omtwarp.render.camera import axis_vector
+    from omtwarp.reporting import write_report
+    from omtwarp.texturing import read_image
+
+    target = check_output(output, (".html", ".htm"), mesh, finished, image)
+    if image is not None and pattern is not None:
+        raise OmtwarpError("both --image and --pattern: give one")
+    axis_vector(up)
+    start_device(device)
+    picture = read_image(image) if image is not None else None
+    result = map_from(
+        mesh,
+        finished,
+        repair=repair,
+        quiet=quiet,
+        device=device,
+        method=method.value,
+        until=until.value,
+        cost=cost.value,
+        scheme=scheme.value,
+        refine=refine,
+        optimality=optimality,
+    )
+    source = mesh or finished
+    with staged(target) as file:
+        write_report(
+            result,
+            file,
+            title=title or (source.stem if source is not None else None),
+            image=picture,
+            pattern=pattern.value if pattern else "circles",
+            up=up,
+            device=device,
+        )
+    if not quiet:
+        print(f"{output}: a report of {target.stat().st_size / 1e6:.1f} MB, to be opened in a browser")

@@ -1,0 +1,21 @@
+"""The report page: one self-contained HTML file about a map.
+
+Names are looked up when they are used, so that importing the package does not start Warp.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from omtwarp.reporting.page import report_page as report_page
+    from omtwarp.reporting.page import write_report as write_report
+
+__all__ = ["report_page", "write_report"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(import_module("omtwarp.reporting.page"), name)

@@ -1,0 +1,252 @@
+"""The report page: one HTML file with everything in it, to be read without a network."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.reporting import sections
+from omtwarp.reporting.scene import (
+    ANGLE_COLOURS,
+    ANGLE_PART,
+    ANGLE_RANGE,
+    AREA_COLOURS,
+    AREA_RANGE,
+    colour_ramp,
+    data_uri,
+    log2_area_ratio,
+    make_scene,
+)
+from omtwarp.reporting.stages import Stage, stages_of
+
+MOST_EDGES = 60_000  # faces: the edges of more would leave nothing to see of what is between them
+TEXTURES = {"circles": "Circles of equal size", "puzzle": "A jigsaw puzzle", "globe": "A globe", "checker": "A checker"}
+# A tick on a disc, and a warning; drawn here so that no font decides how they look.
+_TICK = '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/><path d="M5.8 10.4l2.8 2.8 5.6-6" fill="none" stroke="currentColor" stroke-width="2" stroke-linecap="round" stroke-linejoin="round"/></svg>'  # noqa: E501
+_WARNING = '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/><path d="M10 5.4v5.6M10 13.6v.6" stroke="currentColor" stroke-width="2.2" stroke-linecap="round"/></svg>'  # noqa: E501
+_ICON = "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 24 24'><circle cx='12' cy='12' r='10.4' fill='%231f6f78'/><g fill='none' stroke='%23fff' stroke-width='1.3' opacity='.9'><ellipse cx='12' cy='12' rx='4.6' ry='10.4'/><path d='M1.6 12h20.8M3.2 6.8h17.6M3.2 17.2h17.6'/></g></svg>"  # noqa: E501
+
+
+def write_report(
+    result: Any,
+    path: str | os.PathLike[str],
+    *,
+    title: str | None = None,
+    image: Any = None,
+    pattern: str = "circles",
+    up: str | None = None,
+    picture_size: int = 720,
+    device: str = "auto",
+) -> Path:
+    """Write the report page of a map: one HTML file that needs nothing else, no network and no other file.
+
+    It holds an interactive view of the surface and its maps (a still picture where the browser cannot draw in 3D), the
+    surface textured by the first and by the final map, the distribution of area and angle distortion at every stage
+    (section 6 of the paper), the cost of the transport over its iterations, what each stage did, and the certificate.
+
+    Args:
+        result: a :class:`~omtwarp.result.MapResult`.
+        path: the file to write; it appears whole or not at all.
+        title: heading of the page; "Map report" by default.
+        image: equirectangular picture shown on the surface: a path, a PIL image or an array [H, W, 3].
+        pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``, shown where there is no image.
+        up: the axis of the surface that points upwards: ``y`` (the default), ``z``, ``-x``, ...
+        picture_size: side of the still pictures in pixels.
+        device: ``auto``, ``cpu`` or ``cuda:N``, for baking the texture and, without OpenGL, for drawing.
+
+    Returns:
+        The path.
+
+    Raises:
+        OmtwarpError: no map, an unusable image or option, or a file that cannot be written.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise OmtwarpError(f"cannot write '{target}': it is a directory")
+    page = report_page(
+        result, title=title, image=image, pattern=pattern, up=up, picture_size=picture_size, device=device
+    )
+    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        partial.write_text(page, "utf-8")
+        os.replace(partial, target)
+    except OSError as error:
+        raise OmtwarpError(f"cannot write '{target}': {error.strerror or error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return target
+
+
+def report_page(
+    result: Any,
+    *,
+    title: str | None = None,
+    image: Any = None,
+    pattern: str = "circles",
+    up: str | None = None,
+    picture_size: int = 720,
+    device: str = "auto",
+) -> str:
+    """The text of the page that :func:`write_report` writes, with the same arguments.
+
+    Raises:
+        OmtwarpError: as :func:`write_report`.
+    """
+    from omtwarp.texturing import read_image
+    from omtwarp.texturing.patterns import pattern as pattern_by_name
+
+    if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal", "distortion", "report")):
+        raise OmtwarpError(f"cannot report on a {type(result).__name__}: give a result of map_to_sphere")
+    texture = read_image(image) if image is not None else pattern_by_name(pattern)
+    shown = "The picture" if image is not None else TEXTURES.get(pattern, "The pattern")
+    stages = stages_of(result)
+    scene = make_scene(result, stages, texture, up=up, device=device)
+    stills = _stills(result, stages, texture, up, picture_size, device)
+    report = result.report
+    content = [
+        sections.figures(stages, report),
+        sections.pictures(stages, stills, shown),
+        sections.distributions(stages),
+        sections.transport(result, stages),
+        sections.stage_table(stages, report),
+        sections.certificate(report, scene.faces),
+    ]
+    heading = title or "Map report"
+    return _fill(
+        _asset("page.html"),
+        version=escape(str(report.get("versions", {}).get("omtwarp", ""))),
+        title=escape(heading),
+        icon=f"data:image/svg+xml,{_ICON.replace('<', '%3C').replace('>', '%3E').replace(' ', '%20')}",
+        style=_asset("page.css"),
+        lead=_lead(result),
+        verdict=_verdict(report, stages),
+        poster=stills[stages[-1].key],
+        poster_alt=escape(f"{shown} carried to the surface by the final map"),
+        controls=_controls(stages, image is not None, pattern),
+        legends=_legends(),
+        sections="\n".join(content),
+        footer=sections.footer(report),
+        scene=_script_safe(scene.header),
+        data=scene.data,
+        three=_script_safe(_asset("three/three.min.js")),
+        viewer=_script_safe(_asset("viewer.js")),
+    )
+
+
+def _lead(result: Any) -> str:
+    report = result.report
+    parts = [f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to the unit sphere"]
+    if "seconds" in report:
+        parts.append(f"in {sections.seconds_text(report['seconds'])} {sections.where(report)}")
+    return f"{' '.join(parts)}."
+
+
+def _verdict(report: dict[str, Any], stages: Sequence[Stage]) -> str:
+    certificate = report.get("certificate", {})
+    flips = certificate.get("flips", stages[-1].distortion.flips)
+    if certificate.get("bijective"):
+        return f'<p class="verdict">{_TICK} Certified one to one: no flipped triangle, degree 1</p>'
+    if flips:
+        return f'<p class="verdict bad">{_WARNING} {flips:,} flipped triangle{"s" * (flips > 1)}: not one to one</p>'
+    return f'<p class="verdict bad">{_WARNING} Not certified</p>'
+
+
+def _controls(stages: Sequence[Stage], has_image: bool, pattern: str) -> str:
+    last = stages[-1].key
+    colourings = [
+        ("picture", "Picture" if has_image else pattern.capitalize()),
+        ("graticule", "Graticule"),
+        ("area", "Area"),
+        ("angle", "Angle"),
+        ("plain", "Plain"),
+    ]
+    return (
+        _segments("Map", "stage", [(stage.key, stage.label) for stage in stages], last)
+        + _segments("Colour", "colouring", colourings, "picture")
+        + '<label class="slider"><span><em>Surface</em><em>Sphere</em></span>'
+        '<input type="range" name="morph" min="0" max="100" value="0" aria-label="From the surface to the sphere">'
+        "</label>"
+        '<div class="buttons"><label class="toggle"><input type="checkbox" name="wireframe">Wireframe</label>'
+        '<button type="button" id="viewer-home">Reset view</button></div>'
+    )
+
+
+def _legends() -> str:
+    area, angle = 2.0**AREA_RANGE, 2.0**ANGLE_RANGE
+    area_ticks = (f"1/{area:.0f}", "1", f"{area:.0f}")
+    angle_ticks = ("1", f"{2 ** (ANGLE_RANGE / 2):.1f}", f"{angle:.0f} or more")
+    return _legend("area", "Area: sphere / surface", colour_ramp(AREA_COLOURS, count=12), area_ticks) + _legend(
+        "angle", "Larger / smaller stretch", colour_ramp(ANGLE_COLOURS, ANGLE_PART, count=12), angle_ticks
+    )
+
+
+def _segments(legend: str, name: str, options: Sequence[tuple[str, str]], chosen: str) -> str:
+    labels = "".join(
+        f'<label><input type="radio" name="{name}" value="{escape(key)}"{" checked" * (key == chosen)}>'
+        f"<span>{escape(label)}</span></label>"
+        for key, label in options
+    )
+    return f'<fieldset><legend>{escape(legend)}</legend><div class="segments">{labels}</div></fieldset>'
+
+
+def _legend(name: str, label: str, colours: str, ticks: Sequence[str]) -> str:
+    stops = ",".join(f"#{colours[k : k + 6]}" for k in range(0, len(colours), 6))
+    return (
+        f'<div class="legend" data-legend="{name}" hidden><span>{escape(label)}</span>'
+        f'<i style="background:linear-gradient(90deg,{stops})"></i>'
+        f"<b>{''.join(f'<em>{escape(tick)}</em>' for tick in ticks)}</b></div>"
+    )
+
+
+def _stills(
+    result: Any, stages: Sequence[Stage], texture: Any, up: str | None, size: int, device: str
+) -> dict[str, str]:
+    """Pictures of the first and the last stage as data URIs, by key: the surface, and ``sphere KEY``."""
+    from omtwarp.render import Camera, ScalarField, SurfaceView, preview
+    from omtwarp.texturing.patterns import Pattern, rasterize
+
+    picture = rasterize(texture, 2048, device=device) if isinstance(texture, Pattern) else texture
+    found = {}
+    for stage in (stages[0], stages[-1])[: len(stages)]:
+        view = SurfaceView(result.vertices, result.faces, image=picture, sphere=stage.sphere, up=up or "y")
+        bound = AREA_RANGE
+        field = ScalarField(np.clip(log2_area_ratio(stage), -bound, bound), AREA_COLOURS, (-bound, bound))
+        edges = len(result.faces) <= MOST_EDGES
+        ball = SurfaceView(stage.sphere, result.faces, scalar=field, up="z", front="+x", edges=edges)
+        for key, subject in ((stage.key, view), (f"sphere {stage.key}", ball)):
+            drawn = preview(
+                subject,
+                size=(size, size * 3 // 4),
+                camera=Camera(margin=0.03),
+                transparent=True,
+                color_bar=False,
+                device=device,
+            )
+            found[key] = data_uri(drawn, "webp")
+    return found
+
+
+def _asset(name: str) -> str:
+    return (files("omtwarp.reporting") / "assets" / name).read_text("utf-8")
+
+
+def _fill(template: str, **values: str) -> str:
+    """Put values in place of {{name}}, once and not within values."""
+    pieces = template.split("{{")
+    text = [pieces[0]]
+    for piece in pieces[1:]:
+        name, _, rest = piece.partition("}}")
+        text += [values[name], rest]
+    return "".join(text)
+
+
+def _script_safe(text: str) -> str:
+    """Keep a script element open until its end: nothing in it may look like a tag that ends or nests it."""
+    return text.replace("</script", "<\\/script").replace("<!--", "<\\!--")

@@ -1,0 +1,234 @@
+"""What the interactive view draws: vertex data small enough for a page, and the texture as a cube map.
+
+Everything is quantised as far as the eye allows: positions, normals and directions to 16 bits (a 30,000th of the
+surface's size, or 0.002 degrees), scalars to 8 bits of the range that the legend shows.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.mesh.surface import triangle_areas
+from omtwarp.reporting.stages import Stage
+
+Floats = NDArray[np.float64]
+
+# Ranges of the two scalars, as powers of two; what lies outside has the colour at the end.
+AREA_RANGE = 3.0  # of log2(area on the sphere / area on the surface), both ways
+ANGLE_RANGE = 3.0  # of log2(larger / smaller singular value), from 0
+AREA_COLOURS, ANGLE_COLOURS = "coolwarm", "magma_r"
+ANGLE_PART = 0.78  # the rest of that colour map is too dark to show the surface's form
+# Above this many faces the view, and only the view, shows a simplified mesh: a page has to stay light.
+MOST_FACES = 150_000
+# Degrees above the horizon from which the view starts.
+ELEVATION = 18.0
+
+# The six faces of a cube texture as OpenGL has them: direction = normal + a right + b down, a and b in [-1, 1] along
+# columns and rows (OpenGL 4.6, table 8.19).
+_GL_FACES = np.array(
+    [
+        [[1, 0, 0], [0, 0, -1], [0, -1, 0]],
+        [[-1, 0, 0], [0, 0, 1], [0, -1, 0]],
+        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
+        [[0, -1, 0], [1, 0, 0], [0, 0, -1]],
+        [[0, 0, 1], [1, 0, 0], [0, -1, 0]],
+        [[0, 0, -1], [-1, 0, 0], [0, -1, 0]],
+    ],
+    dtype=np.float64,
+)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The view's data as the page embeds it.
+
+    Attributes:
+        header: JSON text: where each array lies, ranges, stages, the texture's faces.
+        data: the arrays, deflated, in base64.
+        faces: how many triangles are shown.
+    """
+
+    header: str
+    data: str
+    faces: int
+
+
+def make_scene(result: Any, stages: list[Stage], texture: Any, *, up: str | None = None, device: str = "auto") -> Scene:
+    """Collect what the interactive view needs.
+
+    Args:
+        result: a finished map.
+        stages: as :func:`~omtwarp.reporting.stages.stages_of` gives them.
+        texture: a picture, or the name of a pattern.
+        up: the surface's upward axis; y by default.
+        device: where the texture is baked.
+    """
+    from omtwarp.render.camera import DEFAULT_FRONT
+    from omtwarp.texturing.textured import vertex_normals
+
+    vertices, faces = shown_mesh(result.vertices, result.faces)
+    used, corners = np.unique(faces, return_inverse=True)
+    triangles = corners.reshape(-1, 3).astype(np.int32)
+    axes = _axes(up or "y", DEFAULT_FRONT[(up or "y").lstrip("+-")])
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    centred = (vertices - 0.5 * (low + high)) / max(float((high - low).max()), np.finfo(float).tiny)
+    placed = centred[used] @ axes.T
+    placed /= np.linalg.norm(placed, axis=1).max()
+    arrays: dict[str, NDArray] = {
+        "position": _signed(placed),
+        "normal": _signed(vertex_normals(vertices, np.asarray(result.faces))[used] @ axes.T),
+        "index": triangles.astype(np.uint32).ravel(),
+    }
+    for stage in stages:
+        area, angle = vertex_scalars(result.faces, stage)
+        arrays[f"direction-{stage.key}"] = _signed(stage.sphere[used])
+        arrays[f"area-{stage.key}"] = _levels(area[used], -AREA_RANGE, AREA_RANGE)
+        arrays[f"angle-{stage.key}"] = _levels(angle[used], 0.0, ANGLE_RANGE)
+
+    # A sphere of the surface's own area, unless folds make that too large for the view.
+    radius = min(float(np.sqrt(triangle_areas(placed, triangles).sum() / (4.0 * np.pi))), 0.8)
+
+    blob, places = bytearray(), {}
+    for name, array in arrays.items():
+        blob += bytes(-len(blob) % 4)
+        places[name] = [len(blob), array.size]
+        blob += array.astype(array.dtype.newbyteorder("<")).tobytes()
+    header = {
+        "arrays": places,
+        "stages": [{"key": stage.key, "label": stage.label} for stage in stages],
+        "radius": radius,
+        "elevation": ELEVATION,
+        # Column by column, as WebGL takes it.
+        "turn": alignment(stages[-1].sphere[used], placed).T.ravel().round(6).tolist(),
+        "area": {"range": AREA_RANGE, "colours": colour_ramp(AREA_COLOURS)},
+        "angle": {"range": ANGLE_RANGE, "colours": colour_ramp(ANGLE_COLOURS, ANGLE_PART)},
+        "picture": cube_faces(texture, device=device),
+    }
+    packed = base64.b64encode(zlib.compress(bytes(blob), 9)).decode()
+    return Scene(json.dumps(header, separators=(",", ":")), packed, len(triangles))
+
+
+def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACES) -> tuple[Floats, NDArray[np.int32]]:
+    """The mesh itself, or a simplified one on a part of its vertices, numbered as before."""
+    if len(faces) <= most:
+        return vertices, faces
+    from omtwarp._warp import resolve_device
+    from omtwarp.embedding.decimation import simplify
+    from omtwarp.mesh.surface import Surface
+
+    for level in simplify(Surface(vertices, faces), resolve_device("cpu")).levels:
+        if len(level.face_masses) <= most:
+            tails = np.repeat(level.vertices, np.diff(level.offsets))
+            # Every face is there once for each of its corners.
+            once = (tails < level.heads) & (tails < level.thirds)
+            return vertices, np.stack([tails, level.heads, level.thirds], axis=1)[once].astype(np.int32)
+    return vertices, faces  # pragma: no cover (the last level is a tetrahedron)
+
+
+def vertex_scalars(faces: NDArray[np.int32], stage: Stage) -> tuple[Floats, Floats]:
+    """Distortion at the vertices: mean over the faces around them.
+
+    Returns:
+        log2 of the area ratio, and log2 of the ratio of the singular values, shape [V] each.
+    """
+    corners = faces.ravel()
+    count = np.maximum(np.bincount(corners, minlength=len(stage.sphere)), 1)
+    values = (log2_area_ratio(stage), log2_angle_ratio(stage))
+    area, angle = (np.bincount(corners, np.repeat(v, 3), minlength=len(stage.sphere)) / count for v in values)
+    return area, angle
+
+
+def log2_area_ratio(stage: Stage) -> Floats:
+    """log2 of the area on the sphere over the area on the surface, shape [F]; bounded where a triangle has none."""
+    with np.errstate(all="ignore"):
+        ratio = np.log2(stage.distortion.area_ratio)
+    return np.clip(np.nan_to_num(ratio, nan=-60.0, posinf=60.0, neginf=-60.0), -60.0, 60.0)
+
+
+def log2_angle_ratio(stage: Stage) -> Floats:
+    """log2 of the larger over the smaller singular value, shape [F]: from their sum of ratios, s + 1 / s."""
+    half = np.maximum(np.nan_to_num(stage.distortion.face_angle, nan=2.0, posinf=1e18), 2.0) / 2.0
+    return np.minimum(np.arccosh(half) / np.log(2.0), 60.0)
+
+
+def alignment(directions: Floats, placed: Floats) -> Floats:
+    """The rotation [3, 3] that brings points of the sphere nearest to where they are on the surface (Kabsch 1976)."""
+    radial = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), 1e-12)
+    u, _, vt = np.linalg.svd(radial.T @ directions)
+    flip = np.sign(np.linalg.det(u @ vt))
+    return u @ np.diag([1.0, 1.0, flip]) @ vt
+
+
+def cube_faces(texture: Any, size: int = 512, *, device: str = "auto") -> list[str]:
+    """A texture as the six faces of an OpenGL cube map with equiangular faces, as data URIs.
+
+    Args:
+        texture: equirectangular picture (path, PIL image, array), or the name of a pattern.
+        size: texels along a face.
+        device: where it is baked.
+    """
+    from PIL import Image
+
+    from omtwarp.texturing.atlas import Cube
+    from omtwarp.texturing.baking import bake
+    from omtwarp.texturing.image import as_bytes
+
+    atlas = Cube(size, gutter=0)
+    baked = as_bytes(bake(texture, atlas, device=device))[..., :3]
+    photograph = len(np.unique(baked[::4, ::4].reshape(-1, 3), axis=0)) > 4096
+    uris = []
+    for directions in gl_cube_directions(size):
+        uv = atlas.uv(directions.reshape(-1, 3))
+        column = np.clip((uv[:, 0] * atlas.width).astype(int), 0, atlas.width - 1)
+        row = np.clip(((1.0 - uv[:, 1]) * atlas.height).astype(int), 0, atlas.height - 1)
+        face = Image.fromarray(np.ascontiguousarray(baked[row, column].reshape(size, size, 3)))
+        uris.append(data_uri(face, "jpeg" if photograph else "png"))
+    return uris
+
+
+def gl_cube_directions(size: int) -> Floats:
+    """Directions, of any length, of the texels of such a cube map, shape [6, size, size, 3]."""
+    steps = np.tan(((np.arange(size) + 0.5) / size * 2.0 - 1.0) * (np.pi / 4.0))
+    normal, right, down = (_GL_FACES[:, k, None, None, :] for k in range(3))
+    return normal + steps[None, None, :, None] * right + steps[None, :, None, None] * down
+
+
+def data_uri(image: Any, kind: str) -> str:
+    """A PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
+    stream = io.BytesIO()
+    if kind == "png":
+        image.save(stream, "PNG", optimize=True)
+    else:
+        image.save(stream, kind.upper(), quality=88)
+    return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
+
+
+def colour_ramp(name: str, part: float = 1.0, count: int = 64) -> str:
+    """The first part of a colour map as hexadecimal text, two digits a channel."""
+    from omtwarp.render.colors import colormap_table
+
+    return colormap_table(name, round(count / part))[:count].tobytes().hex()
+
+
+def _signed(values: Floats) -> NDArray[np.int16]:
+    return np.rint(np.clip(values, -1.0, 1.0) * 32767.0).astype(np.int16)
+
+
+def _levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
+    return np.rint(np.clip((values - low) / (high - low), 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def _axes(up: str, front: str) -> Floats:
+    """Rows: the surface's axes that go right, up and towards the viewer."""
+    from omtwarp.render.camera import axis_vector
+
+    upward, forward = axis_vector(up), axis_vector(front)
+    return np.stack([np.cross(upward, forward), upward, forward])
