@@ -11,6 +11,8 @@ wp.set_module_options({"enable_backward": False})
 
 # A triangle may lose this share of its volume in one step before its corners are held back.
 SMALLEST_SHARE = wp.constant(wp.float64(0.1))
+# Volumes below this have no certain sign in floating point: none may shrink to it.
+ROUND_OFF = wp.constant(wp.float64(1e-14))
 # Below this cosine between a triangle's plane and the sphere's the needle barrier sets in.
 STEEP = wp.constant(wp.float64(0.5))
 
@@ -158,7 +160,7 @@ def triangle_trouble(
     face = faces[t]
     after = triple(moved[face[0]], moved[face[1]], moved[face[2]])
     # Written so that a NaN counts as trouble.
-    if after > SMALLEST_SHARE * volume[t]:
+    if after > SMALLEST_SHARE * volume[t] and (after > ROUND_OFF or after >= volume[t]):
         trouble[t] = wp.int32(0)
     else:
         trouble[t] = wp.int32(1)

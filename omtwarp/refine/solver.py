@@ -2,8 +2,9 @@
 
 A projected Newton method. The Hessian of every triangle is made positive semidefinite in closed form, the sparse system
 is factorised, and between factorisations limited-memory BFGS corrects the last one (Nocedal and Wright, "Numerical
-Optimization", algorithm 7.4, with the factorisation as initial Hessian). A step that would flip a triangle, or take
-most of its volume, is shortened at that triangle's corners alone.
+Optimization", algorithm 7.4, with the factorisation as initial Hessian). The few triangles that a step flips are
+untangled where they have moved to, so that the whole map keeps its step; where that fails, the corners of the triangles
+in trouble are held back, and last of all the step is shortened.
 """
 
 from __future__ import annotations
@@ -24,19 +25,22 @@ from omtwarp.refine.kernels import from_tangent, hold_back, retract, to_tangent,
 from omtwarp.refine.newton import NewtonMatrix
 
 WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area counts against angle
+# "area" promises mean and 95th percentile of area distortion; λ grows until both are met or growing no longer pays.
+AREA_MEAN, AREA_P95 = 2.002, 2.01
+HARDER, HARDEST = 3.0, 900.0
 
 MEMORY = 8  # pairs kept by limited-memory BFGS
 SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 25  # of the step as a whole
 MENDED = 3  # of them tried with repair of what they flip
 HOLDS = 30  # of the shares of corners of triangles in trouble
-LEAST_CAUTION = 0.03
+LEAST_CAUTION = 0.03  # see triangle_hessian
 REPAIRS = (
     Schedule(rings=2, factor=0.2, steps=2, thinnest=0.0),
     Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02),
 )  # how the few triangles that a step flips are mended, before the step is shortened
 MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
-SPAN, SLOW = 2, 0.5  # as many steps must lower the decrement at least to this share, or the matrix is renewed
+WORTH = 0.15  # of what the last fresh matrix gained: with less from a corrected step the matrix is renewed
 
 
 @dataclass
@@ -47,8 +51,8 @@ class RefineResult:
         sphere: unit vectors, float64, shape [V, 3]; no triangle is flipped.
         weight: λ, the weight of area against angle that was minimised.
         history: one record per iteration: ``energy`` (angle + λ area, less 2 + 2λ), ``area`` and ``angle`` (means
-            weighted by original area), ``decrement``, ``length`` of the step, vertices ``held`` back, whether the
-            matrix was ``factorised``. The first record is the start.
+            weighted by original area), ``decrement``, ``length`` of the step, vertices ``mended`` (untangled after
+            the step, or held back), whether the matrix was ``factorised``. The first record is the start.
         converged: whether the tolerance was reached.
         factorisations: how many sparse matrices were factorised.
     """
@@ -84,7 +88,7 @@ def refine_map(
     weight: str | float = "area",
     device: str | None = "auto",
     iterations: int = 200,
-    tolerance: float = 1e-5,
+    tolerance: float = 5e-4,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> RefineResult:
     """Move the vertices of a flip-free map to a minimum of angle + λ area distortion.
@@ -95,7 +99,8 @@ def refine_map(
     Args:
         surface: the original surface, V vertices.
         sphere: images of its vertices, unit vectors, shape [V, 3], no triangle flipped.
-        weight: λ, or ``area``, ``balanced`` or ``angle`` for the values in ``WEIGHTS``.
+        weight: λ, or ``area``, ``balanced`` or ``angle`` for the values in ``WEIGHTS``. With ``area``, λ is raised
+            from there where the mean area distortion is above 2.002 or its 95th percentile above 2.01.
         device: where the kernels run; the sparse systems are solved on the host.
         iterations: most steps taken.
         tolerance: stop when the expected decrease of angle + λ area falls below this.
@@ -117,7 +122,22 @@ def refine_map(
             f"the first is face {int(np.argmax(flipped))}: untangle it first"
         )
     refiner = Refiner(surface, resolve_device(device))
-    return refiner.minimise(start, value, iterations=iterations, tolerance=tolerance, progress=progress)
+    result = refiner.minimise(start, value, iterations=iterations, tolerance=tolerance, progress=progress)
+    while weight == "area" and not _keeps_area(refiner, result.sphere) and HARDER * result.weight <= 1.001 * HARDEST:
+        harder = HARDER * result.weight
+        again = refiner.minimise(
+            result.sphere, harder, iterations=iterations, tolerance=tolerance * harder / value, progress=progress
+        )
+        again.history = result.history + again.history[1:]
+        again.factorisations += result.factorisations
+        result = again
+    return result
+
+
+def _keeps_area(refiner: Refiner, sphere: NDArray[np.float64]) -> bool:
+    terms = refiner.energy.terms(refiner.energy.upload(sphere))
+    scaled = terms.scale * terms.ratio
+    return terms.area + 2.0 <= AREA_MEAN and float(np.percentile(scaled + 1.0 / scaled, 95)) <= AREA_P95
 
 
 class Refiner:
@@ -152,7 +172,7 @@ class Refiner:
         result.history.append(_record(terms, weight, 0.0, 0.0, 0, False))
         memory: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
         caution, renew = 1.0, True
-        since: list[float] = []
+        last_gain = 0.0
         for step in range(iterations):
             if renew:
                 self.matrix.factorise(energy.hessian(points, terms, weight, caution))
@@ -170,7 +190,7 @@ class Refiner:
                 renew = True
                 continue
             fresh = renew
-            new_points, new_terms, length, held = moved
+            new_points, new_terms, length, mended = moved
             new_gradient = energy.gradient(new_points, new_terms, weight)
             gain = terms.total(weight) - new_terms.total(weight)
             change, turn = new_points.numpy() - points.numpy(), new_gradient - gradient
@@ -179,7 +199,7 @@ class Refiner:
                 memory.append((change, turn, product))
                 del memory[:-MEMORY]
             points, terms, gradient = new_points, new_terms, new_gradient
-            result.history.append(_record(terms, weight, decrement, length, held, fresh))
+            result.history.append(_record(terms, weight, decrement, length, mended, fresh))
             if progress is not None:
                 progress(f"refining: area {terms.area + 2:.4f}, angle {terms.angle + 2:.4f}", step + 1, iterations)
             if decrement < 2.0 * tolerance and length == 1.0:
@@ -187,13 +207,13 @@ class Refiner:
                 break
             trust = 2.0 * gain / decrement
             if fresh:
-                if length == 1.0 and held == 0 and 0.75 < trust < 1.25:
+                if length == 1.0 and mended == 0 and 0.75 < trust < 1.25:
                     caution = max(caution / 3.0, LEAST_CAUTION)
                 elif length < 1.0 or trust < 0.5:
                     caution = min(1.0, 3.0 * caution)
-            since = [decrement] if fresh else [*since, decrement]
-            slow = len(since) > SPAN and since[-1] > SLOW * since[-1 - SPAN]
-            renew = length < 1.0 or held > 0 or trust < 0.5 or slow
+            if fresh:
+                last_gain = gain
+            renew = mended > 0 or gain < WORTH * last_gain or (fresh and length < 1.0)
         result.sphere = points.numpy().copy()
         return result
 
@@ -291,13 +311,13 @@ class Refiner:
         return None, None
 
 
-def _record(terms: Terms, weight: float, decrement: float, length: float, held: int, fresh: bool) -> dict[str, Any]:
+def _record(terms: Terms, weight: float, decrement: float, length: float, mended: int, fresh: bool) -> dict[str, Any]:
     return {
         "energy": terms.total(weight),
         "area": terms.area + 2.0,
         "angle": terms.angle + 2.0,
         "decrement": decrement,
         "length": length,
-        "held": held,
+        "mended": mended,
         "factorised": fresh,
     }

@@ -1,0 +1,159 @@
+"""Refinement never flips, never goes up, and ends at a minimum."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omtwarp.embedding.tube import tube_map
+from omtwarp.embedding.untangle import flipped_faces, untangle
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, tube
+from omtwarp.metrics.distortion import distortion
+from omtwarp.refine.newton import NewtonMatrix, fill_reducing_order
+from omtwarp.refine.solver import refine_map, refinement_weight
+
+
+def start_map(surface):
+    result = untangle(surface, tube_map(surface), device="cpu")
+    assert result.flips_after == 0
+    return result.sphere
+
+
+def check(surface, start, weight):
+    """Refine, and hold the result to what is promised of every map."""
+    result = refine_map(surface, start, weight=weight, device="cpu", iterations=40)
+    energies = [record["energy"] for record in result.history]
+    assert all(after <= before for before, after in pairwise(energies))
+    assert not flipped_faces(result.sphere, surface.faces).any()
+    judged = distortion(surface.vertices, surface.faces, result.sphere)
+    assert judged.degree == pytest.approx(1.0, abs=1e-9)
+    assert judged.area["surface"] == pytest.approx(result.history[-1]["area"], rel=1e-12)
+    assert judged.angle["surface"] == pytest.approx(result.history[-1]["angle"], rel=1e-12)
+    return result, judged
+
+
+def test_refined_blob_keeps_area(device):
+    """Tens of steps bring the default below the bounds it promises."""
+    surface = blob(1, sphere=1500)
+    result = refine_map(surface, start_map(surface), device=device)
+    judged = distortion(surface.vertices, surface.faces, result.sphere)
+    assert result.converged and len(result.history) < 40
+    assert judged.flips == 0
+    assert judged.area["surface"] <= 2.002 and judged.area["p95"] <= 2.01
+
+
+def test_weights_trade_area_for_angle():
+    """Along decreasing λ the angle distortion falls and the area distortion grows: the curve of best pairs."""
+    surface = blob(7, amplitude=0.5, sphere=800)
+    sphere, pairs = start_map(surface), []
+    for weight in (100.0, 20.0, 5.0, 1.0):
+        result, judged = check(surface, sphere, weight)
+        sphere = result.sphere
+        pairs.append((judged.area["surface"], judged.angle["surface"]))
+    areas, angles = zip(*pairs, strict=True)
+    assert list(areas) == sorted(areas) and list(angles) == sorted(angles, reverse=True)
+
+
+def test_the_minimum_does_not_depend_on_the_start():
+    """A rotated, disturbed start ends at the same pair."""
+    surface = blob(4, amplitude=0.25, sphere=500)
+    start = start_map(surface)
+    first, _ = check(surface, start, 10.0)
+    rotation, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
+    rotation *= np.sign(np.linalg.det(rotation))
+    noise = np.random.default_rng(1).normal(size=start.shape) * 0.02
+    disturbed = untangle(surface, (start @ rotation.T + noise), device="cpu").sphere
+    second = refine_map(surface, disturbed, weight=10.0, device="cpu", tolerance=1e-7)
+    assert second.history[-1]["energy"] == pytest.approx(first.history[-1]["energy"], rel=1e-3)
+
+
+def test_the_identity_on_the_sphere_stays():
+    """Nothing to gain, nothing moved."""
+    surface = icosphere(5)
+    sphere = surface.vertices / np.linalg.norm(surface.vertices, axis=1, keepdims=True)
+    result = refine_map(surface, sphere, device="cpu")
+    assert np.abs(result.sphere - sphere).max() < 1e-9
+
+
+def test_same_answer_twice():
+    """Bit for bit."""
+    surface = noisy(blob(9, sphere=600), 0.2)
+    start = start_map(surface)
+    first, second = (refine_map(surface, start, device="cpu", iterations=8).sphere for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_tiny_triangles_grow_back():
+    """A patch squeezed to a hundredth of its size does not stop the rest and recovers."""
+    surface = blob(6, amplitude=0.2, sphere=900)
+    start = refine_map(surface, start_map(surface), weight=10.0, device="cpu").sphere
+    pole = start[0]
+    near = np.clip(start @ pole, -1.0, 1.0)
+    angle = np.arccos(near)
+    squeezed = angle * np.where(angle < 0.6, 0.01 + 0.99 * (angle / 0.6) ** 3, 1.0)
+    axis = start - near[:, None] * pole
+    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
+    bad = np.cos(squeezed)[:, None] * pole + np.sin(squeezed)[:, None] * axis
+    bad = untangle(surface, bad, device="cpu").sphere
+    before = distortion(surface.vertices, surface.faces, bad)
+    assert before.area["surface"] > 10.0 and before.area["max"] > 100.0
+    _, judged = check(surface, bad, 100.0)
+    assert judged.area["surface"] < 2.003
+
+
+@settings(max_examples=6)
+@given(
+    seed=st.integers(0, 10**6), kind=st.sampled_from(["blob", "noise", "tube", "limbs"]), weight=st.floats(1.0, 200.0)
+)
+def test_no_flip_on_random_shapes(seed, kind, weight):
+    """Whatever the shape and λ: no flip, degree 1, energy never up."""
+    rng = np.random.default_rng(seed)
+    if kind == "tube":
+        surface = tube(length=float(rng.uniform(3, 12)), face_count=600)
+    elif kind == "limbs":
+        surface = limbs(sphere=800)
+    else:
+        surface = blob(seed, amplitude=float(rng.uniform(0.1, 0.6)), sphere=600)
+    if kind == "noise":
+        surface = noisy(surface, 0.3, seed)
+    check(surface, start_map(surface), weight)
+
+
+def test_refuses_flipped_maps_and_unknown_weights():
+    """In one clear line."""
+    surface = icosphere(3)
+    sphere = surface.vertices / np.linalg.norm(surface.vertices, axis=1, keepdims=True)
+    mirrored = sphere * [1.0, 1.0, -1.0]
+    with pytest.raises(OmtwarpError, match="flipped triangles, the first is face 0"):
+        refine_map(surface, mirrored, device="cpu")
+    for wrong in ("round", "-1", 0.0, float("inf"), "nan"):
+        with pytest.raises(OmtwarpError, match="cannot refine by"):
+            refinement_weight(wrong)
+    assert refinement_weight("12.5") == 12.5 and refinement_weight("area") == 100.0
+
+
+def test_newton_matrix_sums_blocks_and_solves():
+    """Against a dense sum of the same blocks."""
+    surface = icosphere(2)
+    count = surface.vertex_count
+    rng = np.random.default_rng(0)
+    factors = rng.normal(size=(surface.face_count, 6, 7))
+    blocks = factors @ factors.transpose(0, 2, 1)
+    dense = np.zeros((2 * count, 2 * count))
+    for face, block in zip(surface.faces, blocks, strict=True):
+        index = (2 * face[:, None] + np.arange(2)).ravel()
+        dense[np.ix_(index, index)] += block
+    matrix = NewtonMatrix(surface)
+    assert sorted(matrix.order) == list(range(count))
+    unknowns = (2 * matrix.order[:, None] + np.arange(2)).ravel()
+    assembled = matrix.assemble(blocks.reshape(-1, 36)).toarray()
+    assert np.allclose(assembled, dense[np.ix_(unknowns, unknowns)])
+    matrix.factorise(blocks.reshape(-1, 36))
+    right = rng.normal(size=(count, 2))
+    assert np.allclose(dense @ matrix.solve(right).ravel(), right.ravel(), rtol=1e-4, atol=1e-4)
+    assert np.array_equal(fill_reducing_order(count, surface.edges), matrix.order)
