@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sparse
@@ -10,6 +11,14 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import Surface
+
+
+class PoissonSolver(Protocol):
+    """What solves L u = b for a Laplacian L, b projected onto sum zero and u with mean zero."""
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
 
 
 class Factorization:
@@ -68,6 +77,52 @@ class LaplacianSolver:
         right = right - right.mean(axis=0)
         out = np.zeros_like(right)
         out[self._free] = self._factorization.solve(right[self._free])
+        return out - out.mean(axis=0)
+
+
+class SurfaceLaplacianSolver:
+    """Solves L u = b for the cotangent Laplacian of a surface at its own or other positions of its vertices.
+
+    The same as :class:`LaplacianSolver` of :func:`omtwarp.geometry.cotangent_laplacian` to round-off, with the order of
+    elimination that belongs to the surface: it is worked out once for all positions, and the factorisation is several
+    times faster than SuperLU's.
+
+    Args:
+        surface: a closed surface, V vertices.
+        points: positions, shape [V, 3].
+        pinned: the vertex held at zero while solving.
+    """
+
+    def __init__(self, surface: Surface, points: NDArray[np.float64], pinned: int = 0):
+        from omtwarp.cholesky import MultifrontalCholesky, NotPositiveDefinite
+        from omtwarp.geometry.edge_weights import cotangent_edge_weights
+
+        edges = surface.edges
+        weights = cotangent_edge_weights(surface, points)
+        count = surface.vertex_count
+        diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)
+        # The pinned vertex keeps its place, joined to nothing: its unknown is its right-hand side, zero.
+        joined = (edges[:, 0] != pinned) & (edges[:, 1] != pinned)
+        self._pinned = pinned
+        self._fallback: LaplacianSolver | None = None
+        self._factor = MultifrontalCholesky(surface.dissection)
+        try:
+            typical = float(np.median(diagonal))
+            self._factor.factorise(
+                np.where(np.arange(count) == pinned, typical, diagonal), np.where(joined, -weights, 0.0)
+            )
+        except NotPositiveDefinite:  # to round-off, on very thin triangles: without square roots it goes on
+            i, j = edges[:, 0], edges[:, 1]
+            off = sparse.coo_matrix((np.r_[weights, weights], (np.r_[i, j], np.r_[j, i])), shape=(count, count))
+            self._fallback = LaplacianSolver(sparse.diags(diagonal) - off.tocsr(), pinned)
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
+        if self._fallback is not None:
+            return self._fallback.solve(right)
+        right = right - right.mean(axis=0)
+        right[self._pinned] = 0.0
+        out = self._factor.solve(right)
         return out - out.mean(axis=0)
 
 

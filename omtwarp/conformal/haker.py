@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from omtwarp._warp import resolve_device, wp
 from omtwarp.conformal.centring import mobius_centring
 from omtwarp.conformal.kernels import project_to_sphere
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry import cotangent_laplacian
-from omtwarp.linear import LaplacianSolver
+from omtwarp.linear import SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 
 
@@ -30,15 +28,14 @@ class ConformalMap:
         sphere: unit vectors, float64, shape [V, 3].
         removed_face: the triangle around the north pole before centring.
         centring_steps: Newton steps of the Möbius centring.
-        laplacian: the cotangent matrix D of the surface, shape [V, V]; on a conformal image the same matrix.
-        solver: its factorisation, ready for more right-hand sides.
+        solver: the factorised cotangent matrix D of the surface, ready for more right-hand sides; on a conformal image
+            the matrix is the same.
     """
 
     sphere: NDArray[np.float64]
     removed_face: int
     centring_steps: int
-    laplacian: sparse.csr_matrix
-    solver: LaplacianSolver
+    solver: SurfaceLaplacianSolver
 
 
 def conformal_map(surface: Surface, *, device: str | None = "cpu") -> ConformalMap:
@@ -59,16 +56,15 @@ def conformal_map(surface: Surface, *, device: str | None = "cpu") -> ConformalM
         OmtwarpError: the linear systems cannot be solved, or the map cannot be centred.
     """
     points = surface.scaled_vertices
-    laplacian = cotangent_laplacian(points, surface.faces)
     face = most_regular_face(points, surface.faces)
-    solver = LaplacianSolver(laplacian, pinned=int(surface.faces[face, 0]))
+    solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]))
     plane = solver.solve(_dipole(points, surface.faces[face]))
     if not np.isfinite(plane).all():
         raise OmtwarpError("the conformal map is not finite: the surface has triangles too thin for it; remesh them")
     sphere, steps = mobius_centring(
         _to_sphere(plane, surface.vertex_areas, device), surface.vertex_areas, device=device
     )
-    return ConformalMap(sphere, face, steps, laplacian, solver)
+    return ConformalMap(sphere, face, steps, solver)
 
 
 def density(surface: Surface, sphere: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

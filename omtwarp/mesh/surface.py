@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from omtwarp.cholesky import Dissection
 
 SPHERE_AREA = 4.0 * np.pi
 
@@ -64,7 +68,15 @@ class Surface:
     @cached_property
     def face_neighbours(self) -> NDArray[np.int32]:
         """The face across edge (k, k+1) of every face, shape [F, 3]; -1 where there is none."""
-        return face_neighbours(self.faces, self.vertex_count)
+        order = self._sides
+        if order is None:
+            return face_neighbours(self.faces, self.vertex_count)
+        # Corner c lies opposite to the edge that begins at the next corner.
+        slot = order - order % 3 + (order + 1) % 3
+        neighbours = np.empty(3 * self.face_count, dtype=np.int32)
+        neighbours[slot[0::2]] = order[1::2] // 3
+        neighbours[slot[1::2]] = order[0::2] // 3
+        return neighbours.reshape(-1, 3)
 
     @cached_property
     def vertex_corners(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -82,9 +94,46 @@ class Surface:
     @cached_property
     def edges(self) -> NDArray[np.int32]:
         """Every undirected edge once, smaller vertex first, shape [E, 2], sorted."""
-        half = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
-        keys = np.unique(half[:, 0] * self.vertex_count + half[:, 1])
+        order = self._sides
+        keys = self._side_keys
+        keys = np.unique(keys) if order is None else keys[order[0::2]]
         return np.stack([keys // self.vertex_count, keys % self.vertex_count], axis=1).astype(np.int32)
+
+    @cached_property
+    def edge_corners(self) -> NDArray[np.int32]:
+        """The two corners that lie opposite to every edge of a closed surface, shape [E, 2].
+
+        Raises:
+            OmtwarpError: an edge does not have two triangles.
+        """
+        from omtwarp.errors import OmtwarpError
+
+        if self._sides is None:
+            raise OmtwarpError("the surface is not closed and manifold: an edge does not have two triangles")
+        return self._sides.reshape(-1, 2)
+
+    @cached_property
+    def dissection(self) -> Dissection:
+        """The order in which sparse matrices on the surface's edges are eliminated."""
+        from omtwarp.cholesky import dissect
+
+        return dissect(self.scaled_vertices, self.edges)
+
+    @property
+    def _side_keys(self) -> NDArray[np.int64]:
+        """A number for the undirected edge opposite to every corner, shape [3F]; it sorts as edges do."""
+        tail = np.roll(self.faces, -1, axis=1).ravel().astype(np.int64)
+        head = np.roll(self.faces, -2, axis=1).ravel().astype(np.int64)
+        return np.minimum(tail, head) * self.vertex_count + np.maximum(tail, head)
+
+    @cached_property
+    def _sides(self) -> NDArray[np.int32] | None:
+        """Corners in the order of the edges they lie opposite to, shape [3F]; None if edges do not come in twos."""
+        keys = self._side_keys
+        order = np.argsort(keys, kind="stable").astype(np.int32)
+        ranked = keys[order]
+        twos = len(keys) % 2 == 0 and np.array_equal(ranked[0::2], ranked[1::2])
+        return order if twos and not np.any(ranked[2::2] == ranked[1:-1:2]) else None
 
 
 def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from omtwarp._warp import resolve_device, wp
 from omtwarp.conformal import density
-from omtwarp.geometry import cotangent_laplacian
-from omtwarp.linear import LaplacianSolver
+from omtwarp.linear import PoissonSolver, SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser.kernels import integrate_particles, vertex_field
 
@@ -39,7 +38,7 @@ def moser_map(
     surface: Surface,
     start: NDArray[np.float64],
     *,
-    solver: LaplacianSolver | None = None,
+    solver: PoissonSolver | None = None,
     device: str | None = "cpu",
 ) -> MoserMap:
     """Carry a map to the sphere to an area-preserving one along Moser's flow.
@@ -60,7 +59,7 @@ def moser_map(
     where = resolve_device(device)
     image = np.ascontiguousarray(start, dtype=np.float64)
     if solver is None:
-        solver = LaplacianSolver(cotangent_laplacian(image, surface.faces))
+        solver = SurfaceLaplacianSolver(surface, image)
     areas = triangle_areas(image, surface.faces)
     image_masses = surface.sum_to_vertices(areas * (SPHERE_AREA / areas.sum())) / 3.0
     potential = solver.solve(surface.vertex_areas - image_masses)

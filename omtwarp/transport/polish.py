@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
-from omtwarp.geometry import cotangent_laplacian
-from omtwarp.linear import LaplacianSolver
+from omtwarp.linear import SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.moser.kernels import vertex_field
 from omtwarp.transport.area import AreaMonitor
@@ -66,7 +65,7 @@ def polish_transport(
     guard = StepGuard(surface, where)
     monitor = AreaMonitor(surface, where)
     guarded = guard.count(points) == 0
-    solver = LaplacianSolver(cotangent_laplacian(sphere, surface.faces))
+    solver = SurfaceLaplacianSolver(surface, sphere)
     history: list[dict[str, Any]] = []
     best, least, held, area_error = points.numpy().copy(), np.inf, 0, np.inf
     for number in range(rounds + 1):

@@ -1,0 +1,231 @@
+"""Sparse Cholesky factors by dense eliminations in a tree of fronts (Duff and Reid 1983; Liu 1992).
+
+SuperLU, which SciPy brings, treats a symmetric matrix as a general one, orders it anew for every factorisation and
+works with small dense blocks. Here the order comes from the mesh, once, the work is dense Cholesky of LAPACK, and
+independent fronts run on as many threads as there are cores.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp._warp import wp
+from omtwarp.cholesky.dissection import Dissection
+from omtwarp.cholesky.kernels import add_fronts, solve_triangular
+from omtwarp.cholesky.lapack import DenseEliminations
+
+# Below so many operations on a depth a second thread costs more than it saves.
+THREADED = 2e6
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class NotPositiveDefinite(ArithmeticError):
+    """A matrix has a pivot that is not positive, to round-off."""
+
+
+class MultifrontalCholesky:
+    """Factorises matrices with ``block`` unknowns per vertex whose pattern is the mesh's edges.
+
+    The storage is kept from one factorisation to the next.
+
+    Args:
+        dissection: the order of elimination.
+        block: unknowns per vertex, 1 or 2.
+        threads: threads for independent fronts; all cores by default. The result does not depend on it.
+    """
+
+    def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None):
+        self.dissection = dissection
+        self.block = block
+        self.threads = threads or core_count()
+        sizes = block * dissection.sizes
+        own = block * dissection.owned
+        self._dense = DenseEliminations(own.astype(np.int32), sizes.astype(np.int32))
+        self._factor_offsets = np.cumsum(own * sizes) - own * sizes
+        self._factor = np.empty(int((own * sizes).sum()))
+        # Fronts of a depth lie one after another; two depths are there at a time.
+        squares = sizes * sizes
+        offsets = np.empty(len(sizes), dtype=np.int64)
+        lengths = []
+        for depth in dissection.depths:
+            ends = np.cumsum(squares[depth])
+            offsets[depth] = ends - squares[depth]
+            lengths.append(int(ends[-1]))
+        self._offsets = offsets
+        self._offset_list = offsets.tolist()
+        self._factor_list = self._factor_offsets.tolist()
+        self._rooms = [np.empty(max(lengths[k::2], default=0)) for k in range(2)]
+        self._lengths = lengths
+        costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
+        self._chunks = [self._split(depth, costs[depth]) for depth in dissection.depths]
+        self._entries()
+        self._upload()
+
+    def _split(self, depth: slice, costs: NDArray[np.float64]) -> list[range]:
+        """The fronts of a depth in shares of about the same work."""
+        total = float(costs.sum())
+        shares = min(self.threads, len(costs)) if total > THREADED else 1
+        cuts = np.searchsorted(np.cumsum(costs), total * np.arange(1, shares) / shares) + depth.start + 1
+        bounds = [depth.start, *cuts.tolist(), depth.stop]
+        return [range(a, b) for a, b in pairwise(bounds) if b > a]
+
+    def _entries(self) -> None:
+        """Where diagonal and edges enter, depth by depth: positions in the depth's storage and in the data."""
+        d, block = self.dissection, self.block
+        sizes = d.sizes
+        front = np.repeat(np.arange(len(d.owned)), d.owned)  # of every place
+        column = np.arange(d.vertex_count) - d.first[front]
+        pairs = [(u, v) for u in range(block) for v in range(block)]
+        diagonal = np.stack(
+            [
+                self._offsets[front] + (block * column + v) * (block * sizes[front]) + block * column + u
+                for u, v in pairs
+            ],
+            axis=1,
+        )
+        edge = np.stack(
+            [
+                self._offsets[d.edge_front]
+                + (block * d.edge_column + v) * (block * sizes[d.edge_front])
+                + block * d.edge_row
+                + u
+                for u, v in pairs
+            ],
+            axis=1,
+        )
+        # An edge's block is given for its first end's rows; where that end is eliminated first it enters transposed.
+        if block > 1:
+            edge[d.edge_turned] = edge[d.edge_turned].reshape(-1, block, block).transpose(0, 2, 1).reshape(-1, block**2)
+        depth_of = np.repeat(np.arange(len(d.depths)), [depth.stop - depth.start for depth in d.depths])
+        order = np.argsort(depth_of[d.edge_front], kind="stable")
+        ends = np.cumsum(np.bincount(depth_of[d.edge_front], minlength=len(d.depths)))
+        begins = np.r_[0, ends[:-1]]
+        self._edge_entries = [
+            (np.ascontiguousarray(edge[order[a:b]]), order[a:b]) for a, b in zip(begins, ends, strict=True)
+        ]
+        places = np.cumsum(np.bincount(depth_of[front], minlength=len(d.depths)))
+        self._diagonal_entries = [
+            (diagonal[a:b], d.order[a:b]) for a, b in zip(np.r_[0, places[:-1]], places, strict=True)
+        ]
+
+    def _upload(self) -> None:
+        d = self.dissection
+
+        def keep(values: NDArray, dtype: type) -> wp.array:
+            return wp.array(np.ascontiguousarray(values, dtype=dtype), device="cpu")
+
+        self._first, self._owned = keep(d.first, np.int32), keep(d.owned, np.int32)
+        self._starts, self._rows = keep(d.starts, np.int64), keep(d.rows, np.int32)
+        self._upward, self._parent = keep(d.upward, np.int32), keep(d.parent, np.int32)
+        self._w_offsets, self._w_factor_offsets = keep(self._offsets, np.int64), keep(self._factor_offsets, np.int64)
+        self._w_rooms = [wp.array(room, device="cpu", copy=False) for room in self._rooms]
+        self._w_factor = wp.array(self._factor, device="cpu", copy=False)
+        # Siblings stand together in a depth; one thread adds them all to their parent.
+        self._families, self._family_counts = [], []
+        for depth in d.depths[:-1]:
+            parents = d.parent[depth]
+            changes = np.flatnonzero(np.r_[True, np.diff(parents) != 0, True]) + depth.start
+            self._families.append(keep(changes, np.int32))
+            self._family_counts.append(len(changes) - 1)
+        self._largest = self.block * int(d.sizes.max())
+
+    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+        """Factorise a symmetric positive definite matrix.
+
+        Args:
+            diagonal: of every vertex, shape [V], or its block, shape [V, 2, 2].
+            off_diagonal: of every edge (i, j) of the dissection, shape [E], or its block with rows of i and columns
+                of j, shape [E, 2, 2].
+
+        Raises:
+            NotPositiveDefinite: it is not, to round-off.
+        """
+        d, width = self.dissection, self.block**2
+        diagonal = np.ascontiguousarray(diagonal, dtype=np.float64).reshape(d.vertex_count, width)
+        off_diagonal = np.ascontiguousarray(off_diagonal, dtype=np.float64).reshape(len(d.edges), width)
+        pool = ThreadPoolExecutor(self.threads) if any(len(chunks) > 1 for chunks in self._chunks) else None
+        try:
+            for k in range(len(d.depths)):
+                room = self._rooms[k % 2]
+                room[: self._lengths[k]] = 0.0
+                for (slots, source), data in (
+                    (self._diagonal_entries[k], diagonal),
+                    (self._edge_entries[k], off_diagonal),
+                ):
+                    room[slots.ravel()] = data[source].ravel()
+                if k > 0:
+                    self._add_below(k - 1)
+                jobs = self._chunks[k]
+                if pool is None or len(jobs) == 1:
+                    failed = [self._eliminate(fronts, room) for fronts in jobs]
+                else:
+                    failed = list(pool.map(self._eliminate, jobs, [room] * len(jobs)))
+                if max(failed) >= 0:
+                    raise NotPositiveDefinite(f"pivot of front {max(failed)} of {len(d.owned)} is not positive")
+        finally:
+            if pool is not None:
+                pool.shutdown()
+
+    def _add_below(self, k: int) -> None:
+        below, above = self._w_rooms[k % 2], self._w_rooms[(k + 1) % 2]
+        wp.launch(
+            add_fronts,
+            dim=self._family_counts[k],
+            inputs=[
+                0,
+                self._families[k],
+                self.block,
+                self._owned,
+                self._starts,
+                self._upward,
+                self._parent,
+                self._w_offsets,
+                below,
+                above,
+            ],
+            device="cpu",
+        )
+
+    def _eliminate(self, fronts: range, room: NDArray[np.float64]) -> int:
+        """Eliminate fronts and keep their columns; the first that fails, or -1."""
+        failed = self._dense.run(fronts, room.ctypes.data, self._offset_list)
+        factor, own, sizes = self._factor, self._dense.own, self._dense.sizes
+        for f in fronts:
+            begin, target, length = self._offset_list[f], self._factor_list[f], own[f] * sizes[f]
+            factor[target : target + length] = room[begin : begin + length]
+        return failed
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for right-hand sides, shape [V, 2] or [V, 2, K]; [V] or [V, K] for one unknown per vertex."""
+        d, block = self.dissection, self.block
+        flat = np.asarray(right, dtype=np.float64).reshape(d.vertex_count, block, -1)
+        count = flat.shape[2]
+        x = np.ascontiguousarray(flat[d.order].transpose(2, 0, 1).reshape(-1))
+        inputs = [
+            block * d.vertex_count,
+            self._largest,
+            len(d.owned),
+            block,
+            self._first,
+            self._owned,
+            self._starts,
+            self._rows,
+            self._w_factor,
+            self._w_factor_offsets,
+            wp.empty(count * self._largest, dtype=wp.float64, device="cpu"),
+            wp.array(x, dtype=wp.float64, device="cpu", copy=False),
+        ]
+        for upward in (0, 1):
+            wp.launch(solve_triangular, dim=count, inputs=[upward, *inputs], device="cpu")
+        out = np.empty_like(flat)
+        out[d.order] = x.reshape(count, d.vertex_count, block).transpose(1, 2, 0)
+        return out.reshape(np.shape(right))
