@@ -37,6 +37,7 @@ _PUBLIC = {
     "texture": "omtwarp.texturing",
     "transport_cost": "omtwarp.transport",
     "untangle": "omtwarp.embedding.untangle",
+    "write_report": "omtwarp.reporting",
 }
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from omtwarp.pipeline import map_to_sphere as map_to_sphere
     from omtwarp.refine.solver import refine_map as refine_map
     from omtwarp.render import preview as preview
+    from omtwarp.reporting import write_report as write_report
     from omtwarp.result import MapResult as MapResult
     from omtwarp.texturing import texture as texture
     from omtwarp.transport import optimal_transport as optimal_transport
@@ -91,6 +93,7 @@ __all__ = [
     "texture",
     "transport_cost",
     "untangle",
+    "write_report",
 ]
 
 
