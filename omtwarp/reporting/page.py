@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
 from omtwarp.reporting import sections
 from omtwarp.reporting.scene import (
     ANGLE_COLOURS,
@@ -73,14 +74,8 @@ def write_report(
     page = report_page(
         result, title=title, image=image, pattern=pattern, up=up, picture_size=picture_size, device=device
     )
-    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        partial.write_text(page, "utf-8")
-        os.replace(partial, target)
-    except OSError as error:
-        raise OmtwarpError(f"cannot write '{target}': {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    with staged(target) as file:
+        file.write_text(page, "utf-8")
     return target
 
 
