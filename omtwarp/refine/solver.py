@@ -10,7 +10,7 @@ in trouble are held back, and last of all the step is shortened.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,8 +36,8 @@ MENDED = 3  # of them tried with repair of what they flip
 HOLDS = 30  # of the shares of corners of triangles in trouble
 LEAST_CAUTION = 0.03  # see triangle_hessian
 REPAIRS = (
-    Schedule(rings=2, factor=0.2, steps=2, thinnest=0.0),
-    Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02),
+    Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
+    Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02, largest=0.5),
 )  # how the few triangles that a step flips are mended, before the step is shortened
 MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
 WORTH = 0.15  # of what the last fresh matrix gained: with less from a corrected step the matrix is renewed
@@ -251,20 +251,22 @@ class Refiner:
         reach = float(np.sqrt((direction * direction).sum(axis=1).max()))
         length = 1.0 / max(1.0, 2.0 * reach)  # no vertex may swing farther than half a radian
         for attempt in range(HALVINGS):
-            moved, held = self._mended(points, d_direction, d_volume, length) if attempt < MENDED else (None, 0)
-            slope = length * float(along.sum())
-            if moved is None:
-                moved, share = self._held_back(points, d_direction, d_volume, length)
+            if attempt < MENDED:
+                moved, mended = self._mended(points, d_direction, d_volume, length, weight)
                 if moved is not None:
-                    held, slope = int((share < 1.0).sum()), length * float(along @ share)
-            if moved is not None and slope < 0.0:
+                    after = self.energy.terms(moved)
+                    if after.total(weight) <= before + SUFFICIENT * length * float(along.sum()):
+                        return moved, after, length, mended
+            moved, share = self._held_back(points, d_direction, d_volume, length)
+            if moved is not None:
+                slope = length * float(along @ share)
                 after = self.energy.terms(moved)
-                if after.total(weight) <= before + SUFFICIENT * slope:
-                    return moved, after, length, held
+                if slope < 0.0 and after.total(weight) <= before + SUFFICIENT * slope:
+                    return moved, after, length, int((share < 1.0).sum())
             length *= 0.5
         return None
 
-    def _mended(self, points, direction, volume, length):
+    def _mended(self, points, direction, volume, length, weight):
         """Points moved by the whole step, and the patches around triangles that it flips untangled where they are.
 
         Holding a few vertices back while all around them move on would tangle them more.
@@ -284,6 +286,7 @@ class Refiner:
                 return moved, mended
             if seeds.mean() > MOST_TROUBLE:
                 return None, 0
+            schedule = replace(schedule, weight=weight)
             sphere, patch = untangle_patches(self.surface, moved.numpy(), seeds, schedule, device)
             mended += patch
             moved = energy.upload(sphere)
