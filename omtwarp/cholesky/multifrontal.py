@@ -7,8 +7,6 @@ independent fronts run on as many threads as there are cores.
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
@@ -18,14 +16,10 @@ from omtwarp._warp import wp
 from omtwarp.cholesky.dissection import Dissection
 from omtwarp.cholesky.kernels import add_fronts, solve_triangular
 from omtwarp.cholesky.lapack import DenseEliminations
+from omtwarp.threads import core_count, run_all
 
 # Below so many operations on a depth a second thread costs more than it saves.
 THREADED = 2e6
-
-
-def core_count() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -40,7 +34,7 @@ class MultifrontalCholesky:
     Args:
         dissection: the order of elimination.
         block: unknowns per vertex, 1 or 2.
-        threads: threads for independent fronts; all cores by default. The result does not depend on it.
+        threads: shares that independent fronts are cut into; one per core by default. The result does not depend on it.
     """
 
     def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None):
@@ -152,28 +146,19 @@ class MultifrontalCholesky:
         d, width = self.dissection, self.block**2
         diagonal = np.ascontiguousarray(diagonal, dtype=np.float64).reshape(d.vertex_count, width)
         off_diagonal = np.ascontiguousarray(off_diagonal, dtype=np.float64).reshape(len(d.edges), width)
-        pool = ThreadPoolExecutor(self.threads) if any(len(chunks) > 1 for chunks in self._chunks) else None
-        try:
-            for k in range(len(d.depths)):
-                room = self._rooms[k % 2]
-                room[: self._lengths[k]] = 0.0
-                for (slots, source), data in (
-                    (self._diagonal_entries[k], diagonal),
-                    (self._edge_entries[k], off_diagonal),
-                ):
-                    room[slots.ravel()] = data[source].ravel()
-                if k > 0:
-                    self._add_below(k - 1)
-                jobs = self._chunks[k]
-                if pool is None or len(jobs) == 1:
-                    failed = [self._eliminate(fronts, room) for fronts in jobs]
-                else:
-                    failed = list(pool.map(self._eliminate, jobs, [room] * len(jobs)))
-                if max(failed) >= 0:
-                    raise NotPositiveDefinite(f"pivot of front {max(failed)} of {len(d.owned)} is not positive")
-        finally:
-            if pool is not None:
-                pool.shutdown()
+        for k in range(len(d.depths)):
+            room = self._rooms[k % 2]
+            room[: self._lengths[k]] = 0.0
+            for (slots, source), data in (
+                (self._diagonal_entries[k], diagonal),
+                (self._edge_entries[k], off_diagonal),
+            ):
+                room[slots.ravel()] = data[source].ravel()
+            if k > 0:
+                self._add_below(k - 1)
+            failed = max(run_all(lambda fronts, room=room: self._eliminate(fronts, room), self._chunks[k]))
+            if failed >= 0:
+                raise NotPositiveDefinite(f"pivot of front {failed} of {len(d.owned)} is not positive")
 
     def _add_below(self, k: int) -> None:
         below, above = self._w_rooms[k % 2], self._w_rooms[(k + 1) % 2]

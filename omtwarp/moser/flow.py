@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,11 @@ from omtwarp.conformal import density
 from omtwarp.linear import PoissonSolver, SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser.kernels import integrate_particles, vertex_field
+from omtwarp.threads import launch_parts
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 18 it is 1e-8 of ∇Θ.
 FINAL_TIME = 18.0
-LARGEST_STEP = 0.25
+LARGEST_STEP = 0.25  # at the start; it grows with s
 COURANT = 0.5
 
 
@@ -79,23 +81,13 @@ def moser_map(
     )
     moved = wp.empty_like(points)
     steps = wp.empty(surface.vertex_count, dtype=wp.int32, device=where)
-    finite_mu = np.minimum(mu, 1e300)
-    wp.launch(
-        integrate_particles,
-        dim=surface.vertex_count,
-        inputs=[
-            points,
-            faces,
-            neighbours,
-            field,
-            wp.array(finite_mu, dtype=wp.float64, device=where),
-            *rows,
-            wp.float64(LARGEST_STEP),
-            wp.float64(COURANT),
-            wp.float64(FINAL_TIME),
-            moved,
-            steps,
-        ],
-        device=where,
-    )
+    finite_mu = wp.array(np.minimum(mu, 1e300), dtype=wp.float64, device=where)
+    limits = [wp.float64(LARGEST_STEP), wp.float64(COURANT), wp.float64(FINAL_TIME)]
+
+    def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        own = [points[part], rows[0][part]]
+        mesh = [points, faces, neighbours, field, finite_mu, rows[1]]
+        return [*own, *mesh, *limits], [moved[part], steps[part]]
+
+    launch_parts(integrate_particles, surface.vertex_count, arguments, where)
     return MoserMap(moved.numpy(), potential, int(steps.numpy().max()))

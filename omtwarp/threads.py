@@ -1,0 +1,72 @@
+"""Independent work on all cores: Warp runs a launch on one, and lets other threads go on meanwhile."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+# Fewer elements than this are done sooner than a thread is woken.
+WORTHWHILE = 4096
+
+_pool: tuple[int, ThreadPoolExecutor] | None = None
+_loaded: set[tuple[Any, str]] = set()
+
+
+def core_count() -> int:
+    """Cores that this process may use; ``OMTWARP_THREADS`` lowers it."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    wanted = os.environ.get("OMTWARP_THREADS", "")
+    return min(cores, max(int(wanted), 1)) if wanted.isdigit() else cores
+
+
+def pool() -> ThreadPoolExecutor:
+    """The threads of this process; a forked one has its own."""
+    global _pool
+    if _pool is None or _pool[0] != os.getpid():
+        _pool = (os.getpid(), ThreadPoolExecutor(core_count(), thread_name_prefix="omtwarp"))
+    return _pool[1]
+
+
+def run_all(work: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
+    """``work`` of every job, side by side; not to be used inside of such work."""
+    if len(jobs) < 2 or core_count() < 2:
+        return [work(job) for job in jobs]
+    return list(pool().map(work, jobs))
+
+
+def launch_parts(
+    kernel: Any, count: int, arguments: Callable[[slice], tuple[list[Any], list[Any]]], device: Any
+) -> None:
+    """Launch a kernel whose threads are independent, in one part for every core of a CPU.
+
+    The result is the same, to the bit, as that of one launch.
+
+    Args:
+        kernel: writes to the elements of its thread alone.
+        count: number of threads.
+        arguments: inputs and outputs of a launch over a slice: arrays with an element per thread cut to that slice.
+        device: a Warp device; on CUDA there is one launch.
+    """
+    from omtwarp._warp import wp
+
+    def launch(part: slice) -> None:
+        inputs, outputs = arguments(part)
+        wp.launch(kernel, dim=part.stop - part.start, inputs=inputs, outputs=outputs, device=device)
+
+    cores = core_count() if wp.get_device(device).is_cpu and count >= WORTHWHILE else 1
+    if cores == 1:
+        launch(slice(0, count))
+        return
+    if (kernel, str(device)) not in _loaded:  # loading is for one thread
+        kernel.module.load(wp.get_device(device))
+        _loaded.add((kernel, str(device)))
+    bounds = [count * k // cores for k in range(cores + 1)]
+    run_all(launch, [slice(a, b) for a, b in pairwise(bounds)])
+
+
+__all__ = ["core_count", "launch_parts", "pool", "run_all"]

@@ -1,0 +1,52 @@
+"""Work on several threads gives what work on one gives."""
+
+import os
+
+import numpy as np
+import pytest
+
+from omtwarp import threads
+from omtwarp._warp import wp
+from omtwarp.conformal import conformal_map
+from omtwarp.mesh.shapes import blob
+from omtwarp.moser import moser_map
+
+
+def test_every_job_is_done_once_and_in_order():
+    assert threads.run_all(lambda job: job * job, list(range(50))) == [k * k for k in range(50)]
+
+
+def test_an_error_in_a_thread_reaches_the_caller():
+    def fail(job):
+        raise ValueError(f"job {job}")
+
+    with pytest.raises(ValueError, match="job 0"):
+        threads.run_all(fail, [0, 1, 2])
+
+
+def test_the_number_of_threads_changes_no_bit(monkeypatch):
+    surface = blob(seed=3, sphere=20_000)
+    start = conformal_map(surface)
+    maps = []
+    for count in (1, 2, 5):
+        monkeypatch.setattr(threads, "core_count", lambda count=count: count)
+        maps.append(moser_map(surface, start.sphere, solver=start.solver).sphere)
+    np.testing.assert_array_equal(maps[0], maps[1])
+    np.testing.assert_array_equal(maps[0], maps[2])
+
+
+def test_cores_can_be_limited(monkeypatch):
+    monkeypatch.setenv("OMTWARP_THREADS", "1")
+    assert threads.core_count() == 1
+    monkeypatch.setenv("OMTWARP_THREADS", "many")
+    assert 1 <= threads.core_count() <= (os.cpu_count() or 1)
+
+
+def test_parts_cover_all_elements_on_every_device(device):
+    from omtwarp.wavelets.kernels import scale_kernel
+
+    size = 3 * threads.WORTHWHILE + 1
+    factors = wp.array(np.full(size, 3.0), dtype=wp.float64, device=device)
+    values = wp.array(np.arange(size, dtype=np.float64), dtype=wp.float64, device=device)
+    threads.launch_parts(scale_kernel, size, lambda part: ([factors[part], values[part]], []), device)
+    np.testing.assert_array_equal(values.numpy(), 3.0 * np.arange(size))
