@@ -190,8 +190,7 @@ class _Run:
         steps = repaired = 0
         for k in range(MOSER_PASSES):
             self.tell("moser", k, MOSER_PASSES, {})
-            solver = start.conformal.solver if k == 0 and start.is_conformal and start.conformal else None
-            flowed = moser_map(self.surface, sphere, solver=solver, device=self.device)
+            flowed = moser_map(self.surface, sphere, device=self.device)
             steps += flowed.steps
             mended, flips = self.mend(sphere, flowed.sphere)
             repaired += flips

@@ -38,9 +38,10 @@ FADING = 3
 CURL_TOLERANCE = 2e-3
 COST_TOLERANCE = 3e-5
 SUFFICIENT_DECREASE = 0.1
-# ... and before the area error has grown by more than this: from there on the cost would fall at its expense.
+# The flow ends when the area error has grown by more than AREA_LOSS of what it was and AREA_PRICE times the part of the
+# cost that this bought: from there on the cost would fall at the expense of area.
 AREA_LOSS = 0.1
-AREA_SLACK = 1e-4
+AREA_PRICE = 0.02
 LONGEST_STEP = 4.0
 
 
@@ -224,7 +225,7 @@ class _Flow:
         held = 0
         small = 0
         area_error = self.monitor.error(self.points)
-        largest_error = (1.0 + AREA_LOSS) * area_error + AREA_SLACK
+        first_cost, largest_error = cost, (1.0 + AREA_LOSS) * area_error
         for iteration in range(most + 1):
             gradient = self.gradient()
             image = self.precondition(gradient)
@@ -270,7 +271,7 @@ class _Flow:
                 self.cost_at(self.points)
                 return True  # no step along the best direction there is lowers the cost: at round-off
             area_error = self.monitor.error(self.trial)
-            if area_error > largest_error:
+            if area_error > largest_error + AREA_PRICE * (1.0 - new_cost / first_cost):
                 return False
             small = small + 1 if cost - new_cost <= COST_TOLERANCE * cost else 0
             self.points, self.trial = self.trial, self.points
