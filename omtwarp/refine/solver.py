@@ -25,7 +25,7 @@ from omtwarp.refine.kernels import from_tangent, hold_back, retract, to_tangent,
 from omtwarp.refine.newton import NewtonMatrix
 
 WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area counts against angle
-# "area" promises mean and 95th percentile of area distortion; λ grows until both are met or growing no longer pays.
+# "area" promises mean and 95th percentile of area distortion; λ grows to HARDEST at most until both are met.
 AREA_MEAN, AREA_P95 = 2.002, 2.01
 HARDER, HARDEST = 3.0, 900.0
 
@@ -123,8 +123,10 @@ def refine_map(
         )
     refiner = Refiner(surface, resolve_device(device))
     result = refiner.minimise(start, value, iterations=iterations, tolerance=tolerance, progress=progress)
-    while weight == "area" and not _keeps_area(refiner, result.sphere) and HARDER * result.weight <= 1.001 * HARDEST:
+    while weight == "area" and result.converged and not _keeps_area(refiner, result.sphere):
         harder = HARDER * result.weight
+        if harder > HARDEST:
+            break
         again = refiner.minimise(
             result.sphere, harder, iterations=iterations, tolerance=tolerance * harder / value, progress=progress
         )
