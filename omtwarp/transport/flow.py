@@ -20,6 +20,7 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
+from omtwarp.threads import launch_parts
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.kernels import advect, combine, cost_and_force, divide_by_area
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
@@ -181,13 +182,13 @@ class _Flow:
         self.turned = wp.empty(self.face_count, dtype=wp.vec3d, device=device)
 
     def cost_at(self, points: Any) -> float:
-        wp.launch(
-            cost_and_force,
-            dim=self.face_count,
-            inputs=[self.start, points, self.faces, self.masses, int(self.geodesic), wp.float64(self.softening)],
-            outputs=[self.costs, self.turned, self.centres],
-            device=self.device,
-        )
+        options = [int(self.geodesic), wp.float64(self.softening)]
+
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            own = [self.faces[part], self.masses[part]]
+            return [self.start, points, *own, *options], [self.costs[part], self.turned[part], self.centres[part]]
+
+        launch_parts(cost_and_force, self.face_count, arguments, self.device)
         return float(wp.utils.array_sum(self.costs))
 
     def gradient(self) -> Any:
@@ -205,13 +206,10 @@ class _Flow:
         return out
 
     def move(self, velocity: Any, step: float) -> None:
-        wp.launch(
-            advect,
-            dim=self.count,
-            inputs=[self.points, wp.float64(step), *self.grid, velocity],
-            outputs=[self.trial],
-            device=self.device,
-        )
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            return [self.points[part], wp.float64(step), *self.grid, velocity], [self.trial[part]]
+
+        launch_parts(advect, self.count, arguments, self.device)
 
     def run(self, most: int, tolerance: float, progress: Callable[[int, int, dict[str, Any]], None] | None) -> bool:
         cost = self.cost_at(self.points)

@@ -74,6 +74,8 @@ def stream_velocity(
         if inside > best:
             best = inside
             face = int(f)
+        if best > ZERO:
+            break
     for level in range(level_starts.shape[0] - 2):
         middle = level_starts[level + 1] + 4 * face + 3
         ab, bc, ca = nodes[faces[middle, 0]], nodes[faces[middle, 1]], nodes[faces[middle, 2]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,18 @@ def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) ->
     return energies
 
 
+# Hierarchies are shared between maps, and so is what depends on them alone.
+_energies: WeakKeyDictionary[SphereHierarchy, dict[tuple[bool, bool], NDArray[np.float64]]] = WeakKeyDictionary()
+
+
+def _kept_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) -> NDArray[np.float64]:
+    kept = _energies.setdefault(hierarchy, {})
+    kind = (wavelets.butterfly, wavelets.lifted)
+    if kind not in kept:
+        kept[kind] = wavelet_energies(hierarchy, wavelets)
+    return kept[kind]
+
+
 class WaveletPreconditioner:
     """H = S D S^T r: a symmetric approximate inverse of the Laplacian on a hierarchy's finest level.
 
@@ -67,7 +80,7 @@ class WaveletPreconditioner:
         self.hierarchy = hierarchy
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.device = self.wavelets.device
-        energies = wavelet_energies(hierarchy, self.wavelets)
+        energies = _kept_energies(hierarchy, self.wavelets)
         solid = hierarchy.node_counts[0]
         factors = np.zeros(hierarchy.node_count)
         factors[solid:] = 1 / energies[solid:]

@@ -103,18 +103,19 @@ class SphereSampler:
         A Warp array is kept by reference, not copied.
         """
         from omtwarp._warp import wp
+        from omtwarp.threads import launch_parts
         from omtwarp.wavelets import sampling_kernels as kernels
 
         if len(points) != self.point_count:
             raise OmtwarpError(f"expected {self.point_count} points, got {len(points)}")
         self.points, _ = self._take(points, wp.vec3d)
         count = self.point_count
-        self._launch(
-            kernels.locate_kernel,
-            count,
-            [self.points, self._nodes, self._all_faces, self._starts],
-            [self.point_faces, self.coordinates],
-        )
+        grid = [self._nodes, self._all_faces, self._starts]
+
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            return [self.points[part], *grid], [self.point_faces[part], self.coordinates[part]]
+
+        launch_parts(kernels.locate_kernel, count, arguments, self.device)
         self._launch(kernels.sort_keys_kernel, count, [self.point_faces], [self._keys, self._order])
         wp.utils.radix_sort_pairs(self._keys, self._order, count)
         self._launch(kernels.face_rows_kernel, self.face_count + 1, [self._keys, count], [self._point_rows])

@@ -63,6 +63,8 @@ def locate_kernel(
         if inside > best:
             best = inside
             face = f
+        if best > ZERO:
+            break
     for level in range(level_starts.shape[0] - 2):
         g = level_starts[level] + face
         face = 4 * face + child_of(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
