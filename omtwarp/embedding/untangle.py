@@ -18,9 +18,10 @@ from scipy.sparse.csgraph import connected_components
 
 from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.untangle_kernels import move_in_tangent, untangle_newton, untangle_value
-from omtwarp.linear import Factorization
+from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.frames import triangle_frames
+from omtwarp.refine.newton import NewtonMatrix
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ SCHEDULES = (
 SMALLEST_EPSILON = 1e-4
 SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 20
+DIAGONAL_GROWTH = 1e-9  # of every entry of the diagonal: the Hessian is only semidefinite
+NARROWING = 0.7  # of the triangles: when fewer are left in tangled patches, the others are dropped
 
 
 @dataclass
@@ -177,7 +180,9 @@ class _Patches:
     def __init__(self, surface, sphere, flipped, schedule: Schedule, device):
         self.device = device
         self.schedule = schedule
+        self.surface = surface
         self.sphere = sphere
+        self.result = sphere.copy()
         seed = np.zeros(surface.vertex_count, dtype=bool)
         seed[surface.faces[flipped].ravel()] = True
         free = grow(surface.faces, seed, schedule.rings)
@@ -205,24 +210,43 @@ class _Patches:
         _, labels[free] = np.unique(component[free], return_inverse=True)
         self.vertex_patch = labels
         self.face_patch = labels[faces].max(axis=1)  # the freed corners of a triangle all lie in one patch
-        self.count = int(labels.max()) + 1
+        self.count = self.remaining = int(labels.max()) + 1
 
     def _pattern(self):
-        """Where the 36 entries of every triangle go in the sparse matrix of the freed vertices."""
+        """The sparse matrix of the freed vertices, and where the entries of triangles go in their gradient."""
+        self.unknowns = int(self.free.sum())
+        points = self.surface.scaled_vertices[self.vertices]
+        self.matrix = NewtonMatrix.of_patches(self.faces, self.free, points, DIAGONAL_GROWTH)
         unknown = np.full(len(self.free), -1, dtype=np.int64)
-        unknown[self.free] = np.arange(self.size)
-        self.unknown = unknown
+        unknown[self.free] = np.arange(self.unknowns)
         corner = np.repeat(unknown[self.faces], 2, axis=1)
         index = np.where(corner >= 0, 2 * corner + np.array([0, 1] * 3), -1)
-        rows = np.repeat(index, 6, axis=1).ravel()
-        columns = np.tile(index, (1, 6)).ravel()
-        self.kept = np.flatnonzero((rows >= 0) & (columns >= 0))
-        keys = rows[self.kept] * (2 * self.size) + columns[self.kept]
-        unique, self.slot = np.unique(keys, return_inverse=True)
-        self.matrix_rows, self.matrix_columns = np.divmod(unique, 2 * self.size)
-        self.diagonal = np.flatnonzero(self.matrix_rows == self.matrix_columns)
         self.gradient_kept = np.flatnonzero(index.ravel() >= 0)
         self.gradient_slot = index.ravel()[self.gradient_kept]
+
+    def _narrow(self, active: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Go on with the active patches alone; their points.
+
+        Patches share nothing, so that those which are done need not be carried along.
+        """
+        self._keep(points)
+        kept = active[self.face_patch]
+        used, corners = np.unique(self.faces[kept], return_inverse=True)
+        self.faces = np.ascontiguousarray(corners.reshape(-1, 3).astype(np.int32))
+        self.vertices, self.free = self.vertices[used], self.free[used]
+        self.areas = np.ascontiguousarray(self.areas[kept])
+        self.frames = np.ascontiguousarray(self.frames[kept])
+        number = np.cumsum(active) - 1
+        self.face_patch = number[self.face_patch[kept]]
+        labels = self.vertex_patch[used]
+        self.vertex_patch = np.where(labels >= 0, number[labels], -1)
+        self.remaining = int(active.sum())
+        self._pattern()
+        self._upload()
+        return points[used]
+
+    def _keep(self, points: NDArray[np.float64]) -> None:
+        self.result[self.vertices[self.free]] = points[self.free]
 
     def _upload(self):
         count, device = len(self.faces), self.device
@@ -241,18 +265,21 @@ class _Patches:
         epsilon = np.full(self.count, self.schedule.largest)
         active = np.ones(self.count, dtype=bool)
         rounds = 0
-        while active.any():
+        while True:
             rounds += 1
             for _ in range(self.schedule.steps):
                 points = self._newton_step(points, epsilon, active)
             flipped = flipped_faces(points.numpy(), self.faces)
-            tangled = np.bincount(self.face_patch[flipped], minlength=self.count) > 0
+            tangled = np.bincount(self.face_patch[flipped], minlength=self.remaining) > 0
             active &= tangled & (epsilon > SMALLEST_EPSILON)
+            if not active.any():
+                break
             epsilon[active] = np.maximum(epsilon[active] * self.schedule.factor, SMALLEST_EPSILON)
-        result = self.sphere.copy()
-        moved = self.vertices[self.free]
-        result[moved] = points.numpy()[self.free]
-        return result, rounds
+            if active[self.face_patch].mean() < NARROWING:
+                points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
+                epsilon, active = epsilon[active], active[active]
+        self._keep(points.numpy())
+        return self.result, rounds
 
     def _newton_step(self, points, epsilon, active):
         face_epsilon = wp.array(epsilon[self.face_patch], dtype=wp.float64, device=self.device)
@@ -263,25 +290,26 @@ class _Patches:
             device=self.device,
         )
         gradient = np.bincount(
-            self.gradient_slot, self.d_gradient.numpy().ravel()[self.gradient_kept], minlength=2 * self.size
-        )
-        data = np.bincount(self.slot, self.d_hessian.numpy().ravel()[self.kept], minlength=len(self.matrix_rows))
-        data[self.diagonal] *= 1.0 + 1e-9
-        shape = (2 * self.size, 2 * self.size)
-        matrix = sparse.csc_matrix(sparse.coo_matrix((data, (self.matrix_rows, self.matrix_columns)), shape=shape))
-        direction = -Factorization(matrix).solve(gradient)
+            self.gradient_slot, self.d_gradient.numpy().ravel()[self.gradient_kept], minlength=2 * self.unknowns
+        ).reshape(-1, 2)
+        try:
+            self.matrix.factorise(self.d_hessian.numpy())
+            direction = -self.matrix.solve(gradient)
+        except OmtwarpError:
+            direction = np.full_like(gradient, np.nan)
         if not np.isfinite(direction).all():
-            direction = -gradient / data[self.diagonal]
+            with np.errstate(all="ignore"):
+                direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
         patch = self.vertex_patch[self.free]
-        slope = np.bincount(patch, (direction * gradient).reshape(-1, 2).sum(axis=1), minlength=self.count)
+        slope = np.bincount(patch, (direction * gradient).sum(axis=1), minlength=self.remaining)
         length = np.where(active & (slope < 0.0), 1.0, 0.0)
         # No vertex moves farther than a radian: beyond that its tangent plane says nothing about the sphere.
-        reach = np.zeros(self.count)
-        np.maximum.at(reach, patch, np.linalg.norm(direction.reshape(-1, 2), axis=1))
+        reach = np.zeros(self.remaining)
+        np.maximum.at(reach, patch, np.linalg.norm(direction, axis=1))
         length /= np.maximum(reach, 1.0)
         step = np.zeros((len(self.vertices), 2))
         for _ in range(HALVINGS):
-            step[self.free] = direction.reshape(-1, 2) * length[patch][:, None]
+            step[self.free] = direction * length[patch][:, None]
             moved = wp.empty_like(points)
             wp.launch(
                 move_in_tangent, dim=len(self.vertices), device=self.device,
@@ -292,7 +320,7 @@ class _Patches:
                 return moved
             length[worse] *= 0.5
         length[worse] = 0.0
-        step[self.free] = direction.reshape(-1, 2) * length[patch][:, None]
+        step[self.free] = direction * length[patch][:, None]
         moved = wp.empty_like(points)
         wp.launch(
             move_in_tangent, dim=len(self.vertices), device=self.device,
@@ -307,4 +335,5 @@ class _Patches:
             untangle_value, dim=len(self.faces), inputs=inputs, outputs=[self.d_value, self.d_ratio],
             device=self.device,
         )
-        return np.bincount(self.face_patch, self.d_value.numpy(), minlength=self.count).astype(np.float64, copy=False)
+        energies = np.bincount(self.face_patch, self.d_value.numpy(), minlength=self.remaining)
+        return energies.astype(np.float64, copy=False)

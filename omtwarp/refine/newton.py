@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp._warp import wp
-from omtwarp.cholesky import MultifrontalCholesky, NotPositiveDefinite
+from omtwarp.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.newton_kernels import gather_edge_blocks, gather_vertex_blocks
@@ -20,18 +20,72 @@ class NewtonMatrix:
     """Sums per-triangle blocks into a sparse matrix over two tangent coordinates per vertex, and solves with it.
 
     The order of elimination and all storage are kept from one factorisation to the next.
+
+    Args:
+        faces: triangles by the unknown vertices at their corners, shape [F, 3]; -1 for a corner that stays where it is.
+        edges: every edge between unknown vertices once, shape [E, 2].
+        edge_corners: the two corners opposite to every edge, shape [E, 2].
+        vertex_corners: corners around every unknown vertex as compressed rows.
+        dissection: the order of elimination.
+        shift: what is added to the diagonal, relative to its mean.
+        growth: what is added to every entry of the diagonal, relative to itself.
     """
 
-    def __init__(self, surface: Surface):
-        self._factor = MultifrontalCholesky(surface.dissection, block=2)
-        self._rows = [wp.array(array, dtype=wp.int32, device="cpu", copy=False) for array in surface.vertex_corners]
+    def __init__(
+        self,
+        faces: NDArray[np.int32],
+        edges: NDArray[np.int32],
+        edge_corners: NDArray[np.int32],
+        vertex_corners: tuple[NDArray[np.int32], NDArray[np.int32]],
+        dissection: Dissection,
+        shift: float = REGULARISATION,
+        growth: float = 0.0,
+    ):
+        self._shift, self._growth = shift, growth
+        self._factor = MultifrontalCholesky(dissection, block=2)
+        self._rows = [wp.array(array, dtype=wp.int32, device="cpu") for array in vertex_corners]
         self._sides = [
-            wp.array(surface.edges, dtype=wp.vec2i, device="cpu", copy=False),
-            wp.array(surface.faces, dtype=wp.vec3i, device="cpu", copy=False),
-            wp.array(surface.edge_corners, dtype=wp.vec2i, device="cpu", copy=False),
+            wp.array(edges, dtype=wp.vec2i, device="cpu"),
+            wp.array(faces, dtype=wp.vec3i, device="cpu"),
+            wp.array(edge_corners, dtype=wp.vec2i, device="cpu"),
         ]
-        self._diagonal = wp.empty((surface.vertex_count, 4), dtype=wp.float64, device="cpu")
-        self._off_diagonal = wp.empty((len(surface.edges), 4), dtype=wp.float64, device="cpu")
+        self._diagonal = wp.empty((len(vertex_corners[0]) - 1, 4), dtype=wp.float64, device="cpu")
+        self._off_diagonal = wp.empty((len(edges), 4), dtype=wp.float64, device="cpu")
+
+    @classmethod
+    def of_surface(cls, surface: Surface) -> NewtonMatrix:
+        """The matrix over all vertices of a surface."""
+        return cls(
+            surface.faces, surface.edges, surface.edge_corners, surface.vertex_corners, surface.dissection
+        )
+
+    @classmethod
+    def of_patches(
+        cls, faces: NDArray[np.int32], free: NDArray[np.bool_], points: NDArray[np.float64], growth: float
+    ) -> NewtonMatrix:
+        """The matrix over some vertices of a piece of a surface; all triangles around them belong to the piece.
+
+        Args:
+            faces: the piece's triangles, shape [F, 3].
+            free: which vertices are unknown, shape [V].
+            points: positions, shape [V, 3].
+            growth: see the class.
+        """
+        count = int(free.sum())
+        unknown = np.full(len(free), -1, dtype=np.int32)
+        unknown[free] = np.arange(count, dtype=np.int32)
+        own = np.ascontiguousarray(unknown[faces])
+        flat = own.ravel()
+        corners = np.argsort(flat, kind="stable").astype(np.int32)[int((flat < 0).sum()) :]
+        offsets = np.zeros(count + 1, dtype=np.int32)
+        np.cumsum(np.bincount(flat[flat >= 0], minlength=count), out=offsets[1:])
+        one, other = np.roll(own, -1, axis=1).ravel(), np.roll(own, -2, axis=1).ravel()
+        inner = np.flatnonzero((one >= 0) & (other >= 0))
+        low, high = np.minimum(one, other)[inner], np.maximum(one, other)[inner]
+        order = np.argsort(low.astype(np.int64) * count + high, kind="stable")
+        edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
+        edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
+        return cls(own, edges, edge_corners, (offsets, corners), dissect(points[free], edges), 0.0, growth)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 36]."""
@@ -47,20 +101,25 @@ class NewtonMatrix:
         """Assemble and factorise.
 
         Raises:
-            OmtwarpError: the blocks are not finite.
+            OmtwarpError: the blocks are not finite, or far from semidefinite.
         """
         diagonal, off_diagonal = self.assemble(blocks)
         own = diagonal[:, [0, 1], [0, 1]]
-        shift = REGULARISATION * own.mean()
+        shift = self._shift * own.mean()
         for part in STIFFER:
-            diagonal[:, [0, 1], [0, 1]] = own * (1.0 + part) + shift
+            diagonal[:, [0, 1], [0, 1]] = own * (1.0 + self._growth + part) + shift
             try:
                 self._factor.factorise(diagonal, off_diagonal)
                 return
             except NotPositiveDefinite:
                 continue
-        raise OmtwarpError("the map cannot be refined: its distortion is not finite")
+        raise OmtwarpError("the distortion of the map is not finite")
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for tangent coordinates, shape [V, 2]."""
         return self._factor.solve(right)
+
+    @property
+    def diagonal(self) -> NDArray[np.float64]:
+        """The diagonal of the matrix that was factorised last, shape [V, 2]."""
+        return self._diagonal.numpy()[:, [0, 3]]

@@ -154,7 +154,7 @@ class Refiner:
         self.surface = surface
         self.device = device
         self.energy = DistortionEnergy(surface, device)
-        self.matrix = NewtonMatrix(surface)
+        self.matrix = NewtonMatrix.of_surface(surface)
 
     def minimise(
         self,

@@ -148,7 +148,7 @@ def test_newton_matrix_sums_blocks_and_solves():
     for face, block in zip(surface.faces, blocks, strict=True):
         index = (2 * face[:, None] + np.arange(2)).ravel()
         dense[np.ix_(index, index)] += block
-    matrix = NewtonMatrix(surface)
+    matrix = NewtonMatrix.of_surface(surface)
     diagonal, off_diagonal = matrix.assemble(blocks.reshape(-1, 36))
     square = dense.reshape(count, 2, count, 2).transpose(0, 2, 1, 3)
     assert np.allclose(diagonal, square[np.arange(count), np.arange(count)])
