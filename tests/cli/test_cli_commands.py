@@ -171,7 +171,9 @@ BUSY = {
 }
 
 WORKER = """
-import sys
+import signal, sys
+# Tests that run in the background of a script have been told to ignore the signal, which a child inherits.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from pathlib import Path
 import omtwarp.commands._work as work
 from omtwarp import cli
@@ -197,10 +199,7 @@ def test_an_interruption_ends_native_code_and_leaves_no_partial_file(tmp_path, b
     """Control-C in the middle of a computation, and in the middle of writing."""
     code = WORKER.format(busy=BUSY[kind], staged=stage)
     command = [sys.executable, "-c", code, str(tmp_path / "blob.ply"), str(tmp_path / "out.npz")]
-    # Tests that run in the background of a script have been told to ignore the signal, which a child inherits.
-    process = subprocess.Popen(
-        command, stderr=subprocess.PIPE, text=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
-    )
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr.readline() == "busy\n"
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
