@@ -261,6 +261,7 @@ class _Patches:
 
     def solve(self) -> tuple[NDArray[np.float64], int]:
         """Lower ε until no patch has a flipped triangle, or it is at its smallest; the map and the number of rounds."""
+        whole = self.vertices[self.faces], self.face_patch, self.vertices, self.vertex_patch
         points = wp.array(self.sphere[self.vertices], dtype=wp.vec3d, device=self.device)
         epsilon = np.full(self.count, self.schedule.largest)
         active = np.ones(self.count, dtype=bool)
@@ -279,7 +280,20 @@ class _Patches:
                 points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
                 epsilon, active = epsilon[active], active[active]
         self._keep(points.numpy())
+        self._take_back(*whole)
         return self.result, rounds
+
+    def _take_back(self, faces, face_patch, vertices, vertex_patch) -> None:
+        """Leave patches as they were that ended with no fewer flips: the next attempt frees more around them.
+
+        A patch too small for its triangles can end far more tangled than it was.
+        """
+        before, after = (
+            np.bincount(face_patch[flipped_faces(sphere, faces)], minlength=self.count)
+            for sphere in (self.sphere, self.result)
+        )
+        back = vertices[(vertex_patch >= 0) & ((after > 0) & (after >= before))[vertex_patch]]
+        self.result[back] = self.sphere[back]
 
     def _newton_step(self, points, epsilon, active):
         face_epsilon = wp.array(epsilon[self.face_patch], dtype=wp.float64, device=self.device)
