@@ -23,6 +23,7 @@ from omtwarp.metrics.distortion import distortion
 from omtwarp.moser import moser_map
 from omtwarp.refine.solver import refine_map
 from omtwarp.result import MapResult
+from omtwarp.threads import blas_threads
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import COSTS, optimal_transport, transport_cost
 from omtwarp.transport.polish import polish_transport
@@ -38,6 +39,7 @@ MOSER_PASSES = 2
 Progress = Callable[[str, int, int, dict[str, Any]], None]
 
 
+@blas_threads(1)
 def map_to_sphere(
     mesh: Any,
     *,
@@ -77,7 +79,8 @@ def map_to_sphere(
     weight = parse_refinement(refine)
     where = resolve_device(device)
     surface = as_surface(mesh)
-    return _Run(surface, str(where), progress).run(method, until, cost, scheme, weight, optimality)
+    with blas_threads(1):  # what is worth several threads is given them where it is done
+        return _Run(surface, str(where), progress).run(method, until, cost, scheme, weight, optimality)
 
 
 def as_surface(mesh: Any) -> Surface:

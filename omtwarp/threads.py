@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -69,4 +71,23 @@ def launch_parts(
     run_all(launch, [slice(a, b) for a, b in pairwise(bounds)])
 
 
-__all__ = ["core_count", "launch_parts", "pool", "run_all"]
+@contextlib.contextmanager
+def blas_threads(count: int) -> Iterator[None]:
+    """Let the linear algebra of NumPy and SciPy use so many threads for a while; also a decorator.
+
+    OpenBLAS's threads wait for one another by spinning: beside threads of ours, or other programs, a product of two
+    vectors can take a hundred times as long as alone. And sums of one thread have the same bits on every machine.
+    """
+    with _controller().limit(limits=count, user_api="blas"):
+        yield
+
+
+@lru_cache(maxsize=1)
+def _controller() -> Any:
+    import scipy.linalg  # noqa: F401 (its library has to be loaded to be found)
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+__all__ = ["blas_threads", "core_count", "launch_parts", "pool", "run_all"]

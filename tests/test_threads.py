@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from omtwarp import threads
 from omtwarp._warp import wp
@@ -50,3 +51,16 @@ def test_parts_cover_all_elements_on_every_device(device):
     values = wp.array(np.arange(size, dtype=np.float64), dtype=wp.float64, device=device)
     threads.launch_parts(scale_kernel, size, lambda part: ([factors[part], values[part]], []), device)
     np.testing.assert_array_equal(values.numpy(), 3.0 * np.arange(size))
+
+
+def test_blas_threads_are_put_back():
+    def counts():
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    before = counts()
+    with threads.blas_threads(1):
+        assert set(counts()) <= {1}
+        with threads.blas_threads(2):
+            pass
+        assert set(counts()) <= {1}
+    assert counts() == before

@@ -16,10 +16,12 @@ from omtwarp._warp import wp
 from omtwarp.cholesky.dissection import Dissection
 from omtwarp.cholesky.kernels import add_fronts, solve_triangular
 from omtwarp.cholesky.lapack import DenseEliminations
-from omtwarp.threads import core_count, run_all
+from omtwarp.threads import blas_threads, core_count, run_all
 
 # Below so many operations on a depth a second thread costs more than it saves.
-THREADED = 2e6
+THREADED = 1e6
+# Operations per thread from which on several threads of BLAS for one front are worth their waiting for one another.
+TOGETHER = 5e7
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -34,7 +36,8 @@ class MultifrontalCholesky:
     Args:
         dissection: the order of elimination.
         block: unknowns per vertex, 1 or 2.
-        threads: shares that independent fronts are cut into; one per core by default. The result does not depend on it.
+        threads: shares that independent fronts are cut into; one per core by default. On large meshes, where the last
+            fronts are given to several threads together, results depend on it by rounding.
     """
 
     def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None):
@@ -60,6 +63,11 @@ class MultifrontalCholesky:
         self._rooms = [np.empty(max(lengths[k::2], default=0)) for k in range(2)]
         self._lengths = lengths
         costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
+        few = [len(costs[depth]) < self.threads for depth in dissection.depths]
+        self._together = [
+            one and costs[depth].sum() > TOGETHER * self.threads
+            for one, depth in zip(few, dissection.depths, strict=True)
+        ]
         self._chunks = [self._split(depth, costs[depth]) for depth in dissection.depths]
         self._entries()
         self._upload()
@@ -67,7 +75,7 @@ class MultifrontalCholesky:
     def _split(self, depth: slice, costs: NDArray[np.float64]) -> list[range]:
         """The fronts of a depth in shares of about the same work."""
         total = float(costs.sum())
-        shares = min(self.threads, len(costs)) if total > THREADED else 1
+        shares = min(self.threads, len(costs)) if total > THREADED and len(costs) >= self.threads else 1
         cuts = np.searchsorted(np.cumsum(costs), total * np.arange(1, shares) / shares) + depth.start + 1
         bounds = [depth.start, *cuts.tolist(), depth.stop]
         return [range(a, b) for a, b in pairwise(bounds) if b > a]
@@ -156,7 +164,9 @@ class MultifrontalCholesky:
                 room[slots.ravel()] = data[source].ravel()
             if k > 0:
                 self._add_below(k - 1)
-            failed = max(run_all(lambda fronts, room=room: self._eliminate(fronts, room), self._chunks[k]))
+            # Where there are fewer large fronts than cores, the cores work on each front together instead.
+            with blas_threads(self.threads if self._together[k] else 1):
+                failed = max(run_all(lambda fronts, room=room: self._eliminate(fronts, room), self._chunks[k]))
             if failed >= 0:
                 raise NotPositiveDefinite(f"pivot of front {failed} of {len(d.owned)} is not positive")
 

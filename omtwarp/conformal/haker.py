@@ -18,6 +18,7 @@ from omtwarp.conformal.kernels import project_to_sphere
 from omtwarp.errors import OmtwarpError
 from omtwarp.linear import SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.threads import blas_threads
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class ConformalMap:
     solver: SurfaceLaplacianSolver
 
 
+@blas_threads(1)
 def conformal_map(surface: Surface, *, device: str | None = "cpu") -> ConformalMap:
     """Map a closed genus-0 surface to the sphere conformally, centred (section 4.1).
 

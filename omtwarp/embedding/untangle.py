@@ -22,6 +22,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.frames import triangle_frames
 from omtwarp.refine.newton import NewtonMatrix
+from omtwarp.threads import blas_threads
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,7 @@ def flipped_faces(sphere: NDArray[np.float64], faces: NDArray[np.int32]) -> NDAr
     return ~(np.einsum("ij,ij->i", a, np.cross(b, c)) > 0.0)
 
 
+@blas_threads(1)
 def untangle(
     surface: Surface,
     sphere: ArrayLike,

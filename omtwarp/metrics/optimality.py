@@ -42,6 +42,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.threads import blas_threads
 
 Array = NDArray[np.float64]
 
@@ -94,6 +95,7 @@ class Optimality:
         )
 
 
+@blas_threads(1)
 def optimality(
     conformal: Any,
     sphere: ArrayLike | None = None,

@@ -13,7 +13,7 @@ from omtwarp.conformal import density
 from omtwarp.linear import PoissonSolver, SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser.kernels import integrate_particles, vertex_field
-from omtwarp.threads import launch_parts
+from omtwarp.threads import blas_threads, launch_parts
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 18 it is 1e-8 of ∇Θ.
 FINAL_TIME = 18.0
@@ -36,6 +36,7 @@ class MoserMap:
     steps: int
 
 
+@blas_threads(1)
 def moser_map(
     surface: Surface,
     start: NDArray[np.float64],

@@ -23,6 +23,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import from_tangent, hold_back, retract, to_tangent, triangle_trouble
 from omtwarp.refine.newton import NewtonMatrix
+from omtwarp.threads import blas_threads
 
 WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area counts against angle
 # "area" promises mean and 95th percentile of area distortion; λ grows to HARDEST at most until both are met.
@@ -81,6 +82,7 @@ def refinement_weight(weight: str | float) -> float:
     return value
 
 
+@blas_threads(1)
 def refine_map(
     surface: Surface,
     sphere: ArrayLike,
@@ -156,6 +158,7 @@ class Refiner:
         self.energy = DistortionEnergy(surface, device)
         self.matrix = NewtonMatrix.of_surface(surface)
 
+    @blas_threads(1)
     def minimise(
         self,
         sphere: NDArray[np.float64],

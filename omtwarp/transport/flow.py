@@ -20,7 +20,7 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
-from omtwarp.threads import launch_parts
+from omtwarp.threads import blas_threads, launch_parts
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.kernels import advect, combine, cost_and_force, divide_by_area
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
@@ -92,6 +92,7 @@ def triangle_centres(surface: Surface, sphere: NDArray[np.float64]) -> NDArray[n
     return np.asarray(sums / np.linalg.norm(sums, axis=1)[:, None])
 
 
+@blas_threads(1)
 def optimal_transport(
     surface: Surface,
     start: NDArray[np.float64],
