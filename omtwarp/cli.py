@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import typer
 
+from omtwarp.commands.benchmark import benchmark
 from omtwarp.commands.check import check_mesh
 from omtwarp.commands.demo import demo
 from omtwarp.commands.map import map_mesh
@@ -33,6 +34,7 @@ app.command("preview")(preview_mesh)
 app.command("report")(report_on_map)
 app.command("check")(check_mesh)
 app.command("demo")(demo)
+app.command("benchmark")(benchmark)
 
 
 def _show_version(wanted: bool) -> None:

@@ -1,0 +1,148 @@
+"""Clocks, memory and the machine."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Clock:
+    """Wall-clock and processor seconds since it was made; the processor's are those of all threads of the process."""
+
+    def __init__(self) -> None:
+        self.wall, self.cpu = time.perf_counter(), time.process_time()
+
+    def read(self) -> tuple[float, float]:
+        """Seconds on the wall and on the processor."""
+        return time.perf_counter() - self.wall, time.process_time() - self.cpu
+
+
+class PeakMemory:
+    """The most resident memory of this process since it was made, above what it held then."""
+
+    def __init__(self) -> None:
+        self.base = _resident("VmRSS")
+        try:  # forget the peak so far, where the system can
+            Path("/proc/self/clear_refs").write_text("5")
+            self.resettable = True
+        except OSError:
+            self.resettable = False
+
+    def read(self) -> int | None:
+        """Bytes, or None where the system does not tell."""
+        peak = _resident("VmHWM")
+        if not self.resettable or peak is None or self.base is None:
+            return None
+        return max(peak - self.base, 0)
+
+
+def _resident(field: str) -> int | None:
+    try:
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith(field + ":"):
+                return 1024 * int(line.split()[1])
+    except OSError:
+        pass
+    return None
+
+
+def splu_reference(laplacian: Any, right: NDArray[np.float64]) -> tuple[float, float]:
+    """Wall and processor seconds of one default ``scipy.sparse.linalg.splu`` and one solve.
+
+    Args:
+        laplacian: the cotangent Laplacian with one vertex removed, compressed columns.
+        right: a right-hand side.
+    """
+    from scipy.sparse.linalg import splu
+
+    clock = Clock()
+    splu(laplacian).solve(right)
+    return clock.read()
+
+
+def machine(devices: tuple[str, ...]) -> dict[str, Any]:
+    """What the figures were measured on."""
+    from omtwarp._warp import wp
+    from omtwarp.pipeline import versions
+    from omtwarp.threads import core_count
+
+    gpus = []
+    for name in devices:
+        device = wp.get_device(name)
+        if device.is_cuda:
+            gpus.append({"name": device.name, "memory": int(device.total_memory), "arch": int(device.arch)})
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {
+        "processor": _processor(),
+        "cores": core_count(),
+        "memory": _total_memory(),
+        "system": f"{platform.system()} {platform.release()}",
+        "gpus": gpus,
+        "load_before": load,
+        "blas_threads": os.environ.get("OPENBLAS_NUM_THREADS", "all"),
+        "versions": versions(),
+    }
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _total_memory() -> int | None:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return None
+
+
+def first_use(device: str = "cpu") -> dict[str, float]:
+    """What a fresh machine pays once, each in a process of its own: compilation into an empty cache, and starts.
+
+    Args:
+        device: what kernels are compiled for.
+
+    Returns:
+        ``compile_seconds`` and ``compile_cpu_seconds`` (all kernels, empty cache), ``load_seconds`` (the same again,
+        from the cache), ``import_seconds`` (``import omtwarp``) and ``help_seconds`` (``omtwarp --help``).
+    """
+    with tempfile.TemporaryDirectory(prefix="omtwarp-benchmark-") as folder:
+        empty = os.environ | {"WARP_CACHE_PATH": folder}
+        prewarm = ["-m", "omtwarp._prewarm", device]
+        compiled, compiled_cpu = _run(prewarm, empty)
+        loaded, _ = _run(prewarm, empty)
+    plain = dict(os.environ)
+    imported = min(_run(["-c", "import omtwarp"], plain)[0] for _ in range(3))
+    helped = min(_run(["-m", "omtwarp", "--help"], plain)[0] for _ in range(3))
+    return {
+        "compile_seconds": compiled,
+        "compile_cpu_seconds": compiled_cpu,
+        "load_seconds": loaded,
+        "import_seconds": imported,
+        "help_seconds": helped,
+    }
+
+
+def _run(arguments: list[str], environment: dict[str, str]) -> tuple[float, float]:
+    before = os.times()
+    start = time.perf_counter()
+    subprocess.run(
+        [sys.executable, *arguments], env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    wall = time.perf_counter() - start
+    after = os.times()
+    return wall, after.children_user + after.children_system - before.children_user - before.children_system

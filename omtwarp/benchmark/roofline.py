@@ -1,0 +1,150 @@
+"""Every kernel of a map beside the memory it has to move: bytes counted by formula over time measured.
+
+While :class:`LaunchRecorder` is active every launch is timed by itself (with events of the device on CUDA), and the
+bytes it cannot do without are counted from its arguments: each array once as a whole, but no more than sixteen elements
+for every thread where there are many, since some arrays hold more than a launch touches. A kernel that moves those
+bytes at the rate of a plain copy is bound by memory, and as fast as it can be; one that is slower computes, waits for
+scattered reads, or is too small to fill the device.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from omtwarp._warp import wp
+
+PER_THREAD = 16
+MANY_THREADS = 1024
+
+
+@dataclass
+class KernelRecord:
+    """Launches of a kernel, summed.
+
+    Attributes:
+        module: where it is defined.
+        launches: how many.
+        threads: of all launches.
+        seconds: time spent in it.
+        moved: bytes it had to read and write.
+    """
+
+    module: str
+    launches: int = 0
+    threads: int = 0
+    seconds: float = 0.0
+    moved: int = 0
+
+
+class LaunchRecorder:
+    """Times all launches on one device between entering and leaving; the launches themselves are unchanged."""
+
+    def __init__(self, device: str):
+        self.device = wp.get_device(device)
+        self.kernels: dict[str, KernelRecord] = {}
+        self._lock = threading.Lock()
+        self._events: list[tuple[KernelRecord, Any, Any]] = []
+
+    def __enter__(self) -> LaunchRecorder:
+        self._launch = wp.launch
+        wp.launch = self._timed
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        wp.launch = self._launch
+        if self._events:
+            wp.synchronize_device(self.device)
+            for record, begin, end in self._events:
+                record.seconds += wp.get_event_elapsed_time(begin, end, synchronize=False) / 1e3
+            self._events.clear()
+
+    def _timed(self, kernel: Any, dim: Any, inputs: Any = (), outputs: Any = (), *rest: Any, **options: Any) -> Any:
+        if options.get("record_cmd") or wp.get_device(options.get("device")) != self.device:
+            return self._launch(kernel, dim, inputs, outputs, *rest, **options)
+        threads = int(np.prod(dim))
+        with self._lock:
+            name = f"{kernel.module.name.removeprefix('omtwarp.')}.{kernel.key}"
+            record = self.kernels.setdefault(name, KernelRecord(kernel.module.name))
+            record.launches += 1
+            record.threads += threads
+            record.moved += moved_bytes(threads, [*inputs, *outputs])
+        if self.device.is_cuda:
+            begin, end = (wp.Event(self.device, enable_timing=True) for _ in range(2))
+            wp.record_event(begin)
+            result = self._launch(kernel, dim, inputs, outputs, *rest, **options)
+            wp.record_event(end)
+            self._events.append((record, begin, end))
+            return result
+        start = time.perf_counter()
+        result = self._launch(kernel, dim, inputs, outputs, *rest, **options)
+        seconds = time.perf_counter() - start
+        with self._lock:
+            record.seconds += seconds
+        return result
+
+
+def moved_bytes(threads: int, arguments: list[Any]) -> int:
+    """Bytes that a launch over so many threads has to move: every array once, sixteen elements a thread at most."""
+    total, seen = 0, set()
+    for argument in arguments:
+        if not isinstance(argument, wp.array) or argument.ptr in seen:
+            continue
+        seen.add(argument.ptr)
+        elements = min(argument.size, PER_THREAD * threads) if threads >= MANY_THREADS else argument.size
+        total += elements * wp.types.type_size_in_bytes(argument.dtype)
+    return total
+
+
+def copy_bandwidth(device: str, megabytes: int = 256, repeats: int = 5) -> float:
+    """Bytes per second, read and written, of the fastest of some plain copies on a device."""
+    where = wp.get_device(device)
+    count = megabytes * 2**20 // 8
+    source, target = (wp.full(count, 1.0, dtype=wp.float64, device=where) for _ in range(2))
+    wp.copy(target, source)
+    best = np.inf
+    for _ in range(repeats):
+        wp.synchronize_device(where)
+        start = time.perf_counter()
+        wp.copy(target, source)
+        wp.synchronize_device(where)
+        best = min(best, time.perf_counter() - start)
+    return 16.0 * count / best
+
+
+def kernel_table(surface: Any, device: str, refine: str | float | None) -> dict[str, Any]:
+    """Map a surface with every launch recorded.
+
+    Args:
+        surface: what to map.
+        device: a device's name.
+        refine: as in :func:`omtwarp.map_to_sphere`.
+
+    Returns:
+        ``bandwidth`` (bytes per second of a copy) and ``kernels``, slowest in all first: ``name``, ``launches``,
+        ``seconds``, ``bytes``, ``bytes_per_second`` and ``part_of_copy``.
+    """
+    from omtwarp.pipeline import map_to_sphere
+
+    bandwidth = copy_bandwidth(device)
+    with LaunchRecorder(device) as recorder:
+        map_to_sphere((surface.vertices, surface.faces), device=device, refine=refine)
+    rows = []
+    for name, record in sorted(recorder.kernels.items(), key=lambda item: -item[1].seconds):
+        rate = record.moved / record.seconds if record.seconds > 0.0 else 0.0
+        rows.append(
+            {
+                "name": name,
+                "launches": record.launches,
+                "threads": record.threads,
+                "seconds": record.seconds,
+                "bytes": record.moved,
+                "bytes_per_second": rate,
+                "part_of_copy": rate / bandwidth,
+            }
+        )
+    return {"device": device, "faces": surface.face_count, "bandwidth": bandwidth, "kernels": rows}

@@ -1,0 +1,267 @@
+"""The measurement itself: maps of many meshes, stage by stage, beside one sparse factorisation of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from omtwarp.benchmark.measure import Clock, PeakMemory, first_use, machine, splu_reference
+from omtwarp.benchmark.meshes import all_meshes, made
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import Surface
+
+SIZES = (5_000, 20_000, 80_000)
+# SuperLU needs about 10 kB per vertex, and minutes, beyond this many faces.
+LARGEST_REFERENCE = 500_000
+# Growth is measured from here on, where there are two sizes: below, fixed costs flatten it.
+ASYMPTOTIC = 20_000
+FORMAT = 1
+
+
+def run(
+    *,
+    sizes: Sequence[int] = SIZES,
+    shapes: Sequence[str] = ("blob",),
+    meshes: Sequence[Any] = (),
+    subdivisions: int = 0,
+    devices: Sequence[str] = ("cpu",),
+    repeats: int = 3,
+    refine: str | float | None = "area",
+    kernels: bool = False,
+    cold: bool = False,
+    largest_reference: int = LARGEST_REFERENCE,
+    progress: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Measure whole maps, intake to final map, kernels compiled before.
+
+    Each mesh is mapped ``repeats`` times on each device after a small map has warmed the device up, and factorised
+    with SciPy's ``splu`` (its defaults) and solved once before every map on the CPU: medians of all are given. A ratio
+    is the median of a map's time over that of the factorisation and solve before it, so that a machine that is busy for
+    a while slows both.
+
+    Args:
+        sizes: numbers of faces of the made shapes, from 5,000 to 2,000,000 and beyond.
+        shapes: made shapes: ``blob``, ``creature``, ``sphere``.
+        meshes: mesh files, or pairs of vertices and faces, besides.
+        subdivisions: how many times each given mesh is also subdivided, each time into four times as many faces.
+        devices: ``cpu``, ``cuda:0``, ...
+        repeats: maps of which the median counts.
+        refine: how maps are refined, see :func:`omtwarp.map_to_sphere`.
+        kernels: also time every kernel by itself, beside the memory it has to move, on the largest mesh.
+        cold: also measure compilation into an empty cache, and the start of the program.
+        largest_reference: meshes with more faces are not factorised for comparison.
+        progress: told in words what is done.
+
+    Returns:
+        Everything as plain numbers: ``machine``, ``settings``, ``meshes`` (each with its reference and its ``runs``),
+        ``growth`` (exponents by family, device and stage), ``kernels`` and ``first_use`` where asked for.
+
+    Raises:
+        OmtwarpError: an unknown shape or device, a mesh that cannot be read or mapped, or nothing to measure.
+    """
+    from omtwarp._warp import resolve_device
+
+    if repeats < 1 or any(size < 100 for size in sizes):
+        raise OmtwarpError("a benchmark needs at least one repeat, and sizes of at least 100 faces")
+    if not meshes and not (sizes and shapes):
+        raise OmtwarpError("nothing to measure: give sizes and shapes, or meshes")
+    names = tuple(str(resolve_device(device)) for device in devices)
+    tell = progress or (lambda text: None)
+    result: dict[str, Any] = {
+        "format": FORMAT,
+        "machine": machine(names),
+        "settings": {"repeats": repeats, "refine": refine, "largest_reference": largest_reference},
+        "meshes": [],
+    }
+    for name in names:
+        tell(f"warming up {name}")
+        measure_map(made("blob", 2000), name, refine)
+    largest: Surface | None = None
+    for family, label, surface in all_meshes(tuple(shapes), tuple(sizes), tuple(meshes), subdivisions):
+        result["meshes"].append(
+            measure_mesh(family, label, surface, names, repeats, refine, largest_reference, tell)
+        )
+        if kernels and (largest is None or surface.face_count > largest.face_count):
+            largest = surface
+    result["growth"] = growth_exponents(result["meshes"])
+    if kernels and largest is not None:
+        from omtwarp.benchmark.roofline import kernel_table
+
+        tell("timing kernels one by one")
+        result["kernels"] = [kernel_table(largest, name, refine) for name in names]
+    if cold:
+        tell("compiling into an empty cache")
+        result["first_use"] = {name: first_use(name) for name in names}
+    return result
+
+
+def measure_mesh(
+    family: str,
+    label: str,
+    surface: Surface,
+    devices: tuple[str, ...],
+    repeats: int,
+    refine: str | float | None,
+    largest_reference: int,
+    tell: Callable[[str], None],
+) -> dict[str, Any]:
+    """Reference and maps of one mesh."""
+    system = reference_system(surface) if surface.face_count <= largest_reference else None
+    references: list[tuple[float, float]] = []
+    runs = []
+    for device in devices:
+        measured = []
+        for repeat in range(repeats):
+            tell(f"{label}: {device}, map {repeat + 1} of {repeats}")
+            before = None
+            if system is not None and device == "cpu":
+                before = splu_reference(*system)
+                references.append(before)
+            one = measure_map(surface, device, refine)
+            one["ratio"] = one["seconds"] / before[0] if before else None
+            one["cpu_ratio"] = one["cpu_seconds"] / before[1] if before else None
+            for stage in one["stages"]:
+                stage["ratio"] = stage["seconds"] / before[0] if before else None
+            measured.append(one)
+        runs.append({"device": device} | _median(measured))
+    if system is not None and not references:
+        references.append(splu_reference(*system))
+    reference = None
+    if references:
+        wall, cpu = (float(np.median([pair[k] for pair in references])) for k in range(2))
+        reference = {"seconds": wall, "cpu_seconds": cpu}
+    return {
+        "family": family,
+        "name": label,
+        "vertices": surface.vertex_count,
+        "faces": surface.face_count,
+        "splu": reference,
+        "factor_bytes": factor_bytes(surface, refine),
+        "runs": runs,
+    }
+
+
+def measure_map(surface: Surface, device: str, refine: str | float | None) -> dict[str, Any]:
+    """One map from vertices and faces alone, with nothing of an earlier one kept but kernels."""
+    from omtwarp._warp import wp
+    from omtwarp.pipeline import map_to_sphere
+
+    vertices, faces = surface.vertices.copy(), surface.faces.copy()
+    marks: dict[str, float] = {}
+    where = wp.get_device(device)
+    wp.synchronize_device(where)
+    pooled = where.is_cuda and where.is_mempool_enabled
+    memory, clock = PeakMemory(), Clock()
+
+    def mark(stage: str, done: int, total: int, details: dict[str, Any]) -> None:
+        if "flips" in details:  # the stage is over
+            marks[stage] = clock.read()[1]
+
+    mapped = map_to_sphere((vertices, faces), device=device, refine=refine, progress=mark)
+    wp.synchronize_device(where)
+    wall, cpu = clock.read()
+    stages = []
+    before = 0.0
+    for stage in mapped.report["stages"]:
+        now = marks.get(stage["name"], math.nan)
+        stages.append(
+            {
+                "name": stage["name"],
+                "seconds": stage["seconds"],
+                "cpu_seconds": now - before,
+                "iterations": stage["iterations"],
+                "flips": stage["flips"],
+                "area": stage["area"]["surface"],
+            }
+        )
+        before = now
+    stages.append(
+        {
+            "name": "other",
+            "seconds": wall - sum(stage["seconds"] for stage in stages),
+            "cpu_seconds": cpu - before,
+            "iterations": 1,
+            "flips": stages[-1]["flips"],
+            "area": stages[-1]["area"],
+        }
+    )
+    return {
+        "seconds": wall,
+        "cpu_seconds": cpu,
+        "peak_bytes": memory.read(),
+        "device_bytes": int(wp.get_mempool_used_mem_high(where)) if pooled else None,
+        "flips": mapped.report["certificate"]["flips"],
+        "bijective": mapped.report["certificate"]["bijective"],
+        "stages": stages,
+    }
+
+
+def reference_system(surface: Surface) -> tuple[Any, np.ndarray]:
+    """The cotangent Laplacian without its first vertex, and a right-hand side."""
+    from omtwarp.geometry import cotangent_laplacian
+
+    matrix = cotangent_laplacian(surface.scaled_vertices, surface.faces).tocsc()[1:, 1:]
+    return matrix, np.random.default_rng(0).normal(size=matrix.shape[0])
+
+
+def factor_bytes(surface: Surface, refine: str | float | None) -> int:
+    """Bytes of the largest sparse factor that a map keeps: of the Newton matrix of refinement, else of a Laplacian."""
+    unknowns = 1 if refine in (None, "none") else 2
+    return int(8 * unknowns**2 * surface.dissection.factor_entries)
+
+
+def _median(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """The median of every number, stage by stage."""
+    out: dict[str, Any] = {}
+    for key, first in runs[0].items():
+        values = [run[key] for run in runs]
+        if key == "stages":
+            out[key] = [_median([run[key][k] for run in runs]) for k in range(len(first))]
+        elif isinstance(first, bool):
+            out[key] = all(values)
+        elif isinstance(first, int | float) and None not in values:
+            middle = float(np.median(values))
+            out[key] = int(middle) if isinstance(first, int) else middle
+        else:
+            out[key] = first
+    return out
+
+
+def growth_exponents(meshes: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, float]]]:
+    """Exponents p of time ~ faces^p by least squares over logarithms, by family, device and stage (and ``total``).
+
+    From :data:`ASYMPTOTIC` faces on where at least two meshes of the family are that large.
+    """
+    out: dict[str, dict[str, dict[str, float]]] = {}
+    for family in dict.fromkeys(mesh["family"] for mesh in meshes):
+        members = [mesh for mesh in meshes if mesh["family"] == family]
+        large = [mesh for mesh in members if mesh["faces"] >= ASYMPTOTIC]
+        members = large if len(large) > 1 else members
+        if len(members) < 2:
+            continue
+        curves: dict[tuple[str, str], list[tuple[int, float]]] = {}
+        for mesh in members:
+            for one in mesh["runs"]:
+                device = one["device"]
+                curves.setdefault((device, "total"), []).append((mesh["faces"], one["seconds"]))
+                for stage in one["stages"]:
+                    curves.setdefault((device, stage["name"]), []).append((mesh["faces"], stage["seconds"]))
+            if mesh["splu"] is not None:
+                curves.setdefault(("cpu", "splu"), []).append((mesh["faces"], mesh["splu"]["seconds"]))
+        for (device, stage), curve in curves.items():
+            exponent = fitted_exponent(curve)
+            if exponent is not None:
+                out.setdefault(family, {}).setdefault(device, {})[stage] = exponent
+    return out
+
+
+def fitted_exponent(curve: list[tuple[int, float]]) -> float | None:
+    """The slope of log(time) over log(size), or None for less than two sizes."""
+    sizes, times = np.array(curve, dtype=float).T
+    kept = times > 0.0
+    if len(np.unique(sizes[kept])) < 2:
+        return None
+    return float(np.polyfit(np.log(sizes[kept]), np.log(times[kept]), 1)[0])

@@ -1,0 +1,141 @@
+"""A benchmark as Markdown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+STAGES = ("conformal", "moser", "omt", "refine", "other")
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Tables of a result of :func:`omtwarp.benchmark.run`, for people."""
+    parts = [_machine(result["machine"], result["settings"]), _times(result), _ratios(result), _memory(result)]
+    if result["growth"]:
+        parts.append(_growth(result["growth"]))
+    parts += [_kernels(table) for table in result.get("kernels", [])]
+    if "first_use" in result:
+        parts.append(_first_use(result["first_use"]))
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def table(heads: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table; the first column to the left, numbers to the right."""
+    lines = ["| " + " | ".join(heads) + " |", "|" + "|".join([":--"] + ["--:"] * (len(heads) - 1)) + "|"]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def _machine(machine: dict[str, Any], settings: dict[str, Any]) -> str:
+    memory = f", {machine['memory'] / 2**30:.0f} GiB" if machine["memory"] else ""
+    gpus = "; " + ", ".join(gpu["name"] for gpu in machine["gpus"]) if machine["gpus"] else "; no CUDA device"
+    versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
+    load = machine["load_before"]
+    busy = f" Load average before: {load:.1f}." if load is not None else ""
+    return (
+        f"{machine['processor']}, {machine['cores']} cores{memory}{gpus}; {machine['system']}. {versions}. "
+        f"Median of {settings['repeats']} maps each, kernels compiled before.{busy}"
+    )
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    if value is None or value != value:
+        return ""
+    return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _stage_names(result: dict[str, Any]) -> list[str]:
+    present = {stage["name"] for mesh in result["meshes"] for run in mesh["runs"] for stage in run["stages"]}
+    return [name for name in STAGES if name in present] + sorted(present - set(STAGES))
+
+
+def _times(result: dict[str, Any]) -> str:
+    names = _stage_names(result)
+    rows = []
+    for mesh in result["meshes"]:
+        for run in mesh["runs"]:
+            stages = {stage["name"]: stage["seconds"] for stage in run["stages"]}
+            rows.append(
+                [mesh["name"], f"{mesh['faces']}", run["device"]]
+                + [_number(stages.get(name)) for name in names]
+                + [_number(run["seconds"]), _number(run["cpu_seconds"]), str(run["flips"])]
+            )
+    heads = ["mesh", "faces", "device", *names, "whole map", "CPU s", "flips"]
+    return "Seconds on the wall, stage by stage:\n\n" + table(heads, rows)
+
+
+def _ratios(result: dict[str, Any]) -> str:
+    names = _stage_names(result)
+    rows = []
+    for mesh in result["meshes"]:
+        if mesh["splu"] is None:
+            continue
+        for run in mesh["runs"]:
+            if run["ratio"] is None:
+                continue
+            stages = {stage["name"]: stage["ratio"] for stage in run["stages"]}
+            rows.append(
+                [mesh["name"], _number(mesh["splu"]["seconds"])]
+                + [_number(stages.get(name)) for name in names]
+                + [_number(run["ratio"]), _number(run["cpu_ratio"])]
+            )
+    if not rows:
+        return ""
+    heads = ["mesh", "splu s", *names, "whole map", "CPU over CPU"]
+    title = "As multiples of one SciPy `splu` factorisation and solve of the same mesh's Laplacian"
+    return f"{title}:\n\n{table(heads, rows)}"
+
+
+def _memory(result: dict[str, Any]) -> str:
+    rows = []
+    for mesh in result["meshes"]:
+        for run in mesh["runs"]:
+            peak = run["peak_bytes"]
+            if peak is None and run["device_bytes"] is None:
+                continue
+            rest = None if peak is None else max(peak - mesh["factor_bytes"], 0) / mesh["vertices"]
+            on_device = None if run["device_bytes"] is None else run["device_bytes"] / mesh["vertices"]
+            rows.append(
+                [mesh["name"], run["device"], _number(None if peak is None else peak / 2**20)]
+                + [_number(mesh["factor_bytes"] / 2**20), _number(rest, 4), _number(on_device, 4)]
+            )
+    heads = ["mesh", "device", "peak MiB", "largest factor MiB", "rest, B per vertex", "on the device, B per vertex"]
+    return "Memory above what the process held before the map:\n\n" + table(heads, rows) if rows else ""
+
+
+def _growth(growth: dict[str, Any]) -> str:
+    rows = []
+    for family, devices in growth.items():
+        for device, stages in devices.items():
+            cells = [_number(stages.get(name)) for name in (*STAGES, "total", "splu")]
+            rows.append([family, device, *cells])
+    return "Exponent p of time ~ faces^p:\n\n" + table(["family", "device", *STAGES, "whole map", "splu"], rows)
+
+
+def _kernels(kernels: dict[str, Any]) -> str:
+    rows = [
+        [
+            f"`{row['name']}`",
+            str(row["launches"]),
+            _number(1e3 * row["seconds"]),
+            _number(row["bytes"] / 1e6),
+            _number(row["bytes_per_second"] / 1e9),
+            f"{100 * row['part_of_copy']:.0f} %",
+        ]
+        for row in kernels["kernels"]
+    ]
+    head = (
+        f"Kernels on {kernels['device']}, {kernels['faces']} faces; a plain copy moves "
+        f"{kernels['bandwidth'] / 1e9:.0f} GB/s there:"
+    )
+    return head + "\n\n" + table(["kernel", "launches", "ms", "MB moved", "GB/s", "of a copy"], rows)
+
+
+def _first_use(first: dict[str, dict[str, float]]) -> str:
+    rows = [
+        [device]
+        + [_number(one[key]) for key in ("compile_seconds", "compile_cpu_seconds", "load_seconds")]
+        + [_number(one[key]) for key in ("import_seconds", "help_seconds")]
+        for device, one in first.items()
+    ]
+    times = ["all kernels compiled", "the same, CPU", "loaded again", "`import omtwarp`", "`omtwarp --help`"]
+    heads = ["device", *(f"{time}, s" for time in times)]
+    return "First use:\n\n" + table(heads, rows)

@@ -1,0 +1,103 @@
+"""``omtwarp benchmark``: how fast the package is on this machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._options import RefineOption
+from omtwarp.errors import OmtwarpError
+
+
+def face_counts(text: str) -> str:
+    """Check what --sizes is given: numbers of faces, such as 5000,20k,1M."""
+    parse_sizes(text)
+    return text
+
+
+def parse_sizes(text: str) -> tuple[int, ...]:
+    """Numbers of faces from text; ``none`` for none."""
+    if text == "none":
+        return ()
+    sizes = []
+    for word in text.split(","):
+        number, factor = word.strip().lower(), 1.0
+        if number and number[-1] in "km":
+            number, factor = number[:-1], 1e3 if number[-1] == "k" else 1e6
+        try:
+            sizes.append(round(float(number) * factor))
+        except (ValueError, OverflowError):
+            raise typer.BadParameter(f"'{word}' is not a number of faces: use 5000, 20k or 1M") from None
+    return tuple(sizes)
+
+
+def benchmark(
+    meshes: Annotated[
+        list[Path] | None, typer.Argument(metavar="[MESH]...", help="Mesh files to measure besides made shapes.")
+    ] = None,
+    sizes: Annotated[
+        str,
+        typer.Option(metavar="N,N,...", callback=face_counts, help="Faces of made shapes, 5k to 2M; none for none."),
+    ] = "5k,20k,80k",
+    shapes: Annotated[
+        str, typer.Option("--shape", metavar="NAME,...", help="Made shapes: blob, creature, sphere.")
+    ] = "blob",
+    subdivisions: Annotated[
+        int, typer.Option("--subdivide", metavar="TIMES", min=0, max=6, help="Also subdivide given meshes.")
+    ] = 0,
+    devices: Annotated[
+        str, typer.Option("--device", metavar="cpu,cuda:0", help="Where to map; auto is all there is.")
+    ] = "auto",
+    repeats: Annotated[int, typer.Option(min=1, help="Maps of which the median counts.")] = 3,
+    refine: RefineOption = "area",
+    kernels: Annotated[bool, typer.Option("--kernels", help="Also every kernel beside the memory it moves.")] = False,
+    cold: Annotated[bool, typer.Option("--cold", help="Also compilation into an empty cache, and starts.")] = False,
+    json_output: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the tables (.md) instead of printing.")
+    ] = None,
+) -> None:
+    """Time every stage and its memory on meshes of several sizes, beside one sparse factorisation by SciPy.
+
+    Takes a minute or two with the sizes it has by default, and no network.
+    """
+    from omtwarp.commands._work import report_text, say, start_device
+    from omtwarp.files import check_output, staged
+
+    given = tuple(meshes or ())
+    json_target = check_output(json_output, (".json",), *given) if json_output is not None else None
+    target = check_output(output, (".md", ".markdown", ".txt"), *given) if output is not None else None
+    if json_output is not None and output is not None and json_output.resolve() == output.resolve():
+        raise OmtwarpError("--json and --output name the same file")
+    wanted = [word.strip() for word in devices.split(",")]
+    for name in wanted:
+        start_device(name)
+    from omtwarp._warp import wp
+    from omtwarp.benchmark import markdown, run
+
+    if wanted == ["auto"]:
+        wanted = ["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"]
+    result = run(
+        sizes=parse_sizes(sizes),
+        shapes=tuple(word.strip() for word in shapes.split(",")),
+        meshes=given,
+        subdivisions=subdivisions,
+        devices=wanted,
+        repeats=repeats,
+        refine=refine,
+        kernels=kernels,
+        cold=cold,
+        progress=say,
+    )
+    if json_target is not None:
+        with staged(json_target) as file:
+            file.write_text(report_text(result), "utf-8")
+    if target is not None:
+        with staged(target) as file:
+            file.write_text(markdown(result), "utf-8")
+    else:
+        print(markdown(result), end="")

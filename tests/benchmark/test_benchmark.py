@@ -1,0 +1,176 @@
+"""The benchmark tells what it claims to tell; nothing here depends on how fast the machine is."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from omtwarp._warp import wp
+from omtwarp.benchmark import markdown, run
+from omtwarp.benchmark.measure import PeakMemory, first_use, splu_reference
+from omtwarp.benchmark.meshes import label, made, subdivided
+from omtwarp.benchmark.roofline import LaunchRecorder, copy_bandwidth, moved_bytes
+from omtwarp.benchmark.runner import fitted_exponent, growth_exponents, reference_system
+from omtwarp.benchmark.tables import table
+from omtwarp.commands.benchmark import parse_sizes
+from omtwarp.errors import OmtwarpError
+from omtwarp.geometry import cotangent_laplacian
+from omtwarp.mesh.shapes import blob, icosphere
+from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.validate import check
+from omtwarp.wavelets.kernels import scale_kernel
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run(sizes=(400, 800), meshes=[(icosphere(4).vertices, icosphere(4).faces)], repeats=2, kernels=True)
+
+
+def test_every_stage_of_every_mesh_is_measured(result):
+    assert [mesh["name"] for mesh in result["meshes"]][:1] == [f"blob_{result['meshes'][0]['faces']}"]
+    assert [mesh["family"] for mesh in result["meshes"]] == ["blob", "blob", "mesh 1"]
+    for mesh in result["meshes"]:
+        (one,) = mesh["runs"]
+        assert [stage["name"] for stage in one["stages"]] == ["conformal", "moser", "omt", "refine", "other"]
+        assert one["device"] == "cpu" and one["flips"] == 0 and one["bijective"]
+        assert mesh["splu"]["seconds"] > 0 and one["ratio"] > 0
+        assert 3 * mesh["vertices"] == 1.5 * mesh["faces"] + 6
+        assert mesh["factor_bytes"] > 8 * 4 * mesh["vertices"]
+        # Medians of parts need not add up to the median of the whole, but no part is longer than all maps together.
+        assert all(stage["seconds"] < 2 * 2 * one["seconds"] for stage in one["stages"])
+
+
+def test_a_result_is_json_and_markdown(result):
+    assert json.loads(json.dumps(result)) == result
+    text = markdown(result)
+    for heading in ("Seconds on the wall", "one SciPy `splu`", "Exponent p", "a plain copy moves"):
+        assert heading in text
+    for line in text.splitlines():
+        if line.startswith("|"):
+            assert line.endswith("|")
+    assert "no CUDA device" in text or result["machine"]["gpus"]
+
+
+def test_kernels_of_all_stages_are_recorded(result):
+    (kernels,) = result["kernels"]
+    names = {row["name"] for row in kernels["kernels"]}
+    assert {"moser.kernels.integrate_particles", "transport.kernels.advect", "refine.kernels.triangle_hessian"} <= names
+    for row in kernels["kernels"]:
+        assert row["launches"] > 0 and row["bytes"] > 0
+        assert row["part_of_copy"] == pytest.approx(row["bytes"] / row["seconds"] / kernels["bandwidth"])
+
+
+def test_growth_of_known_curves():
+    assert fitted_exponent([(1000, 2.0), (2000, 4.0), (8000, 16.0)]) == pytest.approx(1.0)
+    assert fitted_exponent([(1000, 1.0), (4000, 8.0)]) == pytest.approx(1.5)
+    assert fitted_exponent([(1000, 1.0)]) is None
+    meshes = [
+        {
+            "family": "blob",
+            "faces": faces,
+            "splu": {"seconds": faces**1.5},
+            "runs": [{"device": "cpu", "seconds": 3.0 * faces, "stages": [{"name": "moser", "seconds": faces**1.2}]}],
+        }
+        for faces in (5_000, 20_000, 80_000)
+    ]
+    meshes[0]["runs"][0]["seconds"] = 1e9  # below the sizes that count
+    assert growth_exponents(meshes)["blob"]["cpu"] == pytest.approx({"total": 1.0, "moser": 1.2, "splu": 1.5})
+
+
+def test_the_reference_is_a_factorisation_of_the_same_laplacian():
+    surface = blob(seed=0, sphere=320)
+    matrix, right = reference_system(surface)
+    whole = cotangent_laplacian(surface.scaled_vertices, surface.faces).toarray()
+    np.testing.assert_array_equal(matrix.toarray(), whole[1:, 1:])
+    wall, cpu = splu_reference(matrix, right)
+    assert wall > 0.0 and cpu >= 0.0 and math.isfinite(wall + cpu)
+
+
+def test_moved_bytes_by_hand():
+    size = 5000
+    factors = wp.zeros(size, dtype=wp.float64, device="cpu")
+    points = wp.zeros(100 * size, dtype=wp.vec3d, device="cpu")
+    assert moved_bytes(size, [factors, factors, 3, wp.float64(1.0)]) == 8 * size  # the same array counts once
+    assert moved_bytes(size, [factors, points]) == 8 * size + 16 * 24 * size  # no more than the threads can touch
+    assert moved_bytes(1, [points]) == 24 * 100 * size  # a thread that walks through all of it
+
+
+def test_recording_changes_no_result_and_ends(device):
+    launch = wp.launch
+    factors = wp.array(np.full(5000, 2.0), dtype=wp.float64, device=device)
+    values = wp.array(np.arange(5000.0), dtype=wp.float64, device=device)
+    with LaunchRecorder(device) as recorder:
+        wp.launch(scale_kernel, dim=5000, inputs=[factors, values], device=device)
+        wp.launch(scale_kernel, dim=5000, inputs=[factors], outputs=[values], device=device)
+    assert wp.launch is launch
+    np.testing.assert_array_equal(values.numpy(), 4.0 * np.arange(5000.0))
+    (record,) = recorder.kernels.values()
+    assert record.launches == 2 and record.threads == 10_000 and record.moved == 2 * 2 * 8 * 5000
+    assert record.seconds > 0.0
+    assert copy_bandwidth(device, megabytes=1, repeats=1) > 0.0
+
+
+def test_peak_memory_sees_what_was_there_for_a_moment():
+    memory = PeakMemory()
+    block = np.ones(8_000_000)
+    del block
+    peak = memory.read()
+    if peak is None:
+        pytest.skip("this system does not let a process forget its peak")
+    assert 60e6 < peak < 200e6
+
+
+def test_subdivision_keeps_the_surface():
+    surface = blob(seed=2, sphere=320)
+    fine = subdivided(surface)
+    assert fine.face_count == 4 * surface.face_count and not check(fine.vertices, fine.faces)
+    np.testing.assert_array_equal(fine.vertices[: surface.vertex_count], surface.vertices)
+    children = triangle_areas(fine.vertices, fine.faces).reshape(-1, 4)
+    own = triangle_areas(surface.vertices, surface.faces)
+    np.testing.assert_allclose(children, np.repeat(own[:, None] / 4, 4, axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", ["blob", "creature", "sphere"])
+def test_made_shapes_have_about_the_faces_asked_for(shape):
+    assert made(shape, 3000).face_count == pytest.approx(3000, rel=0.35)
+
+
+def test_what_cannot_be_measured_is_refused():
+    for wrong in ({"sizes": (10,)}, {"repeats": 0}, {"sizes": ()}, {"shapes": ("cube",)}, {"devices": ("tpu",)}):
+        with pytest.raises(OmtwarpError):
+            run(**({"sizes": (400,)} | wrong))
+
+
+def test_first_use_runs_in_processes_of_its_own(monkeypatch):
+    commands = []
+
+    def fake(arguments, environment):
+        commands.append((tuple(arguments), environment.get("WARP_CACHE_PATH")))
+        return float(len(commands)), 0.5
+
+    monkeypatch.setattr("omtwarp.benchmark.measure._run", fake)
+    measured = first_use("cpu")
+    assert measured["compile_seconds"] == 1.0 and measured["load_seconds"] == 2.0
+    assert commands[0][0] == commands[1][0] == ("-m", "omtwarp._prewarm", "cpu")
+    assert commands[0][1] == commands[1][1] != commands[2][1]
+
+
+def test_labels_sizes_and_tables():
+    assert [label(n) for n in (320, 5_120, 1_000_000, 1_310_720)] == ["320", "5k", "1M", "1.3M"]
+    assert parse_sizes("5000, 20k,1.5M") == (5000, 20_000, 1_500_000)
+    assert parse_sizes("none") == ()
+    assert table(["a", "b"], [["1", "2"]]) == "| a | b |\n|:--|--:|\n| 1 | 2 |"
+
+
+def test_the_command_writes_both_files(tmp_path):
+    from omtwarp.cli import app
+
+    files = tmp_path / "b.json", tmp_path / "b.md"
+    arguments = ["benchmark", "--sizes", "400", "--repeats", "1", "--device", "cpu", "--refine", "none"]
+    done = CliRunner().invoke(app, [*arguments, "--json", str(files[0]), "-o", str(files[1])])
+    assert done.exit_code == 0, done.output
+    assert json.loads(files[0].read_text())["meshes"][0]["runs"][0]["flips"] == 0
+    assert files[1].read_text().startswith(json.loads(files[0].read_text())["machine"]["processor"])
+    assert CliRunner().invoke(app, ["benchmark", "--sizes", "many"]).exit_code == 2
