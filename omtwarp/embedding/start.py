@@ -12,15 +12,21 @@ from numpy.typing import NDArray
 from omtwarp.conformal import ConformalMap, conformal_map
 from omtwarp.embedding.hierarchical import hierarchical_embedding
 from omtwarp.embedding.predicates import orientation_signs
+from omtwarp.embedding.tube import tube_map
 from omtwarp.embedding.untangle import untangle
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.metrics.distortion import distortion
 
 # Unit vectors in float64 are known to about 1e-16, and so are triple products of them: below this area, in steradians,
 # a triangle's orientation is a matter of rounding.
 SMALLEST_AREA = 1e-15
 # More flips than this part of the faces are no local defect, and repairing them would remake the map.
 REPAIRABLE = 0.02
+# A tube map without flips is taken where its area distortion is below this. Of seventeen shapes that the conformal map
+# cannot hold, the four smooth tubes and needles were at 2.02, against 2.08 to 2.47 coarse to fine; of the others one
+# had no flip, at 3.99.
+TUBE_AREA = 2.1
 
 
 @dataclass(frozen=True)
@@ -29,7 +35,7 @@ class Start:
 
     Attributes:
         sphere: unit vectors, float64, shape [V, 3].
-        road: ``conformal``, ``conformal, repaired`` or ``hierarchical``.
+        road: ``conformal``, ``conformal, repaired``, ``tube`` or ``hierarchical``.
         reason: why the conformal map was not taken, or empty.
         conformal: the conformal map as section 4.1 gives it, before repair; None if it could not be computed.
         repaired_flips: flips of the conformal map that were repaired.
@@ -55,7 +61,8 @@ def bijective_start(
     """Find a map to the sphere without flips.
 
     The conformal map (section 4.1) is tried first, with its flips repaired. On long thin limbs it shrinks areas
-    exponentially, below what float64 resolves; then a coarse-to-fine embedding, which always exists, takes its place.
+    exponentially, below what float64 resolves. Then latitude by area and harmonic longitude are tried, which suit long
+    smooth tubes, and if that map has flips or does not keep area, a coarse-to-fine embedding, which always exists.
 
     Args:
         surface: a valid closed mesh.
@@ -84,6 +91,11 @@ def bijective_start(
         if progress is not None:
             progress("start", int(100 * done), 100, {})
 
+    sphere = tube_map(surface)
+    if not (orientation_signs(sphere, surface.faces) <= 0).any():
+        judged = distortion(surface.vertices, surface.faces, sphere, device=device)
+        if judged.area["surface"] < TUBE_AREA:
+            return Start(sphere, "tube", reason, conformal, 0)
     sphere = hierarchical_embedding(surface, device=device, progress=report)
     return Start(sphere, "hierarchical", reason, conformal, 0)
 

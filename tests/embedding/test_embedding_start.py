@@ -9,9 +9,11 @@ from omtwarp.conformal import conformal_map
 from omtwarp.embedding import start as start_module
 from omtwarp.embedding.predicates import count_flips
 from omtwarp.embedding.start import bijective_start
+from omtwarp.embedding.tube import tube_map
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, needle, noisy, plate, random_sphere, tube
 from omtwarp.metrics.certificate import certify
+from omtwarp.metrics.distortion import distortion
 
 
 def test_a_sound_conformal_map_is_taken_as_it_is(device):
@@ -36,7 +38,7 @@ def test_a_few_flips_are_repaired_and_the_rest_stays():
 
 
 @pytest.mark.parametrize("length", [12.0, 30.0])
-def test_long_tubes_take_the_other_road(length):
+def test_long_tubes_take_another_road(length):
     """A tube's ends shrink to exp(-length / girth) of its middle: areas of 1e-11 can be held, areas of 1e-26 cannot."""
     surface = tube(length=length, girth=1.0, face_count=1500)
     start = bijective_start(surface)
@@ -44,9 +46,20 @@ def test_long_tubes_take_the_other_road(length):
     if length < 20.0:
         assert start.road == "conformal"
         return
-    assert start.road == "hierarchical"
+    assert start.road == "tube"
     assert start.reason
     assert not start.is_conformal
+    judged = distortion(surface.vertices, surface.faces, start.sphere)
+    assert judged.area["surface"] < start_module.TUBE_AREA
+
+
+def test_a_long_tube_of_obtuse_triangles_is_embedded_coarse_to_fine():
+    """Latitude by area flips triangles there, and repairing them would spoil the areas."""
+    surface = flip_edges(tube(length=30.0, girth=1.0, face_count=1500), rounds=8, seed=1)
+    assert count_flips(tube_map(surface), surface.faces) > 0
+    start = bijective_start(surface)
+    assert start.road == "hierarchical"
+    assert certify(surface.faces, start.sphere).bijective
 
 
 SHAPES = {
