@@ -22,7 +22,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.threads import blas_threads, launch_parts
 from omtwarp.transport.area import AreaMonitor
-from omtwarp.transport.kernels import advect, combine, cost_and_force, divide_by_area
+from omtwarp.transport.kernels import advect, centre_distance, combine, cost_and_force, divide_by_area
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 
 COSTS = ("squared", "geodesic")
@@ -39,6 +39,8 @@ FADING = 3
 CURL_TOLERANCE = 2e-3
 COST_TOLERANCE = 3e-5
 SUFFICIENT_DECREASE = 0.1
+# A step that promises less than this part of the cost is not worth looking for.
+NEGLIGIBLE = 1e-7
 # The flow ends when the area error has grown by more than AREA_LOSS of what it was and AREA_PRICE times the part of the
 # cost that this bought: from there on the cost would fall at the expense of area.
 AREA_LOSS = 0.1
@@ -81,9 +83,13 @@ def transport_cost(
         sphere: their images g(x), unit vectors, shape [V, 3].
         cost: ``squared`` or ``geodesic`` distance.
     """
-    x, y = triangle_centres(surface, start), triangle_centres(surface, sphere)
-    distance = np.arctan2(np.linalg.norm(np.cross(x, y), axis=1), np.einsum("ij,ij->i", x, y))
-    return float(surface.face_areas @ (distance**2 if cost == "squared" else distance))
+    maps = (np.ascontiguousarray(x, dtype=np.float64) for x in (start, sphere))
+    points = [wp.array(x, dtype=wp.vec3d, device="cpu", copy=False) for x in maps]
+    faces = wp.array(surface.faces, dtype=wp.vec3i, device="cpu", copy=False)
+    distance = wp.empty(surface.face_count, dtype=wp.float64, device="cpu")
+    wp.launch(centre_distance, dim=surface.face_count, inputs=[*points, faces], outputs=[distance], device="cpu")
+    moved = distance.numpy()
+    return float((surface.face_areas * (moved * moved if cost == "squared" else moved)).sum())
 
 
 def triangle_centres(surface: Surface, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -266,6 +272,8 @@ class _Flow:
                     accepted = True
                     break
                 step = max(min(best, 0.5 * step), 0.1 * step)
+                if -slope * step < NEGLIGIBLE * cost:
+                    break
             if not accepted:
                 self.cost_at(self.points)
                 return True  # no step along the best direction there is lowers the cost: at round-off

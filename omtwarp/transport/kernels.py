@@ -24,6 +24,20 @@ def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
 
 
 @wp.kernel
+def centre_distance(
+    start: wp.array[wp.vec3d],
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    distance: wp.array[wp.float64],
+):
+    """How far every triangle's centre has moved, in radians."""
+    f = wp.tid()
+    x, y = centre(start, faces[f]), centre(points, faces[f])
+    distance[f] = wp.atan2(wp.length(wp.cross(x, y)), wp.dot(x, y))
+
+
+@wp.kernel
 def cost_and_force(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
