@@ -266,7 +266,10 @@ def test_report_tells_every_stage(base):
     assert json.loads(json.dumps(base.history, allow_nan=False)) == base.history
     costs = [transport_cost(BASE, base.conformal, getattr(base, name)) for name in MAPS]
     assert [stage["transport_cost"] for stage in report["stages"]] == pytest.approx(costs, rel=1e-12)
-    assert costs[2] < 1.01 * costs[1]  # a hundredth is what the area error of the first map may have hidden
+    # The first map may be cheaper by the area that it leaves in the wrong place, a hundredth, against displacements of
+    # half a radian: 2 * 0.01 / 0.5. What transport has to gain here is the area.
+    assert costs[2] < 1.05 * costs[1]
+    assert report["stages"][2]["area"]["surface"] < report["stages"][1]["area"]["surface"]
 
 
 def test_density_is_area_over_area(base):
