@@ -127,15 +127,19 @@ def metaball_surface(cones: np.ndarray, rng: np.random.Generator, faces: int) ->
     """The surface of melted rounded cones with roughly as many faces as asked for."""
     # Marching fills a box: finer than this many faces, the triangles of a coarser mesh are cut instead.
     rounds = max(0, int(np.ceil(np.log(faces / 12_000.0) / np.log(4.0))))
+    wanted = faces / 4**rounds
+    blend = rng.uniform(0.02, 0.05)
     lengths = np.linalg.norm(cones[:, 4:7] - cones[:, :3], axis=1)
     area = (np.pi * (cones[:, 3] + cones[:, 7]) * (lengths + cones[:, 3])).sum()
-    cell = np.sqrt(5.0 * area / (faces / 4**rounds))
-    cones = cones.copy()
-    cones[:, [3, 7]] = np.maximum(cones[:, [3, 7]], 0.85 * cell)  # the grid would cut thinner ones off
-    value = shapes.metaballs(cones, blend=rng.uniform(0.02, 0.05))
-    margin = cones[:, [3, 7]].max() + 3.0 * cell
-    ends = cones.reshape(-1, 4)[:, :3]
-    surface = shapes.implicit_surface(value, ends.min(axis=0) - margin, ends.max(axis=0) + margin, cell)
+    cell = np.sqrt(5.0 * area / wanted)
+    for _ in range(2):  # limbs overlap, and thin ones are thickened: the first surface tells the right size of a cell
+        thick = cones.copy()
+        thick[:, [3, 7]] = np.maximum(cones[:, [3, 7]], 0.85 * cell)  # the grid would cut thinner ones off
+        margin = thick[:, [3, 7]].max() + 3.0 * cell
+        ends = thick.reshape(-1, 4)[:, :3]
+        low, high = ends.min(axis=0) - margin, ends.max(axis=0) + margin
+        surface = shapes.implicit_surface(shapes.metaballs(thick, blend), low, high, cell)
+        cell *= np.sqrt(surface.face_count / wanted)
     for _ in range(rounds):
         surface = quartered(surface)
     return surface
