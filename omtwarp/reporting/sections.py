@@ -277,7 +277,7 @@ def _number(value: float) -> str:
         return "∞" if value > 0 else "undefined"
     if value != 0 and not 1e-3 <= abs(value) < 1e5:
         mantissa, exponent = f"{value:.1e}".split("e")
-        return f"{mantissa} × 10<sup>{int(exponent)}</sup>"
+        return f"{mantissa}\u202f×\u202f10<sup>{int(exponent)}</sup>"
     return f"{value:.4f}" if abs(value) < 100 else f"{value:,.0f}"
 
 

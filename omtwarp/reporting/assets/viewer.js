@@ -68,7 +68,7 @@
     void main() {
       vec3 d = normalize(direction);
       vec3 base = vec3(0.80, 0.80, 0.79);
-      if (colouring == 0) base = textureCube(picture, equiangular(d)).rgb;
+      if (colouring == 0) base = textureCube(picture, equiangular(d), -0.5).rgb;
       else if (colouring == 1) base = graticule(d);
       else if (colouring == 2) base = texture2D(areaColours, vec2(area, 0.5)).rgb;
       else if (colouring == 3) base = texture2D(angleColours, vec2(angle, 0.5)).rgb;

@@ -1,0 +1,63 @@
+"""The command line reference, made from the commands themselves: ``{command-line}`` lists all of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from sphinx.application import Sphinx
+
+
+class CommandLine(Directive):
+    """A section for every command: what it does, how it is called, its arguments and options."""
+
+    def run(self) -> list[nodes.Node]:
+        import typer
+
+        from omtwarp.cli import app
+
+        group: Any = typer.main.get_command(app)
+        context = group.make_context("omtwarp", [], resilient_parsing=True)
+        return [self.section(name, group.get_command(context, name), context) for name in group.list_commands(context)]
+
+    def section(self, name: str, command: Any, parent: Any) -> nodes.section:
+        context = command.make_context(name, [], parent=parent, resilient_parsing=True)
+        title = f"omtwarp {name}"
+        section = nodes.section(ids=[nodes.make_id(title)], names=[nodes.fully_normalize_name(title)])
+        section += nodes.title(title, title)
+        self.state.document.note_implicit_target(section, section)
+        first, *more = [" ".join(part.split()) for part in (command.help or "").split("\n\n")]
+        section += nodes.paragraph(first, first)
+        usage = " ".join(["omtwarp", name, *command.collect_usage_pieces(context)])
+        section += nodes.literal_block(usage, usage, language="text")
+        section += [nodes.paragraph(text, text) for text in more]
+        rows = []
+        for parameter in command.get_params(context):
+            if getattr(parameter, "hidden", False):
+                continue
+            record = parameter.get_help_record(context)
+            if record is None:  # an argument without help
+                record = (parameter.make_metavar(context), "")
+            rows.append(record)
+        section += self.table(rows)
+        return section
+
+    @staticmethod
+    def table(rows: list[tuple[str, str]]) -> nodes.definition_list:
+        listing = nodes.definition_list(classes=["options"])
+        for names, words in rows:
+            item = nodes.definition_list_item()
+            term = nodes.term()
+            term += nodes.literal(names, names)
+            definition = nodes.definition()
+            text = " ".join(str(words).split())
+            definition += nodes.paragraph(text, text)
+            item += [term, definition]
+            listing += item
+        return listing
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    app.add_directive("command-line", CommandLine)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

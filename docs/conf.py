@@ -1,0 +1,137 @@
+"""The documentation: ``python -m sphinx -W -b html docs docs/_build/html`` makes it, with every picture in it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+sys.path[:0] = [str(HERE / "_ext"), str(ROOT)]
+os.environ.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
+os.environ.setdefault("MPLBACKEND", "Agg")
+logging.getLogger("omtwarp.render").setLevel(logging.ERROR)  # which program drew a picture is no part of an example
+
+from sphinx.util.nodes import make_refnode  # noqa: E402
+
+import omtwarp  # noqa: E402
+
+project = "omtwarp"
+author = "the omtwarp developers"
+copyright = "the omtwarp developers"
+version = release = omtwarp.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_gallery.gen_gallery",
+    "mathml",
+    "commands",
+    "report_page",
+]
+exclude_patterns = ["_build", "README.md", "gallery/*.ipynb"]
+source_suffix = {".rst": "restructuredtext", ".md": "markdown"}
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+
+nitpicky = True
+nitpick_ignore_regex = [("py:(class|obj|exc|data|type)", r".*")]  # annotations name what other projects document
+templates_path = ["_templates"]
+
+html_theme = "furo"
+html_title = "omtwarp"
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
+html_math_renderer = "mathml"  # drawn by the browser itself: nothing to load, nothing to wait for
+html_show_sphinx = False
+html_copy_source = False
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#1f6f78", "color-brand-content": "#1f6f78"},
+    "dark_css_variables": {"color-brand-primary": "#6cc3cc", "color-brand-content": "#6cc3cc"},
+}
+pygments_style = "friendly"
+pygments_dark_style = "github-dark"
+
+autosummary_generate = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_type_aliases = {"ArrayLike": "ArrayLike", "NDArray": "NDArray"}
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+python_maximum_signature_line_length = 88
+maximum_signature_line_length = 88
+
+sphinx_gallery_conf = {
+    "examples_dirs": str(ROOT / "examples"),
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"plot_",
+    "ignore_pattern": r"^(?!plot_)",  # scripts with arguments are no pages
+    "within_subsection_order": "FileNameSortKey",
+    "image_scrapers": ("matplotlib", "pictures"),
+    "capture_repr": (),
+    "download_all_examples": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+    "min_reported_time": 1e9,
+    "write_computation_times": False,
+    "thumbnail_size": (480, 320),
+    "copyfile_regex": "",
+    "notebook_images": False,
+    "only_warn_on_example_error": False,
+    "abort_on_example_error": True,
+    "plot_gallery": "True",
+}
+
+# Pages that other programs write; each is there once it was made.
+OPTIONAL_PAGES = ("paper_tables", "comparison", "performance")
+
+
+def name_optional_pages(app, document, source) -> None:
+    """Put those that exist in the place of {{optional pages}} in a table of contents."""
+    present = [name for name in OPTIONAL_PAGES if (HERE / f"{name}.md").exists()]
+    source[0] = source[0].replace("{{optional pages}}", "\n".join(present))
+
+
+def skip_what_is_public_above(app, what, name, member, skip, options) -> bool | None:
+    """Describe an object that the package itself offers there, and not once more under its module."""
+    return True if what == "module" and getattr(omtwarp, name, None) is member else None
+
+
+def plain_text(app, what, name, member, options, lines) -> None:
+    """Docstrings are read as they are in an editor: bars are absolute values, and a literal may have an exponent."""
+    for k, line in enumerate(lines):
+        pieces = re.split(r"(``[^`]+``)", line)  # every second piece is a literal
+        pieces[::2] = [re.sub(r"(?<!\\)\|", r"\\|", piece) for piece in pieces[::2]]
+        pieces[2::2] = [re.sub(r"^(?=[^\s.,:;!?)\]}'\"/>-])", r"\\ ", piece) for piece in pieces[2::2]]
+        lines[k] = "".join(pieces)
+
+
+def find_by_last_name(app, env, node, contnode):
+    """Docstrings name things as their module does: find the one object of that name, at the top level first."""
+    if node.get("refdomain") != "py":
+        return None
+    name = node["reftarget"].split(".")[-1]
+    objects = env.get_domain("py").objects
+    found = [f"omtwarp.{name}"] if f"omtwarp.{name}" in objects else [o for o in objects if o.endswith(f".{name}")]
+    if len(found) == 1:
+        entry = objects[found[0]]
+        return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, contnode, found[0])
+    # What is internal has no page; in hand-written pages a name that leads nowhere is a mistake.
+    return contnode if node["refdoc"].startswith("api/") else None
+
+
+def setup(app) -> None:
+    app.connect("missing-reference", find_by_last_name)
+    app.connect("source-read", name_optional_pages)
+    app.connect("autodoc-skip-member", skip_what_is_public_above)
+    app.connect("autodoc-process-docstring", plain_text)

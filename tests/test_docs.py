@@ -1,0 +1,178 @@
+"""Every command and every piece of Python in the README and the documentation runs, in the order of its page."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from omtwarp.cli import main
+from omtwarp.mesh import shapes
+from omtwarp.mesh.write import write_mesh
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+COMMANDS, CODE = ("console", "bash", "sh", "shell"), ("python", "py")
+# What sets a machine up, or runs all of this from outside; run.py has tests of its own.
+SET_UP = ("apt", "apt-get", "sudo", "git", "pip", "cd", "uv", "source", "export", ".venv/bin/pip")
+SET_UP_BY_PYTHON = ("run.py", "-m venv", "-m pip", "-m sphinx")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page: its language, its text, and the line that it starts on."""
+
+    language: str
+    text: str
+    line: int
+
+
+def blocks_of(text: str) -> list[Block]:
+    """The fenced blocks of a page in Markdown."""
+    found = []
+    for match in re.finditer(r"^(```+|~~~+)[ \t]*([\w{}-]*)[^\n]*\n(.*?)^\1[ \t]*$", text, re.M | re.S):
+        found.append(Block(match[2].lower(), match[3], text.count("\n", 0, match.start()) + 2))
+    return found
+
+
+def commands_of(block: Block) -> list[list[str]]:
+    """The commands of a block as words: prompts, comments and, in a session with prompts, output left out."""
+    lines = block.text.replace("\\\n", " ").splitlines()
+    if any(line.lstrip().startswith("$ ") for line in lines):
+        lines = [line.lstrip()[2:] for line in lines if line.lstrip().startswith("$ ")]
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def is_set_up(words: list[str]) -> bool:
+    rest = " ".join(words[1:])
+    by_python = Path(words[0]).name.startswith("python") and rest.startswith(SET_UP_BY_PYTHON)
+    return by_python or words[0] in SET_UP or words[0] == "./run.py"
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch) -> Path:
+    """A folder with the files that the documentation speaks of, on small shapes."""
+    surface = shapes.limbs(length=0.5, sharpness=4.0, sphere=1280)
+    for name in ("bunny.ply", "mesh.ply", "bunny.obj"):
+        write_mesh(tmp_path / name, surface.vertices, surface.faces)
+    turned = surface.faces.copy()
+    turned[::7] = turned[::7, ::-1]  # some triangles face inwards
+    write_mesh(tmp_path / "broken.ply", surface.vertices, turned)
+    y, x = np.mgrid[0:64, 0:128]
+    picture = np.stack([x * 2, y * 4, 128 + 0 * x], axis=2).astype(np.uint8)
+    Image.fromarray(picture).save(tmp_path / "earth.png")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def quietly(command: list[str], **options) -> subprocess.CompletedProcess:
+    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+
+
+def run_command(words: list[str]) -> None:
+    """Run a command of the package in this process, and a script of the checkout in one of its own."""
+    if words[0] == "omtwarp":
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+            try:
+                main(words[1:])
+                status = 0
+            except SystemExit as end:
+                status = end.code or 0
+        assert status == 0, f"{' '.join(words)}: status {status}\n{output.getvalue()}"
+    elif Path(words[0]).name.startswith("python"):
+        script = ROOT / words[1]
+        assert script.is_file(), f"{' '.join(words)}: there is no such script"
+        environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
+        done = quietly([sys.executable, str(script), *words[2:]], env=environment)
+        assert done.returncode == 0, done.stderr[-2000:]
+    else:
+        raise AssertionError(f"this test does not know how to run: {' '.join(words)}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_of_page_run(page, desk):
+    commands = [
+        c for block in blocks_of(page.read_text("utf-8")) if block.language in COMMANDS for c in commands_of(block)
+    ]
+    for words in commands:
+        if not is_set_up(words):
+            run_command(words)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_python_of_page_runs(page, desk):
+    code = [block for block in blocks_of(page.read_text("utf-8")) if block.language in CODE]
+    if not code:
+        return
+    # Blank lines keep the page's line numbers in what a failure reports.
+    lines: list[str] = []
+    for block in code:
+        lines += [""] * (block.line - 1 - len(lines)) + block.text.splitlines()
+    script = desk / f"{page.stem}_code.py"
+    script.write_text("\n".join(lines), "utf-8")
+    with contextlib.redirect_stdout(io.StringIO()):
+        runpy.run_path(str(script))
+
+
+def test_readme_shows_commands_and_code():
+    languages = {block.language for block in blocks_of((ROOT / "README.md").read_text("utf-8"))}
+    assert languages & set(COMMANDS) and languages & set(CODE)
+
+
+def test_reading_of_blocks():
+    text = "a\n```console\n$ omtwarp map a.ply -o b.npz  # words\nits output\n```\n```python\nx = 1\n```\n"
+    console, python = blocks_of(text)
+    assert commands_of(console) == [["omtwarp", "map", "a.ply", "-o", "b.npz"]]
+    assert (console.line, python.line, python.text) == (3, 7, "x = 1\n")
+    assert commands_of(Block("sh", "omtwarp check \\\n  'a b.ply'\n# none\n", 1)) == [["omtwarp", "check", "a b.ply"]]
+    assert is_set_up(["python3", "run.py", "demo"]) and is_set_up(["apt-get", "install"])
+    assert not is_set_up(["python", "examples/x.py"]) and not is_set_up(["omtwarp", "demo"])
+
+
+def test_every_command_and_public_name_is_documented():
+    import typer
+
+    import omtwarp
+    from omtwarp.cli import app
+
+    listed = (ROOT / "docs" / "api.rst").read_text("utf-8")
+    for name in set(omtwarp.__all__) - {"__version__", "shapes"}:
+        assert re.search(rf"^   {name}$", listed, re.M), f"docs/api.rst does not list {name}"
+    told = "".join(page.read_text("utf-8") for page in PAGES)
+    for name in typer.main.get_command(app).commands:
+        assert f"omtwarp {name}" in told
+
+
+@pytest.mark.slow
+def test_site_builds_without_a_warning(tmp_path):
+    """All but the gallery's pictures, which tests/test_examples.py runs."""
+    for module in ("sphinx", "sphinx_gallery", "myst_parser", "furo", "latex2mathml"):
+        pytest.importorskip(module)
+    source = tmp_path / "docs"
+    ignored = shutil.ignore_patterns("_build", "gallery", "generated", "__pycache__")
+    shutil.copytree(ROOT / "docs", source, ignore=ignored)
+    for name in ("examples", "omtwarp", "pyproject.toml"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    command = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", "-D", "plot_gallery=0"]
+    done = quietly([*command, str(source), str(tmp_path / "html")])
+    assert done.returncode == 0, done.stderr[-4000:]
+    index = (tmp_path / "html" / "index.html").read_text("utf-8")
+    assert "example_report.html" in index and (tmp_path / "html" / "example_report.html").stat().st_size > 500_000
+    method = (tmp_path / "html" / "method.html").read_text("utf-8")
+    assert method.count("<math") > 60 and "merror" not in method
+    for page in (tmp_path / "html").rglob("*.html"):
+        fetched = re.findall(r'<(?:script|link|img|iframe)[^>]+(?:src|href)="(https?:[^"]+)"', page.read_text("utf-8"))
+        assert not fetched, f"{page.name} fetches {fetched[0]}"

@@ -1,0 +1,50 @@
+"""Every script of examples/ runs as it is, in an empty folder, and leaves the checkout alone."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+# Those with arguments, so that they take seconds; without any they do the same on more.
+ARGUMENTS = {
+    "paper_figures.py": ["--figures", "3", "8", "9"],
+    "random_shapes.py": ["--count", "2", "--most-vertices", "600"],
+}
+SLOW = ("compare_peers.py", "paper_figures.py", "paper_tables.py")
+
+
+@pytest.mark.parametrize(
+    "script",
+    [pytest.param(s, marks=pytest.mark.slow if s.name in SLOW else ()) for s in SCRIPTS],
+    ids=lambda script: script.stem,
+)
+def test_example_runs(script, tmp_path):
+    environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-W", "error::DeprecationWarning:__main__", str(script), *ARGUMENTS.get(script.name, [])],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    if script.name.startswith("plot_"):
+        assert not list(tmp_path.iterdir()), "an example of the gallery writes files"
+
+
+@pytest.mark.parametrize("script", [s for s in SCRIPTS if s.name.startswith("plot_")], ids=lambda script: script.stem)
+def test_gallery_pages_have_a_title_and_a_picture(script):
+    tree = ast.parse(script.read_text("utf-8"))
+    title, underline, *rest = (ast.get_docstring(tree) or "").splitlines()
+    assert len(underline) >= len(title) and set(underline) == {"="} and any(rest)
+    shows = {node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+             for node in ast.walk(tree) if isinstance(node, ast.Call)}  # fmt: skip
+    assert shows & {"show", "sheet", "preview"}
