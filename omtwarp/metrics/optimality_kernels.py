@@ -11,7 +11,8 @@ Triangles are the leaves of a complete binary tree in heap order: the children o
 
 from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+# Small loops stay loops: unrolled, the least squares below take longer to compile than all other files together.
+wp.set_module_options({"enable_backward": False, "max_unroll": 0})
 
 mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
