@@ -7,6 +7,7 @@ independent fronts run on as many threads as there are cores.
 
 from __future__ import annotations
 
+import contextlib
 from itertools import pairwise
 
 import numpy as np
@@ -63,6 +64,7 @@ class MultifrontalCholesky:
         self._rooms = [np.empty(max(lengths[k::2], default=0)) for k in range(2)]
         self._lengths = lengths
         costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
+        self._operations = float(costs.sum())
         few = [len(costs[depth]) < self.threads for depth in dissection.depths]
         self._together = [
             one and costs[depth].sum() > TOGETHER * self.threads
@@ -154,21 +156,26 @@ class MultifrontalCholesky:
         d, width = self.dissection, self.block**2
         diagonal = np.ascontiguousarray(diagonal, dtype=np.float64).reshape(d.vertex_count, width)
         off_diagonal = np.ascontiguousarray(off_diagonal, dtype=np.float64).reshape(len(d.edges), width)
-        for k in range(len(d.depths)):
-            room = self._rooms[k % 2]
-            room[: self._lengths[k]] = 0.0
-            for (slots, source), data in (
-                (self._diagonal_entries[k], diagonal),
-                (self._edge_entries[k], off_diagonal),
-            ):
-                room[slots.ravel()] = data[source].ravel()
-            if k > 0:
-                self._add_below(k - 1)
-            # Where there are fewer large fronts than cores, the cores work on each front together instead.
-            with blas_threads(self.threads if self._together[k] else 1):
-                failed = max(run_all(lambda fronts, room=room: self._eliminate(fronts, room), self._chunks[k]))
-            if failed >= 0:
-                raise NotPositiveDefinite(f"pivot of front {failed} of {len(d.owned)} is not positive")
+        # Small matrices are done before a library has been told how many threads to use.
+        with blas_threads(1) if self._operations > TOGETHER else contextlib.nullcontext():
+            for k in range(len(d.depths)):
+                self._factorise_depth(k, diagonal, off_diagonal)
+
+    def _factorise_depth(self, k: int, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+        room = self._rooms[k % 2]
+        room[: self._lengths[k]] = 0.0
+        for (slots, source), data in (
+            (self._diagonal_entries[k], diagonal),
+            (self._edge_entries[k], off_diagonal),
+        ):
+            room[slots.ravel()] = data[source].ravel()
+        if k > 0:
+            self._add_below(k - 1)
+        # Where there are fewer large fronts than cores, the cores work on each front together instead.
+        with blas_threads(self.threads) if self._together[k] else contextlib.nullcontext():
+            failed = max(run_all(lambda fronts: self._eliminate(fronts, room), self._chunks[k]))
+        if failed >= 0:
+            raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._dense.own)} is not positive")
 
     def _add_below(self, k: int) -> None:
         below, above = self._w_rooms[k % 2], self._w_rooms[(k + 1) % 2]
