@@ -94,6 +94,7 @@ def report_page(
     Raises:
         OmtwarpError: as :func:`write_report`.
     """
+    from omtwarp.metrics.certificate import certify
     from omtwarp.texturing import read_image
     from omtwarp.texturing.patterns import pattern as pattern_by_name
 
@@ -104,7 +105,9 @@ def report_page(
     stages = stages_of(result)
     scene = make_scene(result, stages, texture, up=up, device=device)
     stills = _stills(result, stages, texture, up, picture_size, device)
-    report = result.report
+    report = dict(result.report)
+    if "certificate" not in report:  # a map from elsewhere
+        report["certificate"] = certify(result.faces, stages[-1].sphere).to_dict()
     content = [
         sections.figures(stages, report),
         sections.pictures(stages, stills, shown),

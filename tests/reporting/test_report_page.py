@@ -122,6 +122,11 @@ def test_a_flipped_map_is_not_called_one_to_one(result, text_only):
     assert "5 flipped triangles" in text and "the first is face 7" in text and "Certified" not in text
 
 
+def test_a_map_from_elsewhere_is_certified_here(result, text_only):
+    text = report_page(replace(result, report={}, history=[]))
+    assert "Certified one to one" in text and "by exact orientation tests" in text
+
+
 def test_optimality_and_start_are_told_where_they_are_known(result, text_only):
     optimality = {"relative_curl": 0.0123, "lower_bound": 1.234, "gap": 0.00045, "cost": 1.2345}
     start = {"road": "hierarchical", "reason": "the conformal map shrinks 3 triangles"}
