@@ -25,12 +25,12 @@ class AreaMonitor:
         self._areas = wp.array(surface.face_areas, dtype=wp.float64, device=device)
         self._errors = wp.empty(surface.face_count, dtype=wp.float64, device=device)
 
-    def error(self, points: Any) -> float:
-        """Mean of D + 1/D - 2 weighted by original area, each triangle at most :data:`LARGEST_ERROR`."""
+    def error(self, points: Any, largest: float = LARGEST_ERROR) -> float:
+        """Mean of D + 1/D - 2 weighted by original area, each triangle counting at most ``largest``."""
         wp.launch(
             capped_area_error,
             dim=len(self._errors),
-            inputs=[points, self._faces, self._areas, wp.float64(LARGEST_ERROR)],
+            inputs=[points, self._faces, self._areas, wp.float64(largest)],
             outputs=[self._errors],
             device=self.device,
         )

@@ -4,6 +4,11 @@ The flow on the subdivided solid leaves what its wavelets cannot show. Here the 
 the image: one Poisson problem takes the curl out of log_y(x) (section 2.3, with Angenent, Haker and Tannenbaum's (2003)
 projection in place of steepest descent), and another, with the same factorised matrix, restores the areas, as one step
 of Moser's flow would (section 4.2). A few rounds leave a map that is closer to optimal and to area preserving at once.
+
+A vertex takes the mean velocity of the triangles around it, weighted by one over their areas. Beside a fan of triangles
+hundreds of times larger than the rest (the flat base of a scanned bust) vertices then move as the fine mesh does, and
+the fan, which hardly notices, follows. Weighted by angle or by area the fan pulls its rim through the small triangles
+next to it: on Max Planck the gap then stuck at 0.6 % of the cost, or fell at the expense of area.
 """
 
 from __future__ import annotations
@@ -18,19 +23,28 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.linear import SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.moser.kernels import vertex_field
+from omtwarp.threads import blas_threads
 from omtwarp.transport.area import AreaMonitor
-from omtwarp.transport.flow import TransportMap, transport_cost
+from omtwarp.transport.flow import AREA_PRICE, TransportMap, transport_cost
 from omtwarp.transport.polish_kernels import displacements, move_by_potentials, weak_curl_and_area
 
-ROUNDS = 12
-# Half of the way: where the map contracts strongly a full step overshoots.
-STEP = 0.5
+ROUNDS = 18
+# The part of the way that a round goes: where the map contracts strongly a full step overshoots. A round that does not
+# lower the curl, or is paid for with area, is taken back and tried again at half of it; the area is restored with twice
+# the step.
+STEP = 0.7
+SHORTEST_STEP = 0.1
 # A round has to take at least this part off the curl to be worth another.
 WORTHWHILE = 0.03
 NEGLIGIBLE = 1e-3
+# The area error has to stay where it was, both with triangles counting at most 0.1 each, which says how the bulk of the
+# map fares, and with up to 10 each, which says how the worst of it fare; but for so little that no measure shows it,
+# and the share of what is gained in cost that the flow allows itself too.
+WORST = 10.0
+AREA_SLACK = 1e-4
 
 
+@blas_threads(1)
 def polish_transport(
     surface: Surface,
     start: NDArray[np.float64],
@@ -51,8 +65,8 @@ def polish_transport(
         progress: called after each round with its number, the most there can be, and its record.
 
     Returns:
-        The map of the last round that lowered both the curl and the area error, and a record of all rounds:
-        ``iteration``, ``cost``, ``curl``, ``held``, ``area_error``.
+        The map of the last round that lowered the curl without harm to the areas, and a record of all rounds, those
+        taken back too: ``iteration``, ``cost``, ``curl``, ``step``, ``held``, ``area_error``.
     """
     where = resolve_device(device)
     count = surface.vertex_count
@@ -60,14 +74,17 @@ def polish_transport(
     rows = [wp.array(array, dtype=wp.int32, device=where) for array in surface.vertex_corners]
     origin = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=where)
     points = wp.array(np.array(sphere, dtype=np.float64), dtype=wp.vec3d, device=where)
-    moved, pull, curl_field, area_field = (wp.empty_like(points) for _ in range(4))
+    moved, pull = wp.empty_like(points), wp.empty_like(points)
     curl, energy, area = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(3))
     guard = StepGuard(surface, where)
     monitor = AreaMonitor(surface, where)
     guarded = guard.count(points) == 0
     solver = SurfaceLaplacianSolver(surface, sphere)
     history: list[dict[str, Any]] = []
-    best, least, held, area_error = points.numpy().copy(), np.inf, 0, np.inf
+    best = wp.clone(points)
+    largest = (monitor.error(points), monitor.error(points, WORST))
+    potentials: list[Any] = []
+    least, first_cost, held, step, last = np.inf, 0.0, 0, STEP, False
     for number in range(rounds + 1):
         wp.launch(displacements, dim=count, inputs=[origin, points], outputs=[pull], device=where)
         wp.launch(
@@ -79,37 +96,40 @@ def polish_transport(
         )
         weak, areas = curl.numpy(), area.numpy()
         missing = surface.vertex_areas - areas * (SPHERE_AREA / areas.sum())
-        potentials = solver.solve(np.stack([weak, missing], axis=1))
-        relative = float(np.sqrt(max(weak @ potentials[:, 0], 0.0) / max(float(energy.numpy().sum()), 1e-300)))
-        values = points.numpy()
+        solved = solver.solve(np.stack([weak, missing], axis=1))
+        removable = float(np.sqrt(max(weak @ solved[:, 0], 0.0)))
+        relative = removable / max(float(np.sqrt(energy.numpy().sum())), 1e-150)
+        cost = transport_cost(surface, start, points.numpy())
+        first_cost = first_cost or cost
+        slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, 1e-300))
+        errors = (monitor.error(points), monitor.error(points, WORST))
         record = {
             "iteration": number,
-            "cost": transport_cost(surface, start, values),
+            "cost": cost,
             "curl": relative,
-            "step": STEP,
+            "step": step,
             "held": held,
-            "area_error": monitor.error(points),
+            "area_error": errors[0],
         }
         history.append(record)
         if progress is not None:
             progress(number, rounds, record)
-        # Where the mesh is too coarse for the motion, areas are what it is paid for with: that round is one too many.
-        kept = record["area_error"] <= area_error
-        improved = kept and relative < (1.0 - WORTHWHILE) * least
-        if kept and relative < least:
-            best, least, area_error = values.copy(), relative, record["area_error"]
-        if not improved or relative <= NEGLIGIBLE or number == rounds:
+        if removable < least and errors[0] <= largest[0] + slack and errors[1] <= largest[1] + slack:
+            last = removable > (1.0 - WORTHWHILE) * least
+            wp.copy(best, points)
+            least = removable
+            potentials = [wp.array(np.ascontiguousarray(column), device=where) for column in solved.T]
+        else:
+            step *= 0.5
+        if last or relative <= NEGLIGIBLE or step < SHORTEST_STEP or number == rounds:
             break
-        for potential, field in ((potentials[:, 0], curl_field), (potentials[:, 1], area_field)):
-            theta = wp.array(np.ascontiguousarray(potential), dtype=wp.float64, device=where)
-            wp.launch(vertex_field, dim=count, inputs=[points, faces, theta, *rows], outputs=[field], device=where)
         wp.launch(
             move_by_potentials,
             dim=count,
-            inputs=[points, curl_field, area_field, wp.float64(STEP)],
+            inputs=[best, faces, *potentials, *rows, wp.float64(step), wp.float64(min(1.0, 2.0 * step))],
             outputs=[moved],
             device=where,
         )
-        held = guard.limit(points, moved) if guarded else 0
+        held = guard.limit(best, moved) if guarded else 0
         points, moved = moved, points
-    return TransportMap(best, history, True)
+    return TransportMap(best.numpy().copy(), history, True)

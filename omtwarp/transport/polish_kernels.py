@@ -1,7 +1,8 @@
 """Kernels of the last step of transport, on the image mesh itself."""
 
-from omtwarp._warp import HALF, wp
-from omtwarp.transport.kernels import logarithm
+from omtwarp._warp import HALF, ONE, ZERO, wp
+from omtwarp.metrics.kernels import solid_angle
+from omtwarp.transport.kernels import TINY, logarithm
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,8 +33,10 @@ def weak_curl_and_area(
     energy: wp.array[wp.float64],
     area: wp.array[wp.float64],
 ):
-    """∫ u · J∇φ over the triangles around a vertex, a third of ∫ |u|², and a third of their area.
+    """∫ u · J∇φ over the triangles around a vertex, a third of ∫ |u|², and a third of their area on the sphere.
 
+    The area is that of the spherical triangles, which tile the sphere: in a fan of long thin triangles the flat ones
+    fall short of it by several per cent, and equal flat areas would push the map out of the fan at the expense of cost.
     u is the mean of the displacements at a triangle's corners. With n the normal of length 2A and e the edge opposite
     the vertex, A J∇φ = n × (n × e) / (4A) = -A e / (2A) ... = -e / 2: the area drops out, and slivers do no harm.
     """
@@ -49,7 +52,7 @@ def weak_curl_and_area(
         double_area = wp.length(wp.cross(points[i] - points[v], points[j] - points[v]))
         total_curl -= HALF * wp.dot(mean, points[j] - points[i])
         total_energy += THIRD * HALF * double_area * wp.dot(mean, mean)
-        total_area += THIRD * HALF * double_area
+        total_area += THIRD * solid_angle(points[v], points[i], points[j])
     curl[v] = total_curl
     energy[v] = total_energy
     area[v] = total_area
@@ -58,14 +61,36 @@ def weak_curl_and_area(
 @wp.kernel
 def move_by_potentials(
     points: wp.array[wp.vec3d],
-    curl_field: wp.array[wp.vec3d],
-    area_field: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    stream: wp.array[wp.float64],
+    potential: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
     curl_step: wp.float64,
+    area_step: wp.float64,
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
-    """Along J∇H and along -∇Θ at once; the fields hold -∇H and -∇Θ at the vertices."""
+    """Along J∇H and along -∇Θ at once, means over the triangles around a vertex weighted by one over their areas.
+
+    With n the normal of length 2A and e_k the edge opposite corner k, ∇H = Σ H_k n × e_k / (2A)² and
+    J∇H = -Σ H_k e_k / 2A.
+    """
     v = wp.tid()
+    total = wp.vec3d()
+    weight = ZERO
+    for k in range(offsets[v], offsets[v + 1]):
+        face = faces[corners[k] // 3]
+        i, j, l = face[0], face[1], face[2]
+        normal = wp.cross(points[j] - points[i], points[l] - points[i])
+        double_area = wp.length(normal)
+        if double_area > ZERO:
+            a, b, c = points[l] - points[j], points[i] - points[l], points[j] - points[i]
+            around = -(stream[i] * a + stream[j] * b + stream[l] * c) / double_area
+            uphill = potential[i] * a + potential[j] * b + potential[l] * c
+            uphill = wp.cross(normal / double_area, uphill) / double_area
+            total += (curl_step * around - area_step * uphill) / double_area
+            weight += ONE / double_area
     y = points[v]
-    step = area_field[v] - curl_step * wp.cross(y, curl_field[v])
-    moved[v] = wp.normalize(y + step)
+    step = total / wp.max(weight, TINY)
+    moved[v] = wp.normalize(y + step - wp.dot(step, y) * y)

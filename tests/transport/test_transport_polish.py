@@ -1,0 +1,118 @@
+"""The last rounds of transport, on the image mesh: curl goes, areas stay, also beside triangles far too large."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sphere_truths import at_height, mean_edge, pushed_north, random_rotation, rms, turned, twisted
+
+from omtwarp.embedding.predicates import count_flips
+from omtwarp.mesh.shapes import icosphere, random_sphere, sphere_from_directions
+from omtwarp.mesh.surface import Surface
+from omtwarp.metrics import distortion
+from omtwarp.metrics.optimality import optimality
+from omtwarp.transport.flow import AREA_PRICE
+from omtwarp.transport.polish import AREA_SLACK, polish_transport
+
+
+def capped_sphere(rim: float = 0.6, around: int = 90) -> Surface:
+    """A sphere of small triangles but for one cap: a fan of long thin triangles from a pole to a ring of vertices."""
+    golden = np.pi * (1.0 + np.sqrt(5.0))
+    k = np.arange(1600) + 0.5
+    z = 1.0 - 2.0 * k / len(k)
+    lowest = np.cos(rim + 0.6 * 2.0 * np.pi / around * np.sin(rim))
+    spiral = at_height(z, golden * k)[z < lowest]
+    ring = at_height(np.full(around, np.cos(rim)), 2.0 * np.pi * np.arange(around) / around)
+    points = np.concatenate([[[0.0, 0.0, 1.0]], ring, spiral])
+    return sphere_from_directions(points @ random_rotation(7).T)
+
+
+def area_excess(surface, sphere) -> float:
+    return distortion(surface.vertices, surface.faces, sphere).area["sphere"] - 2.0
+
+
+def test_a_small_twist_is_undone(device):
+    """The identity is the only optimal map from the uniform sphere to itself."""
+    surface = turned(icosphere(16))
+    x = surface.vertices
+    initial = twisted(x, 0.2)
+    polished = polish_transport(surface, x, initial, device=device)
+    left, right = (rms(np.linalg.norm(y - x, axis=1)) for y in (polished.sphere, initial))
+    assert left < 1e-3 * right
+    assert polished.history[-1]["cost"] < 1e-6 * polished.history[0]["cost"]
+    assert area_excess(surface, polished.sphere) < area_excess(surface, initial)
+
+
+def test_nearly_optimal_maps_become_optimal(device):
+    """Points pushed along meridians, whose inverse is the optimal map of that density (McCann 2001), after a twist."""
+    surface = turned(icosphere(16))
+    best = surface.vertices
+    x, initial = pushed_north(best, 0.6), twisted(best, 0.2)
+    polished = polish_transport(surface, x, initial, device=device)
+    assert rms(np.linalg.norm(polished.sphere - best, axis=1)) < 0.1 * mean_edge(surface, best)
+    assert polished.history[-1]["curl"] < 0.005 * polished.history[0]["curl"]
+
+
+def test_a_fan_of_large_triangles_does_not_hold_its_rim_back(device):
+    """Curl beside triangles much larger than the rest goes too, and next to no area is paid for it.
+
+    Judged by the independent report. Velocities averaged by angle leave twenty times the gap and six times the area
+    error, which grows from round to round.
+    """
+    surface = capped_sphere()
+    assert np.sort(surface.face_areas)[-90] > 2.5 * np.median(surface.face_areas)
+    tilted = surface.vertices @ random_rotation(7)  # the fan's pole is then on the z axis
+    x = pushed_north(tilted[:, [2, 0, 1]], 0.5)[:, [1, 2, 0]] @ random_rotation(7).T
+    initial = twisted(surface.vertices, 0.25)
+    polished = polish_transport(surface, x, initial, device=device)
+    before, after = (
+        optimality(x, y, surface.vertex_areas, surface.faces, device=device) for y in (initial, polished.sphere)
+    )
+    assert after.relative_curl < 0.1 * before.relative_curl
+    assert after.gap < 5e-5 < before.gap
+    assert area_excess(surface, polished.sphere) < 4e-4
+    assert count_flips(polished.sphere, surface.faces) == 0
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10_000), amount=st.floats(-0.8, 0.8), push=st.floats(-0.7, 0.7))
+def test_what_is_kept_never_cost_area_nor_added_curl(seed, amount, push):
+    """On irregular triangles; rounds that fail are in the history, and only there."""
+    surface = random_sphere(300, seed)
+    initial = twisted(surface.vertices, amount)
+    if count_flips(initial, surface.faces):
+        return
+    polished = polish_transport(surface, pushed_north(surface.vertices, push), initial, rounds=6)
+    first = polished.history[0]
+    again = polish_transport(surface, pushed_north(surface.vertices, push), polished.sphere, rounds=0).history[0]
+    gained = max(0.0, 1.0 - again["cost"] / first["cost"]) if first["cost"] > 0.0 else 0.0
+    assert again["area_error"] <= first["area_error"] + AREA_SLACK + AREA_PRICE * gained
+    assert again["curl"] ** 2 * again["cost"] <= 1.5 * first["curl"] ** 2 * first["cost"] + 1e-12
+    assert any(record["cost"] == again["cost"] for record in polished.history)
+    assert count_flips(polished.sphere, surface.faces) == 0
+    np.testing.assert_allclose(np.linalg.norm(polished.sphere, axis=1), 1.0, atol=1e-14)
+
+
+def test_history_progress_and_the_same_bits_twice():
+    surface = turned(icosphere(6))
+    start, initial = pushed_north(surface.vertices, 0.3), twisted(surface.vertices, 0.4)
+    kept = start.copy(), initial.copy()
+    told = []
+    one = polish_transport(surface, start, initial, rounds=4, progress=lambda *arguments: told.append(arguments))
+    two = polish_transport(surface, start, initial, rounds=4)
+    np.testing.assert_array_equal(start, kept[0])
+    np.testing.assert_array_equal(initial, kept[1])
+    np.testing.assert_array_equal(one.sphere, two.sphere)
+    assert one.history == two.history
+    assert told == [(k, 4, record) for k, record in enumerate(one.history)]
+    assert [record["iteration"] for record in one.history] == list(range(one.iterations + 1))
+
+
+@pytest.mark.parametrize("rounds", [0, 1])
+def test_few_rounds_do_no_harm(rounds):
+    surface = turned(icosphere(5))
+    initial = twisted(surface.vertices, 0.3)
+    polished = polish_transport(surface, surface.vertices, initial, rounds=rounds)
+    assert polished.iterations == rounds
+    if rounds == 0:
+        np.testing.assert_array_equal(polished.sphere, initial)
