@@ -179,11 +179,11 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
         swap = side[across[:, 0]]
         separates[:] = False
         slot[alive] = part
-        below = np.unique(np.where(swap, across[:, 1], across[:, 0]))
-        above = np.unique(np.where(swap, across[:, 0], across[:, 1]))
-        fewer = np.bincount(slot[below], minlength=len(sizes)) <= np.bincount(slot[above], minlength=len(sizes))
-        separates[below[fewer[slot[below]]]] = True
-        separates[above[~fewer[slot[above]]]] = True
+        below, above = np.where(swap, across[:, 1], across[:, 0]), np.where(swap, across[:, 0], across[:, 1])
+        ends = [_distinct(side_ends, separates) for side_ends in (below, above)]
+        fewer = np.bincount(slot[ends[0]], minlength=len(sizes)) <= np.bincount(slot[ends[1]], minlength=len(sizes))
+        separates[ends[0][fewer[slot[ends[0]]]]] = True
+        separates[ends[1][~fewer[slot[ends[1]]]]] = True
         stays = ~separates[alive]
         going = alive[stays & (sizes > leaf)[part]]
         node[going] = 2 * node[going] + side[going]
@@ -205,6 +205,14 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
     return node
 
 
+def _distinct(vertices: NDArray[np.int64], room: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Every vertex once, ascending; ``room``, false everywhere, is left so."""
+    room[vertices] = True
+    found = np.flatnonzero(room)
+    room[found] = False
+    return found
+
+
 def _longest_direction(
     points: NDArray[np.float64], part: NDArray[np.int64], sizes: NDArray[np.int64]
 ) -> NDArray[np.float64]:
@@ -218,11 +226,9 @@ def _longest_direction(
             moments[:, i, j] = moments[:, j, i] = np.bincount(part, centred[:, i] * centred[:, j], count)
     axes = np.linalg.eigh(moments)[1][:, :, 2]
     along = np.einsum("ij,ij->i", centred, axes[part])
-    lowest, highest = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(lowest, part, along)
-    np.maximum.at(highest, part, along)
-    span = np.maximum(highest - lowest, np.finfo(float).tiny)
-    return (along - lowest[part]) / span[part] * 0.999
+    # Relative to their parts' middles the positions of all parts share one scale.
+    lowest, highest = float(along.min()), float(along.max())
+    return (along - lowest) * (0.999 / max(highest - lowest, np.finfo(float).tiny))
 
 
 def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -232,14 +238,16 @@ def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np
     across = ends[:, 0] != ends[:, 1]
     deeper = np.maximum(ends[across, 0], ends[across, 1])
     upper = np.where(ends[across, 0] > ends[across, 1], edges[across, 1], edges[across, 0])
-    waiting = np.unique(deeper * count + upper)
+    depth = _depth(deeper)
+    order = np.argsort(depth, kind="stable")
+    bounds = np.searchsorted(depth[order], np.arange(int(depth.max(initial=0)) + 2))
+    pairs = (deeper * count + upper)[order]
+    passed = np.zeros(0, dtype=np.int64)
     done = []
-    while len(waiting):
-        depth = _depth(waiting // count)
-        deepest = depth == depth.max()
-        pairs = waiting[deepest]
-        done.append(pairs)
-        parent, vertex = pairs // count // 2, pairs % count
+    for level in reversed(range(1, len(bounds) - 1)):
+        own = np.sort(np.concatenate([pairs[bounds[level] : bounds[level + 1]], passed]))
+        own = own[np.r_[True, own[1:] != own[:-1]]] if len(own) else own
+        done.append(own)
+        parent, vertex = own // count // 2, own % count
         passed = (parent * count + vertex)[node[vertex] != parent]
-        waiting = np.unique(np.concatenate([waiting[~deepest], passed]))
-    return np.concatenate(done) if done else np.zeros(0, dtype=np.int64)
+    return np.concatenate(done) if done else passed
