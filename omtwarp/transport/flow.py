@@ -45,6 +45,7 @@ NEGLIGIBLE = 1e-7
 # cost that this bought: from there on the cost would fall at the expense of area.
 AREA_LOSS = 0.1
 AREA_PRICE = 0.02
+AREA_HALVINGS = 3
 LONGEST_STEP = 4.0
 
 
@@ -260,7 +261,7 @@ class _Flow:
                 slope = -square
             previous, previous_square = gradient, square
             velocity = self.sampler.node_gradient(direction)
-            accepted = False
+            accepted, shortened = False, 0
             for _ in range(30):
                 self.move(velocity, step)
                 held = self.guard.limit(self.points, self.trial) if self.guarded else 0
@@ -269,17 +270,20 @@ class _Flow:
                 bend = (new_cost - cost - slope * step) / step**2
                 best = -slope / (2.0 * bend) if bend > 0.0 else 2.0 * step
                 if new_cost <= cost + SUFFICIENT_DECREASE * slope * step:
-                    accepted = True
-                    break
+                    area_error = self.monitor.error(self.trial)
+                    accepted = area_error <= largest_error + AREA_PRICE * (1.0 - new_cost / first_cost)
+                    if accepted or shortened == AREA_HALVINGS:
+                        break
+                    # What a step costs in area grows with its square, what it gains with its length.
+                    shortened += 1
+                    step *= 0.5
+                    continue
                 step = max(min(best, 0.5 * step), 0.1 * step)
                 if -slope * step < NEGLIGIBLE * cost:
                     break
             if not accepted:
-                self.cost_at(self.points)
-                return True  # no step along the best direction there is lowers the cost: at round-off
-            area_error = self.monitor.error(self.trial)
-            if area_error > largest_error + AREA_PRICE * (1.0 - new_cost / first_cost):
-                return False
+                # Either area will not have it, or no step along the best direction lowers the cost: at round-off.
+                return shortened == 0
             small = small + 1 if cost - new_cost <= COST_TOLERANCE * cost else 0
             self.points, self.trial = self.trial, self.points
             cost = new_cost
