@@ -27,6 +27,7 @@ GL = ROOT / ".gl"
 PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 GL_LIBRARIES = ("libEGL.so.1", "libGL.so.1")
 GL_PACKAGES = ("libegl1", "libgl1")
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 EXTRAS = {"test": "test"}  # of every other command: preview,report
 
 
@@ -52,6 +53,7 @@ def main(arguments: list[str]) -> int:
     # Compiled kernels stay in the checkout: nothing is shared with other versions, and nothing is compiled twice.
     environment.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
     if command == "test":
+        browser()
         return test(options, environment)
     return run(["-m", "omtwarp", command, *options], environment)
 
@@ -136,6 +138,13 @@ def opengl() -> dict[str, str]:
         "LIBGL_DRIVERS_PATH": str(library / "dri"),
         "__EGL_VENDOR_LIBRARY_DIRS": str(GL / "usr/share/glvnd/egl_vendor.d"),
     }
+
+
+def browser() -> None:
+    """See to a browser for the tests of report pages; without one they are skipped."""
+    if not any(map(shutil.which, BROWSERS)) and sys.platform.startswith("linux") and shutil.which("apt-get"):
+        say("installing a browser (chromium) for the tests of report pages")
+        apt_install([BROWSERS[0]], "chromium: the tests that need a browser are skipped")
 
 
 def have_opengl() -> bool:
