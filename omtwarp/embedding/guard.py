@@ -45,6 +45,7 @@ class StepGuard:
         self._flags = wp.empty(self.face_count, dtype=wp.int32, device=device)
         self._count = wp.zeros(1, dtype=wp.int32, device=device)
         self._halvings = wp.empty(self.vertex_count, dtype=wp.int32, device=device)
+        self._changed = wp.empty(self.vertex_count, dtype=wp.int32, device=device)
         self._trial = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
 
     def count(self, points: Any) -> int:
@@ -56,7 +57,7 @@ class StepGuard:
 
     def _count_bad(self, old: Any, new: Any) -> int:
         self._count.zero_()
-        inputs = [old, new, self._faces, self._floors, self._flags, self._count]
+        inputs = [old, new, self._faces, self._floors, self._changed, self._flags, self._count]
         wp.launch(flag_bad_steps, dim=self.face_count, inputs=inputs, device=self.device)
         return int(self._count.numpy()[0])
 
@@ -66,6 +67,7 @@ class StepGuard:
         Returns:
             The number of vertices whose step was shortened.
         """
+        self._changed.fill_(1)
         if self._count_bad(old, new) == 0:
             return 0
         wp.copy(self._trial, new)
@@ -74,7 +76,8 @@ class StepGuard:
             wp.launch(
                 shorten_steps,
                 dim=self.vertex_count,
-                inputs=[old, self._trial, self._offsets, self._corners, self._flags, HALVINGS, self._halvings, new],
+                inputs=[old, self._trial, self._offsets, self._corners, self._flags, HALVINGS],
+                outputs=[self._halvings, self._changed, new],
                 device=self.device,
             )
             if self._count_bad(old, new) == 0:

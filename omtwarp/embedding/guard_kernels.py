@@ -28,20 +28,25 @@ def flag_bad_steps(
     end: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     floors: wp.array[wp.float64],
+    changed: wp.array[wp.int32],
     # Data out:
     flags: wp.array[wp.int32],
     count: wp.array[wp.int32],
 ):
-    """Triangles that a step flips, or shrinks below their floor; one that is below it already may grow."""
+    """Triangles that a step flips, or shrinks below their floor; one that is below it already may grow.
+
+    Only where a corner has changed since the last time: a triangle that was bad has had all of them changed.
+    """
     f = wp.tid()
     face = faces[f]
-    after = wp.dot(end[face[0]], wp.cross(end[face[1]], end[face[2]]))
-    before = wp.dot(start[face[0]], wp.cross(start[face[1]], start[face[2]]))
-    flags[f] = 1
-    if after > ZERO and (after >= before or after >= floors[f]):
-        flags[f] = 0
-    else:
-        wp.atomic_add(count, 0, 1)
+    if changed[face[0]] + changed[face[1]] + changed[face[2]] > 0:
+        after = wp.dot(end[face[0]], wp.cross(end[face[1]], end[face[2]]))
+        before = wp.dot(start[face[0]], wp.cross(start[face[1]], start[face[2]]))
+        if after > ZERO and (after >= before or after >= floors[f]):
+            flags[f] = 0
+        else:
+            flags[f] = 1
+            wp.atomic_add(count, 0, 1)
 
 
 @wp.kernel
@@ -55,12 +60,14 @@ def shorten_steps(
     # Data in and out:
     halvings: wp.array[wp.int32],
     # Data out:
+    changed: wp.array[wp.int32],
     moved: wp.array[wp.vec3d],
 ):
     v = wp.tid()
     flipped = int(0)
     for k in range(offsets[v], offsets[v + 1]):
         flipped += flags[corners[k] // 3]
+    changed[v] = flipped
     if flipped > 0:
         times = halvings[v] + 1
         halvings[v] = times

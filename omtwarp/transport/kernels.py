@@ -68,17 +68,16 @@ def cost_and_force(
 
 
 @wp.func
-def stream_velocity(
+def find_triangle(
     p: wp.vec3d,
     nodes: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     level_starts: wp.array[wp.int32],
-    gradients: wp.array[wp.vec3d],
 ):
-    """J ∇H at p: p × ∇H, with ∇H linear between the nodes of the finest level.
+    """The triangle of the finest level that holds p, as a row of ``faces``.
 
-    The triangle is found by descent through the hierarchy; child 3 of a triangle is the middle one, whose corners are
-    the midpoints that separate it from the other three.
+    It is found by descent through the hierarchy; child 3 of a triangle is the middle one, whose corners are the
+    midpoints that separate it from the other three.
     """
     face = int(0)
     best = wp.float64(-1.0e300)
@@ -101,12 +100,32 @@ def stream_velocity(
         elif triple(ca, bc, p) > ZERO:
             child = int(2)
         face = 4 * face + child
-    g = level_starts[level_starts.shape[0] - 2] + face
-    i, j, k = faces[g, 0], faces[g, 1], faces[g, 2]
-    w = spherical_coordinates(nodes[i], nodes[j], nodes[k], p)
-    w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
-    slope = (w[0] * gradients[i] + w[1] * gradients[j] + w[2] * gradients[k]) / (w[0] + w[1] + w[2])
-    return wp.cross(p, slope)
+    return level_starts[level_starts.shape[0] - 2] + face
+
+
+@wp.func
+def stream_velocity(
+    p: wp.vec3d,
+    hint: int,
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+    gradients: wp.array[wp.vec3d],
+):
+    """J ∇H at p: p × ∇H, with ∇H linear between the nodes of the finest level; and the triangle that p is in.
+
+    The triangle of a point nearby, where one is known, is tried first.
+    """
+    g = int(hint)
+    w = wp.vec3d()
+    if g >= 0:
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+    if g < 0 or wp.min(w) <= ZERO:
+        g = find_triangle(p, nodes, faces, level_starts)
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+        w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    slope = w[0] * gradients[faces[g, 0]] + w[1] * gradients[faces[g, 1]] + w[2] * gradients[faces[g, 2]]
+    return wp.cross(p, slope / (w[0] + w[1] + w[2])), g
 
 
 @wp.kernel
@@ -124,10 +143,10 @@ def advect(
     v = wp.tid()
     p = points[v]
     half = HALF * step
-    k1 = stream_velocity(p, nodes, faces, level_starts, gradients)
-    k2 = stream_velocity(wp.normalize(p + half * k1), nodes, faces, level_starts, gradients)
-    k3 = stream_velocity(wp.normalize(p + half * k2), nodes, faces, level_starts, gradients)
-    k4 = stream_velocity(wp.normalize(p + step * k3), nodes, faces, level_starts, gradients)
+    k1, f1 = stream_velocity(p, -1, nodes, faces, level_starts, gradients)
+    k2, f2 = stream_velocity(wp.normalize(p + half * k1), f1, nodes, faces, level_starts, gradients)
+    k3, f3 = stream_velocity(wp.normalize(p + half * k2), f2, nodes, faces, level_starts, gradients)
+    k4, _f4 = stream_velocity(wp.normalize(p + step * k3), f3, nodes, faces, level_starts, gradients)
     moved[v] = wp.normalize(p + step * SIXTH * (k1 + TWO * k2 + TWO * k3 + k4))
 
 

@@ -69,7 +69,7 @@ class SphereSampler:
 
         self.point_count = len(points)
         self.points: Any = None
-        self.point_faces = wp.empty(self.point_count, dtype=wp.int32, device=self.device)
+        self.point_faces = wp.zeros(self.point_count, dtype=wp.int32, device=self.device)
         self.coordinates = wp.empty(self.point_count, dtype=wp.vec3d, device=self.device)
         # The radix sort of Warp wants room for twice the keys.
         self._keys = wp.empty(2 * self.point_count, dtype=wp.int32, device=self.device)

@@ -49,27 +49,35 @@ def locate_kernel(
     nodes: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     level_starts: wp.array[wp.int32],
-    # Data out:
+    # Data in and out:
     point_faces: wp.array[wp.int32],
+    # Data out:
     coordinates: wp.array[wp.vec3d],
 ):
     i = wp.tid()
     p = wp.normalize(points[i])
-    face = int(0)
-    best = wp.float64(-1.0e300)
-    for f in range(level_starts[1]):
-        w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
-        inside = wp.min(w[0], wp.min(w[1], w[2]))
-        if inside > best:
-            best = inside
-            face = f
-        if best > ZERO:
-            break
-    for level in range(level_starts.shape[0] - 2):
-        g = level_starts[level] + face
-        face = 4 * face + child_of(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-    g = level_starts[level_starts.shape[0] - 2] + face
-    w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+    # Points seldom leave their triangle from one time to the next.
+    face = point_faces[i]
+    finest = level_starts[level_starts.shape[0] - 2]
+    w = spherical_coordinates(
+        nodes[faces[finest + face, 0]], nodes[faces[finest + face, 1]], nodes[faces[finest + face, 2]], p
+    )
+    if wp.min(w) <= ZERO:
+        face = int(0)
+        best = wp.float64(-1.0e300)
+        for f in range(level_starts[1]):
+            w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
+            inside = wp.min(w[0], wp.min(w[1], w[2]))
+            if inside > best:
+                best = inside
+                face = f
+            if best > ZERO:
+                break
+        for level in range(level_starts.shape[0] - 2):
+            g = level_starts[level] + face
+            face = 4 * face + child_of(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+        g = finest + face
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
     # Round-off may leave a point on an edge a hair outside: never extrapolate.
     w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
     point_faces[i] = face
