@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -158,6 +159,7 @@ class _Run:
         last = {"haker": 0, "moser": 1}.get(method, STAGES.index(until))
         self.tell("conformal", 0, 1, {})
         start = bijective_start(surface, device=self.device, progress=self.progress)
+        start = replace(start, conformal=None)  # its factorisation is large, and not needed again
         self.start = start.sphere
         self.finish("conformal", start.sphere, 1, road=start.road, reason=start.reason, repaired=start.repaired_flips)
         moser = transported = None

@@ -208,9 +208,10 @@ def reference_system(surface: Surface) -> tuple[Any, np.ndarray]:
 
 
 def factor_bytes(surface: Surface, refine: str | float | None) -> int:
-    """Bytes of the largest sparse factor that a map keeps: of the Newton matrix of refinement, else of a Laplacian."""
-    unknowns = 1 if refine in (None, "none") else 2
-    return int(8 * unknowns**2 * surface.dissection.factor_entries)
+    """Bytes of the largest sparse factorisation of a map: of refinement's Newton matrix, else of a Laplacian."""
+    from omtwarp.cholesky import MultifrontalCholesky
+
+    return MultifrontalCholesky(surface.dissection, block=1 if refine in (None, "none") else 2).storage
 
 
 def _median(runs: list[dict[str, Any]]) -> dict[str, Any]:

@@ -32,16 +32,15 @@ class NotPositiveDefinite(ArithmeticError):
 class MultifrontalCholesky:
     """Factorises matrices with ``block`` unknowns per vertex whose pattern is the mesh's edges.
 
-    The storage is kept from one factorisation to the next.
-
     Args:
         dissection: the order of elimination.
         block: unknowns per vertex, 1 or 2.
+        keep: keep the room that fronts are eliminated in from one factorisation to the next.
         threads: shares that independent fronts are cut into; one per core by default. On large meshes, where the last
             fronts are given to several threads together, results depend on it by rounding.
     """
 
-    def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None):
+    def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None, keep: bool = False):
         self.dissection = dissection
         self.block = block
         self.threads = threads or core_count()
@@ -61,7 +60,8 @@ class MultifrontalCholesky:
         self._offsets = offsets
         self._offset_list = offsets.tolist()
         self._factor_list = self._factor_offsets.tolist()
-        self._rooms = [np.empty(max(lengths[k::2], default=0)) for k in range(2)]
+        self._keep = keep
+        self._rooms: list[NDArray[np.float64]] = []
         self._lengths = lengths
         costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
         self._operations = float(costs.sum())
@@ -131,7 +131,6 @@ class MultifrontalCholesky:
         self._starts, self._rows = keep(d.starts, np.int64), keep(d.rows, np.int32)
         self._upward, self._parent = keep(d.upward, np.int32), keep(d.parent, np.int32)
         self._w_offsets, self._w_factor_offsets = keep(self._offsets, np.int64), keep(self._factor_offsets, np.int64)
-        self._w_rooms = [wp.array(room, device="cpu", copy=False) for room in self._rooms]
         self._w_factor = wp.array(self._factor, device="cpu", copy=False)
         # Siblings stand together in a depth; one thread adds them all to their parent.
         self._families, self._family_counts = [], []
@@ -156,10 +155,14 @@ class MultifrontalCholesky:
         d, width = self.dissection, self.block**2
         diagonal = np.ascontiguousarray(diagonal, dtype=np.float64).reshape(d.vertex_count, width)
         off_diagonal = np.ascontiguousarray(off_diagonal, dtype=np.float64).reshape(len(d.edges), width)
+        if not self._rooms:
+            self._rooms = [np.empty(max(self._lengths[k::2], default=0)) for k in range(2)]
         # Small matrices are done before a library has been told how many threads to use.
         with blas_threads(1) if self._operations > TOGETHER else contextlib.nullcontext():
             for k in range(len(d.depths)):
                 self._factorise_depth(k, diagonal, off_diagonal)
+        if not self._keep:
+            self._rooms = []
 
     def _factorise_depth(self, k: int, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
         room = self._rooms[k % 2]
@@ -178,7 +181,7 @@ class MultifrontalCholesky:
             raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._dense.own)} is not positive")
 
     def _add_below(self, k: int) -> None:
-        below, above = self._w_rooms[k % 2], self._w_rooms[(k + 1) % 2]
+        below, above = (wp.array(self._rooms[q % 2], device="cpu", copy=False) for q in (k, k + 1))
         wp.launch(
             add_fronts,
             dim=self._family_counts[k],
@@ -205,6 +208,11 @@ class MultifrontalCholesky:
             begin, target, length = self._offset_list[f], self._factor_list[f], own[f] * sizes[f]
             factor[target : target + length] = room[begin : begin + length]
         return failed
+
+    @property
+    def storage(self) -> int:
+        """Bytes of the factor and of the room that it is made in."""
+        return 8 * (len(self._factor) + sum(max(self._lengths[k::2], default=0) for k in range(2)))
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for right-hand sides, shape [V, 2] or [V, 2, K]; [V] or [V, K] for one unknown per vertex."""

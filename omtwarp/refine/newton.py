@@ -42,7 +42,7 @@ class NewtonMatrix:
         growth: float = 0.0,
     ):
         self._shift, self._growth = shift, growth
-        self._factor = MultifrontalCholesky(dissection, block=2)
+        self._factor = MultifrontalCholesky(dissection, block=2, keep=True)
         self._rows = [wp.array(array, dtype=wp.int32, device="cpu") for array in vertex_corners]
         self._sides = [
             wp.array(edges, dtype=wp.vec2i, device="cpu"),
