@@ -9,6 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cython_blas, cython_lapack
 
+from omtwarp.threads import run_all
+
+PANEL = 192  # columns eliminated at once where threads share a front
+STRIP = 256  # columns of what is left that one of them updates at a time
+
 
 def _function(module: Any, name: str, arguments: int) -> Any:
     """A routine that SciPy offers to compiled code; calling it lets other threads run."""
@@ -35,6 +40,7 @@ class DenseEliminations:
         self._potrf = _function(cython_lapack, "dpotrf", 5)
         self._trsm = _function(cython_blas, "dtrsm", 11)
         self._syrk = _function(cython_blas, "dsyrk", 10)
+        self._gemm = _function(cython_blas, "dgemm", 13)
         self.own = own.tolist()
         self.sizes = sizes.tolist()
         self._numbers = np.ascontiguousarray(np.stack([own, sizes, sizes - own], axis=1), dtype=np.int32)
@@ -75,4 +81,58 @@ class DenseEliminations:
                 trsm(right, lower, transposed, plain, n_rest, n_own, one, corner, n_size, side, n_size)
                 rest = side + 8 * own * size
                 syrk(lower, plain, n_rest, n_own, minus, side, n_size, one, rest, n_size)
+        return -1
+
+    def run_together(self, front: int, address: int, offset: int) -> int:
+        """The same for one large front, all threads sharing it; its result differs by rounding.
+
+        Returns:
+            The front if it is not positive definite, or -1.
+        """
+        own, size = self.own[front], self.sizes[front]
+        corner = address + 8 * offset
+        lower = self._letters.ctypes.data
+        right, transposed, plain = lower + 1, lower + 2, lower + 3
+        one = self._ones.ctypes.data
+        minus = one + 8
+
+        def at(row: int, column: int) -> int:
+            return corner + 8 * (row + column * size)
+
+        def numbers(*values: int) -> tuple[NDArray[np.int32], list[int]]:
+            room = np.array([*values, size], dtype=np.int32)
+            return room, [room.ctypes.data + 4 * k for k in range(len(room))]
+
+        for first in range(0, own, PANEL):
+            last = min(first + PANEL, own)
+            status = ctypes.c_int(0)
+            width, (n_width, n_size) = numbers(last - first)
+            self._potrf(lower, n_width, at(first, first), n_size, ctypes.addressof(status))
+            if status.value != 0:
+                return front
+
+            def scale(rows: range, first: int = first, last: int = last) -> None:
+                kept, (n_rows, n_columns, n_lead) = numbers(len(rows), last - first)
+                self._trsm(
+                    right, lower, transposed, plain, n_rows, n_columns, one,
+                    at(first, first), n_lead, at(rows.start, first), n_lead,
+                )  # fmt: skip
+                del kept
+
+            def update(columns: range, first: int = first, last: int = last) -> None:
+                below = size - columns.stop
+                kept, (n_columns, n_inner, n_below, n_lead) = numbers(len(columns), last - first, below)
+                panel, own_block = at(columns.start, first), at(columns.start, columns.start)
+                self._syrk(lower, plain, n_columns, n_inner, minus, panel, n_lead, one, own_block, n_lead)
+                if below:
+                    self._gemm(
+                        plain, transposed, n_below, n_columns, n_inner, minus, at(columns.stop, first), n_lead,
+                        panel, n_lead, one, at(columns.stop, columns.start), n_lead,
+                    )  # fmt: skip
+                del kept
+
+            del width
+            strips = [range(k, min(k + STRIP, size)) for k in range(last, size, STRIP)]
+            run_all(scale, strips)
+            run_all(update, strips)
         return -1

@@ -21,7 +21,7 @@ from omtwarp.threads import blas_threads, core_count, run_all
 
 # Below so many operations on a depth a second thread costs more than it saves.
 THREADED = 1e6
-# Operations per thread from which on several threads of BLAS for one front are worth their waiting for one another.
+# Operations per thread from which on threads share a front, where there are fewer fronts than threads.
 TOGETHER = 5e7
 
 
@@ -174,8 +174,9 @@ class MultifrontalCholesky:
             room[slots.ravel()] = data[source].ravel()
         if k > 0:
             self._add_below(k - 1)
-        # Where there are fewer large fronts than cores, the cores work on each front together instead.
-        with blas_threads(self.threads) if self._together[k] else contextlib.nullcontext():
+        if self._together[k]:
+            failed = max(self._share(front, room) for fronts in self._chunks[k] for front in fronts)
+        else:
             failed = max(run_all(lambda fronts: self._eliminate(fronts, room), self._chunks[k]))
         if failed >= 0:
             raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._dense.own)} is not positive")
@@ -200,14 +201,23 @@ class MultifrontalCholesky:
             device="cpu",
         )
 
+    def _share(self, front: int, room: NDArray[np.float64]) -> int:
+        """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
+        failed = self._dense.run_together(front, room.ctypes.data, self._offset_list[front])
+        self._store(range(front, front + 1), room)
+        return failed
+
     def _eliminate(self, fronts: range, room: NDArray[np.float64]) -> int:
         """Eliminate fronts and keep their columns; the first that fails, or -1."""
         failed = self._dense.run(fronts, room.ctypes.data, self._offset_list)
+        self._store(fronts, room)
+        return failed
+
+    def _store(self, fronts: range, room: NDArray[np.float64]) -> None:
         factor, own, sizes = self._factor, self._dense.own, self._dense.sizes
         for f in fronts:
             begin, target, length = self._offset_list[f], self._factor_list[f], own[f] * sizes[f]
             factor[target : target + length] = room[begin : begin + length]
-        return failed
 
     @property
     def storage(self) -> int:

@@ -183,3 +183,24 @@ def test_corners_opposite_to_edges():
             face = surface.faces[corner // 3]
             others = {int(v) for k, v in enumerate(face) if k != corner % 3}
             assert others == set(edge.tolist())
+
+
+def test_threads_that_share_a_front_find_the_same_factor(monkeypatch):
+    """Panels and strips far smaller than the front, so that all kinds of them occur."""
+    from omtwarp.cholesky import lapack, multifrontal
+
+    monkeypatch.setattr(lapack, "PANEL", 7)
+    monkeypatch.setattr(lapack, "STRIP", 10)
+    surface = blob(seed=8, sphere=5000)
+    diagonal, off = dominant_blocks(surface, 2, 5)
+    right = np.random.default_rng(0).normal(size=(surface.vertex_count, 2))
+    alone = MultifrontalCholesky(surface.dissection, 2, threads=1)
+    alone.factorise(diagonal, off)
+    monkeypatch.setattr(multifrontal, "TOGETHER", 1.0)
+    shared = MultifrontalCholesky(surface.dissection, 2, threads=8)
+    assert sum(shared._together) >= 3
+    shared.factorise(diagonal, off)
+    np.testing.assert_allclose(shared.solve(right), alone.solve(right), rtol=1e-11, atol=1e-13)
+    diagonal[surface.dissection.order[-1]] *= -1.0
+    with pytest.raises(NotPositiveDefinite):
+        shared.factorise(diagonal, off)
