@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,8 @@ class DistortionEnergy:
         self.d_areas = wp.array(self.areas, dtype=wp.float64, device=device)
         self.d_offsets = wp.array(offsets, dtype=wp.int32, device=device)
         self.d_corners = wp.array(corners, dtype=wp.int32, device=device)
-        self._corner_gradient = wp.empty(3 * count, dtype=wp.vec3d, device=device)
+        self._hessian: Any = None
+        self._corner_gradient: Any = wp.empty(3 * count, dtype=wp.vec3d, device=device)
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
         """Points on the device, shape [V] of vec3d."""
@@ -109,7 +111,9 @@ class DistortionEnergy:
 
     def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> NDArray[np.float64]:
         """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 36]."""
-        blocks = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
+        if self._hessian is None:
+            self._hessian = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
+        blocks = self._hessian
         wp.launch(
             triangle_hessian,
             dim=self.surface.face_count,
@@ -124,7 +128,9 @@ class DistortionEnergy:
             outputs=[blocks],
             device=self.device,
         )
-        return blocks.numpy() / SPHERE_AREA
+        out: NDArray[np.float64] = blocks.numpy()  # on the CPU the same memory; overwritten by the next call
+        out /= SPHERE_AREA
+        return out
 
     def _pressures(self, terms: Terms, weight: float) -> tuple[wp.float64, wp.float64, wp.float64]:
         """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""
