@@ -24,6 +24,7 @@ from omtwarp.threads import blas_threads, launch_parts
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.kernels import advect, centre_distance, combine, cost_and_force, divide_by_area
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
+from omtwarp.wavelets.filter import WaveletFilter
 
 COSTS = ("squared", "geodesic")
 SCHEMES = ("default", "plain")
@@ -37,10 +38,10 @@ FADING = 3
 # The flow stops when the part of the displacement that a mass-preserving motion could still remove is this small
 # relative to the displacement, or when steps no longer lower the cost by a noticeable part.
 CURL_TOLERANCE = 2e-3
-COST_TOLERANCE = 3e-5
+COST_TOLERANCE = {"default": 3e-5, "plain": 1e-7}  # plain steps are short: a small one is not the last
 SUFFICIENT_DECREASE = 0.1
 # A step that promises less than this part of the cost is not worth looking for.
-NEGLIGIBLE = 1e-7
+NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
 # The flow ends when the area error has grown by more than AREA_LOSS of what it was and AREA_PRICE times the part of the
 # cost that this bought: from there on the cost would fall at the expense of area.
 AREA_LOSS = 0.1
@@ -120,7 +121,7 @@ def optimal_transport(
         initial: a mass-preserving map g^0 of them, unit vectors, shape [V, 3]; if it has no flip, no step makes one.
         cost: ``squared`` geodesic distance (its optimum is unique), or the paper's ``geodesic`` distance.
         scheme: ``default``, wavelet-preconditioned conjugate gradients; ``plain``, steepest descent with H the curl
-            itself (equation 12).
+            itself (equation 12), as far as the mesh resolves it.
         iterations: the most iterations; 60 for ``default``, 1000 for ``plain``.
         tolerance: relative curl at which the map counts as optimal.
         device: where the kernels run.
@@ -157,6 +158,7 @@ class _Flow:
         self.device = device
         self.count = surface.vertex_count
         self.geodesic = cost == "geodesic"
+        self.scheme = scheme
         self.plain = scheme == "plain"
         self.history: list[dict[str, Any]] = []
         self.start = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=device)
@@ -175,6 +177,7 @@ class _Flow:
         self.preconditioner = WaveletPreconditioner(
             self.hierarchy, butterfly=True, damping=damping, device=str(device)
         )
+        self.filter = WaveletFilter(self.hierarchy, damping, butterfly=True, device=str(device)) if self.plain else None
         self.node_areas = wp.array(self.hierarchy.node_areas, dtype=wp.float64, device=device)
         levels = self.hierarchy.level_faces
         starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
@@ -204,13 +207,18 @@ class _Flow:
         self.sampler.locate(self.centres)
         return self.sampler.gradient_adjoint(self.turned, smooth=True)
 
-    def precondition(self, gradient: Any) -> Any:
-        if not self.plain:
-            return self.preconditioner.apply(gradient)
-        out = wp.empty_like(gradient)
-        wp.launch(
-            divide_by_area, dim=len(out), inputs=[gradient, self.node_areas], outputs=[out], device=self.device
-        )
+    def curl(self, gradient: Any) -> Any:
+        """H of equation 12, the curl itself, in the space that the mesh resolves: F A^-1 F^T of the weak one.
+
+        F fades out the wavelets that are too fine for the mesh (Algorithm 1 clears those of the finest levels), A holds
+        the nodes' areas. Unfiltered, steepest descent follows the finest wavelets first, which is what vertices cannot
+        do: the cost then falls because areas are lost.
+        """
+        assert self.filter is not None
+        weak, out = wp.clone(gradient), wp.empty_like(gradient)
+        self.filter.apply_adjoint(weak)
+        wp.launch(divide_by_area, dim=len(out), inputs=[weak, self.node_areas], outputs=[out], device=self.device)
+        self.filter.apply(out)
         return out
 
     def move(self, velocity: Any, step: float) -> None:
@@ -234,7 +242,7 @@ class _Flow:
         first_cost, largest_error = cost, (1.0 + AREA_LOSS) * area_error
         for iteration in range(most + 1):
             gradient = self.gradient()
-            image = self.precondition(gradient)
+            image = self.preconditioner.apply(gradient)
             square = float(wp.utils.array_inner(gradient, image))
             curl = float(np.sqrt(max(square / scale, 0.0) / max(scale * cost, 1e-300)))
             record = {"iteration": iteration, "cost": cost, "curl": curl, "step": step, "held": held}
@@ -242,10 +250,13 @@ class _Flow:
             self.history.append(record)
             if progress is not None:
                 progress(iteration, most, record)
-            if (curl <= tolerance and not self.plain) or cost <= 1e-14 or square <= 0.0 or small >= 3:
+            if curl <= tolerance or cost <= 1e-14 or square <= 0.0 or small >= 3:
                 return True
             if iteration == most:
                 return False
+            if self.plain:
+                image = self.curl(gradient)
+                square = float(wp.utils.array_inner(gradient, image))
             # Polak and Ribiere's conjugate directions, restarted when they stop pointing downhill.
             factor = 0.0
             if direction is not None and not self.plain:
@@ -279,12 +290,12 @@ class _Flow:
                     step *= 0.5
                     continue
                 step = max(min(best, 0.5 * step), 0.1 * step)
-                if -slope * step < NEGLIGIBLE * cost:
+                if -slope * step < NEGLIGIBLE[self.scheme] * cost:
                     break
             if not accepted:
                 # Either area will not have it, or no step along the best direction lowers the cost: at round-off.
                 return shortened == 0
-            small = small + 1 if cost - new_cost <= COST_TOLERANCE * cost else 0
+            small = small + 1 if cost - new_cost <= COST_TOLERANCE[self.scheme] * cost else 0
             self.points, self.trial = self.trial, self.points
             cost = new_cost
             step = min(max(best, 0.5 * step), 2.0 * step, longest)
