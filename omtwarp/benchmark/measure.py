@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import gc
 import os
 import platform
 import subprocess
@@ -30,6 +33,9 @@ class PeakMemory:
     """The most resident memory of this process since it was made, above what it held then."""
 
     def __init__(self) -> None:
+        gc.collect()
+        with contextlib.suppress(OSError, AttributeError):  # what was freed and kept would hide what is used again
+            ctypes.CDLL("libc.so.6").malloc_trim(0)
         self.base = _resident("VmRSS")
         try:  # forget the peak so far, where the system can
             Path("/proc/self/clear_refs").write_text("5")

@@ -20,7 +20,7 @@ from omtwarp.cholesky.lapack import DenseEliminations
 from omtwarp.threads import blas_threads, core_count, run_all
 
 # Below so many operations on a depth a second thread costs more than it saves.
-THREADED = 1e6
+THREADED = 1e7
 # Operations per thread from which on threads share a front, where there are fewer fronts than threads.
 TOGETHER = 5e7
 
