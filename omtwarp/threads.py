@@ -42,7 +42,11 @@ def run_all(work: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
 
 
 def launch_parts(
-    kernel: Any, count: int, arguments: Callable[[slice], tuple[list[Any], list[Any]]], device: Any
+    kernel: Any,
+    count: int,
+    arguments: Callable[[slice], tuple[list[Any], list[Any]]],
+    device: Any,
+    least: int = WORTHWHILE,
 ) -> None:
     """Launch a kernel whose threads are independent, in one part for every core of a CPU.
 
@@ -53,6 +57,7 @@ def launch_parts(
         count: number of threads.
         arguments: inputs and outputs of a launch over a slice: arrays with an element per thread cut to that slice.
         device: a Warp device; on CUDA there is one launch.
+        least: launches with fewer threads are left whole.
     """
     from omtwarp._warp import wp
 
@@ -60,7 +65,7 @@ def launch_parts(
         inputs, outputs = arguments(part)
         wp.launch(kernel, dim=part.stop - part.start, inputs=inputs, outputs=outputs, device=device)
 
-    cores = core_count() if wp.get_device(device).is_cpu and count >= WORTHWHILE else 1
+    cores = core_count() if wp.get_device(device).is_cpu and count >= least else 1
     if cores == 1:
         launch(slice(0, count))
         return

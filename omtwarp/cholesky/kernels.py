@@ -8,9 +8,47 @@ from omtwarp._warp import wp
 wp.set_module_options({"enable_backward": False})
 
 
+# Raw pointers, because the compiler turns loops over them into vector instructions and loops over Warp's arrays not:
+# three times as fast.
+ADD = """
+    const int rows_count = starts.data[c + 1] - starts.data[c];
+    const int size = block * rows_count, p = parent.data[c];
+    const int parent_size = block * (starts.data[p + 1] - starts.data[p]);
+    const int* __restrict__ to = upward.data + starts.data[c];
+    const double* __restrict__ column = below.data + offsets.data[c];
+    double* __restrict__ target = above.data + offsets.data[p];
+    for (int j = block * owned.data[c]; j < size; ++j) {
+        const int row = j / block;
+        const double* source = column + (long long)j * size;
+        double* into = target + (long long)(block * to[row] + j % block) * parent_size;
+        if (block == 1) {
+            for (int i = row; i < rows_count; ++i) into[to[i]] += source[i];
+        } else {
+            for (int i = row; i < rows_count; ++i) {
+                into[2 * to[i]] += source[2 * i];
+                into[2 * to[i] + 1] += source[2 * i + 1];
+            }
+        }
+    }
+"""
+
+
+@wp.func_native(ADD)
+def add_front(
+    c: int,
+    block: int,
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    upward: wp.array[wp.int32],
+    parent: wp.array[wp.int32],
+    offsets: wp.array[wp.int64],
+    below: wp.array[wp.float64],
+    above: wp.array[wp.float64],
+): ...
+
+
 @wp.kernel
 def add_fronts(
-    begin: int,
     fronts: wp.array[wp.int32],
     block: int,
     owned: wp.array[wp.int32],
@@ -24,30 +62,11 @@ def add_fronts(
 ):
     """Add what is left of fronts to their parents, lower triangles only; siblings are added by the same thread."""
     t = wp.tid()
-    for c in range(fronts[begin + t], fronts[begin + t + 1]):
-        p = parent[c]
-        size = block * wp.int32(starts[c + 1] - starts[c])
-        parent_size = block * wp.int32(starts[p + 1] - starts[p])
-        own = block * owned[c]
-        rows = starts[c]
-        for j in range(own, size):
-            row = j // block
-            target = block * upward[rows + wp.int64(row)] + (j - block * row)
-            source = offsets[c] + wp.int64(j) * wp.int64(size)
-            column = offsets[p] + wp.int64(target) * wp.int64(parent_size)
-            if block == 1:
-                for i in range(j, size):
-                    to = column + wp.int64(upward[rows + wp.int64(i)])
-                    above[to] = above[to] + below[source + wp.int64(i)]
-            else:
-                for i in range(row, size // block):
-                    to = column + wp.int64(2 * upward[rows + wp.int64(i)])
-                    above[to] = above[to] + below[source + wp.int64(2 * i)]
-                    above[to + wp.int64(1)] = above[to + wp.int64(1)] + below[source + wp.int64(2 * i + 1)]
+    for c in range(fronts[t], fronts[t + 1]):
+        add_front(c, block, owned, starts, upward, parent, offsets, below, above)
 
 
-# Raw pointers, because the compiler turns loops over them into vector instructions and loops over Warp's arrays not:
-# three times as fast. A front's own rows are consecutive in x; its other rows are gathered once for all its columns.
+# A front's own rows are consecutive in x; its other rows are gathered once for all its columns.
 DOWN = """
     for (int f = 0; f < fronts; ++f) {
         const int rows_count = starts.data[f + 1] - starts.data[f];

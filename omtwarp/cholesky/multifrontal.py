@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,11 @@ from omtwarp._warp import wp
 from omtwarp.cholesky.dissection import Dissection
 from omtwarp.cholesky.kernels import add_fronts, solve_triangular
 from omtwarp.cholesky.lapack import DenseEliminations
-from omtwarp.threads import blas_threads, core_count, run_all
+from omtwarp.threads import blas_threads, core_count, launch_parts, run_all
 
 # Below so many operations on a depth a second thread costs more than it saves.
 THREADED = 1e7
+THREADED_ADDITIONS = 1e6
 # Operations per thread from which on threads share a front, where there are fewer fronts than threads.
 TOGETHER = 5e7
 
@@ -65,6 +67,7 @@ class MultifrontalCholesky:
         self._lengths = lengths
         costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
         self._operations = float(costs.sum())
+        self._additions = [float(((sizes - own)[depth] ** 2).sum()) for depth in dissection.depths]
         few = [len(costs[depth]) < self.threads for depth in dissection.depths]
         self._together = [
             one and costs[depth].sum() > TOGETHER * self.threads
@@ -183,23 +186,13 @@ class MultifrontalCholesky:
 
     def _add_below(self, k: int) -> None:
         below, above = (wp.array(self._rooms[q % 2], device="cpu", copy=False) for q in (k, k + 1))
-        wp.launch(
-            add_fronts,
-            dim=self._family_counts[k],
-            inputs=[
-                0,
-                self._families[k],
-                self.block,
-                self._owned,
-                self._starts,
-                self._upward,
-                self._parent,
-                self._w_offsets,
-                below,
-                above,
-            ],
-            device="cpu",
-        )
+        families, inputs = self._families[k], [self._owned, self._starts, self._upward, self._parent, self._w_offsets]
+
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            return [families[part.start : part.stop + 1], self.block, *inputs, below], [above]
+
+        least = 2 if self._additions[k] > THREADED_ADDITIONS else self._family_counts[k] + 1
+        launch_parts(add_fronts, self._family_counts[k], arguments, "cpu", least=least)
 
     def _share(self, front: int, room: NDArray[np.float64]) -> int:
         """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
