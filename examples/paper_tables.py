@@ -12,9 +12,10 @@ in the paper), its refinement, and with ``--paper-scheme`` Algorithms 1 and 2 as
 'sphere', by area on the sphere, with which the paper's tables agree, and 'surface', by original area, which counts the
 surface that a map crowds together.
 
-The trade-off curve is the displacement interpolation x -> exp_x(t log_x(y)) between the conformal map (t = 0) and ours
-(t = 1), that is, the transport stopped on its way: angle distortion grows as area distortion falls. Where ours has the
-lower area distortion, the curve says what angle distortion it has at the paper's.
+Three trade-off curves lead from the conformal map to an area-preserving one: two displacement interpolations
+x -> exp_x(t log_x(y)), that is, the optimal and the refined map stopped on their way at t, and the maps of the density
+μ^t, a density exponent between 0 and 1. Angle distortion grows as area distortion falls. Where ours has the lower area
+distortion, the curves say what angle distortion they have at the paper's.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import argparse
 import csv
 import platform
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +61,8 @@ PAPER: dict[str, dict[str, tuple[float, ...]]] = {
     "squirrel": {"run": (814, 971)},
 }
 STEPS = 21
+EXPONENTS = (0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+CURVES = {"omt": "optimal, stopped at t", "refined": "refined, stopped at t", "exponent": "density μ^t"}
 
 
 def main() -> None:
@@ -76,7 +80,7 @@ def main() -> None:
         print(f"{name}: {surface.vertex_count} vertices", flush=True)
         new, maps = measure(name, surface, options)
         rows += new
-        curves += tradeoff(name, surface, maps)
+        curves += tradeoff(name, surface, maps, options.device)
     options.out.mkdir(parents=True, exist_ok=True)
     write_csv(options.out / "distortion.csv", [{k: v for k, v in row.items() if k not in RUN} for row in rows])
     write_csv(options.out / "performance.csv", [{k: row.get(k) for k in ("mesh", "method", *RUN)} for row in rows])
@@ -201,56 +205,77 @@ def interpolate(start: np.ndarray, end: np.ndarray, t: float) -> np.ndarray:
     return np.where((sine > 1e-15)[:, None], turned, end)
 
 
-def tradeoff(name: str, surface: omtwarp.Surface, maps: dict[str, np.ndarray]) -> list[dict[str, Any]]:
+def tradeoff(
+    name: str, surface: omtwarp.Surface, maps: dict[str, np.ndarray], device: str
+) -> list[dict[str, Any]]:
     """Area against angle on the way from the conformal map to ours, and at the paper's area distortion."""
-    out = []
+    from omtwarp.transport.tradeoff import map_with_density_exponent
+
+    def stopped(method: str) -> Callable[[float], np.ndarray]:
+        return lambda t: interpolate(maps["start"], maps[method], t)
+
+    def of_density(t: float) -> np.ndarray:
+        return map_with_density_exponent(surface, maps["start"], t, device=device)
+
+    out: list[dict[str, Any]] = []
     paper = paper_of(name)
-    for method in ("omt", "refined"):
-        if method not in maps:
-            continue
-
-        def at(t: float, method: str = method) -> Distortion:
-            return distortion(surface.vertices, surface.faces, interpolate(maps["start"], maps[method], t))
-
-        def record(t: float, judged: Distortion, kind: str, method: str = method) -> dict[str, Any]:
-            return {
-                "mesh": name,
-                "method": method,
-                "kind": kind,
-                "t": t,
-                "area_sphere": judged.area["sphere"],
-                "angle_sphere": judged.angle["sphere"],
-                "area_surface": judged.area["surface"],
-                "angle_surface": judged.angle["surface"],
-                "flips": judged.flips,
-                "paper_area": None,
-                "paper_angle": None,
-            }
-
-        out += [record(t, at(t), "curve") for t in np.linspace(0.0, 1.0, STEPS)]
+    ways = [(method, stopped(method), np.linspace(0.0, 1.0, STEPS)) for method in ("omt", "refined") if method in maps]
+    for method, way, values in [*ways, ("exponent", of_density, np.array([0.0, *EXPONENTS]))]:
+        curve = [(float(t), judged) for t in values if (judged := judge(surface, maps["start"], way, float(t)))]
+        out += [record(name, method, t, judged, "curve") for t, judged in curve]
         if "area" not in paper:
             continue
         area, angle = paper["area"][-1], paper["angle"][-1]
-        if at(1.0).area["sphere"] > area:
+        below = [(t, judged) for t, judged in curve if judged.area["sphere"] <= area]
+        if not below or below[0][0] == 0.0:
             continue
-        low, high = 0.0, 1.0  # area falls along the way: bisect for the paper's
-        for _ in range(40):
+        # Area falls along the way: halve the interval that holds the paper's.
+        high, judged = below[0]
+        low = max(t for t, _ in curve if t < high)
+        for _ in range(7 if method == "exponent" else 40):
             middle = (low + high) / 2.0
-            low, high = (middle, high) if at(middle).area["sphere"] > area else (low, middle)
-        out.append(record(high, at(high), "paper's area") | {"paper_area": area, "paper_angle": angle})
+            found = judge(surface, maps["start"], way, middle)
+            if found is None or found.area["sphere"] > area:
+                low = middle
+            else:
+                high, judged = middle, found
+        out.append(record(name, method, high, judged, "paper's area") | {"paper_area": area, "paper_angle": angle})
     return out
+
+
+def judge(
+    surface: omtwarp.Surface, start: np.ndarray, way: Callable[[float], np.ndarray], t: float
+) -> Distortion | None:
+    """Distortion at t; None where no map without flips was found."""
+    try:
+        return distortion(surface.vertices, surface.faces, way(t) if t > 0.0 else start)
+    except omtwarp.OmtwarpError:
+        return None
+
+
+def record(name: str, method: str, t: float, judged: Distortion, kind: str) -> dict[str, Any]:
+    return {
+        "mesh": name,
+        "method": method,
+        "kind": kind,
+        "t": t,
+        "area_sphere": judged.area["sphere"],
+        "angle_sphere": judged.angle["sphere"],
+        "area_surface": judged.area["surface"],
+        "angle_surface": judged.angle["surface"],
+        "flips": judged.flips,
+        "paper_area": None,
+        "paper_angle": None,
+    }
 
 
 def markdown(rows: list[dict[str, Any]], curves: list[dict[str, Any]]) -> str:
     """The three tables, and what the trade-off says, as Markdown."""
-    import warp as wp
-
     names = list(dict.fromkeys(entry["mesh"] for entry in rows))
     methods = [m for m in METHODS if any(entry["method"] == m for entry in rows)]
     found = {(entry["mesh"], entry["method"]): entry for entry in rows}
     lines = [
-        f"Made by `examples/paper_tables.py` on {platform.machine()}, {platform.system()}, Python "
-        f"{platform.python_version()}, warp {wp.config.version}. Ours / the paper's; 2 is perfect.",
+        f"Made by `examples/paper_tables.py` on {machine()}. Ours / the paper's; 2 is perfect.",
         "",
     ]
 
@@ -286,15 +311,36 @@ def markdown(rows: list[dict[str, Any]], curves: list[dict[str, Any]]) -> str:
         )
     points = [entry for entry in curves if entry["kind"] == "paper's area"]
     if points:
-        lines += ["## At the paper's area distortion", "", "| mesh | method | area | our angle | the paper's | t |"]
-        lines.append("|---|---|---|---|---|---|")
+        lines += ["## At the paper's area distortion", ""]
+        lines.append("| mesh | curve | t | paper's area | our area | our angle | paper's angle | flips |")
+        lines.append("|---|---|---|---|---|---|---|---|")
         for p in points:
             lines.append(
-                f"| {p['mesh']} | {TITLES[p['method']]} | {p['area_sphere']:.4g} | {p['angle_sphere']:.4g} "
-                f"| {p['paper_angle']:g} | {p['t']:.3f} |"
+                f"| {p['mesh']} | {CURVES[p['method']]} | {p['t']:.3f} | {p['paper_area']:g} | {p['area_sphere']:.4f} "
+                f"| {p['angle_sphere']:.4f} | {p['paper_angle']:g} | {p['flips']} |"
             )
         lines.append("")
     return "\n".join(lines)
+
+
+def machine() -> str:
+    """The processor and the versions of what counts."""
+    import os
+
+    import scipy
+
+    from omtwarp._warp import wp
+
+    processor = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        models = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
+        processor = models[0] if models else processor
+    return (
+        f"{processor}, {len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()} cores, "
+        f"{platform.system()}, omtwarp {omtwarp.__version__}, Python {platform.python_version()}, "
+        f"NumPy {np.__version__}, SciPy {scipy.__version__}, Warp {wp.config.version}"
+    )
 
 
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
