@@ -185,7 +185,7 @@ def row(
     if "angle" in paper:
         column = PAPER_COLUMNS.index(like)
         out |= {"paper_angle": paper["angle"][column], "paper_area": paper["area"][column]}
-    if "run" in paper and like == "omt":
+    if "run" in paper and method in ("omt", "paper"):
         out |= {"paper_iterations": paper["run"][0], "paper_seconds": paper["run"][1]}
     return out
 
