@@ -51,9 +51,9 @@ class Dissection:
     rows: NDArray[np.int32]
     parent: NDArray[np.int64]
     upward: NDArray[np.int32]
-    edge_front: NDArray[np.int64]
-    edge_row: NDArray[np.int64]
-    edge_column: NDArray[np.int64]
+    edge_front: NDArray[np.int32]
+    edge_row: NDArray[np.int32]
+    edge_column: NDArray[np.int32]
     edge_turned: NDArray[np.bool_]
     edges: NDArray[np.int32]
 
@@ -131,9 +131,9 @@ def dissect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int = L
         rows=rows.astype(np.int32),
         parent=parent,
         upward=upward,
-        edge_front=edge_front,
-        edge_row=np.searchsorted(keys, edge_front * count + high) - starts[edge_front],
-        edge_column=low - first[edge_front],
+        edge_front=edge_front.astype(np.int32),
+        edge_row=(np.searchsorted(keys, edge_front * count + high) - starts[edge_front]).astype(np.int32),
+        edge_column=(low - first[edge_front]).astype(np.int32),
         edge_turned=turned,
         edges=edges,
     )

@@ -27,6 +27,9 @@ THREADED_ADDITIONS = 1e6
 TOGETHER = 5e7
 
 
+Entries = tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]
+
+
 class NotPositiveDefinite(ArithmeticError):
     """A matrix has a pivot that is not positive, to round-off."""
 
@@ -86,43 +89,23 @@ class MultifrontalCholesky:
         return [range(a, b) for a, b in pairwise(bounds) if b > a]
 
     def _entries(self) -> None:
-        """Where diagonal and edges enter, depth by depth: positions in the depth's storage and in the data."""
+        """Where diagonal and edges enter, depth by depth: first position in the storage, length of a column, source."""
         d, block = self.dissection, self.block
-        sizes = d.sizes
+        sizes = block * d.sizes
         front = np.repeat(np.arange(len(d.owned)), d.owned)  # of every place
-        column = np.arange(d.vertex_count) - d.first[front]
-        pairs = [(u, v) for u in range(block) for v in range(block)]
-        diagonal = np.stack(
-            [
-                self._offsets[front] + (block * column + v) * (block * sizes[front]) + block * column + u
-                for u, v in pairs
-            ],
-            axis=1,
-        )
-        edge = np.stack(
-            [
-                self._offsets[d.edge_front]
-                + (block * d.edge_column + v) * (block * sizes[d.edge_front])
-                + block * d.edge_row
-                + u
-                for u, v in pairs
-            ],
-            axis=1,
-        )
-        # An edge's block is given for its first end's rows; where that end is eliminated first it enters transposed.
-        if block > 1:
-            edge[d.edge_turned] = edge[d.edge_turned].reshape(-1, block, block).transpose(0, 2, 1).reshape(-1, block**2)
+        column = block * (np.arange(d.vertex_count) - d.first[front])
         depth_of = np.repeat(np.arange(len(d.depths)), [depth.stop - depth.start for depth in d.depths])
-        order = np.argsort(depth_of[d.edge_front], kind="stable")
-        ends = np.cumsum(np.bincount(depth_of[d.edge_front], minlength=len(d.depths)))
-        begins = np.r_[0, ends[:-1]]
-        self._edge_entries = [
-            (np.ascontiguousarray(edge[order[a:b]]), order[a:b]) for a, b in zip(begins, ends, strict=True)
-        ]
-        places = np.cumsum(np.bincount(depth_of[front], minlength=len(d.depths)))
-        self._diagonal_entries = [
-            (diagonal[a:b], d.order[a:b]) for a, b in zip(np.r_[0, places[:-1]], places, strict=True)
-        ]
+
+        def by_depth(front: NDArray, row: NDArray, column: NDArray, source: NDArray) -> list[Entries]:
+            ends = np.cumsum(np.bincount(depth_of[front], minlength=len(d.depths)))
+            first = self._offsets[front] + column * sizes[front] + row
+            lengths, source = sizes[front].astype(np.int32), source.astype(np.int32)
+            return [(first[a:b], lengths[a:b], source[a:b]) for a, b in pairwise([0, *ends.tolist()])]
+
+        self._diagonal_entries = by_depth(front, column, column, d.order)
+        order = np.argsort(d.edge_front, kind="stable")
+        row, column = block * d.edge_row.astype(np.int64), block * d.edge_column.astype(np.int64)
+        self._edge_entries = by_depth(d.edge_front[order], row[order], column[order], order)
 
     def _upload(self) -> None:
         d = self.dissection
@@ -170,11 +153,18 @@ class MultifrontalCholesky:
     def _factorise_depth(self, k: int, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
         room = self._rooms[k % 2]
         room[: self._lengths[k]] = 0.0
-        for (slots, source), data in (
-            (self._diagonal_entries[k], diagonal),
-            (self._edge_entries[k], off_diagonal),
+        for (first, lengths, source), data, turned in (
+            (self._diagonal_entries[k], diagonal, None),
+            (self._edge_entries[k], off_diagonal, self.dissection.edge_turned),
         ):
-            room[slots.ravel()] = data[source].ravel()
+            for u in range(self.block):
+                for v in range(self.block):
+                    entry, mirrored = self.block * u + v, self.block * v + u
+                    values = data[source, entry]
+                    # An edge's block has rows of its first end; where that is eliminated first it enters transposed.
+                    if turned is not None and entry != mirrored:
+                        values = np.where(turned[source], data[source, mirrored], values)
+                    room[first + v * lengths.astype(np.int64) + u] = values
         if k > 0:
             self._add_below(k - 1)
         if self._together[k]:
