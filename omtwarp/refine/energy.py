@@ -41,6 +41,10 @@ class Terms:
         return self.angle + weight * self.area + needle_weight(weight) * self.needle
 
 
+# Up to so many faces the room of Hessians stays for the next ones; beyond, memory is dearer than time.
+KEPT_FACES = 200_000
+
+
 def needle_weight(weight: float) -> float:
     """How heavily the needle barrier counts beside angle + λ area."""
     return 0.1 * (1.0 + weight)
@@ -111,9 +115,11 @@ class DistortionEnergy:
 
     def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> NDArray[np.float64]:
         """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 36]."""
-        if self._hessian is None:
-            self._hessian = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
         blocks = self._hessian
+        if blocks is None:
+            blocks = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
+            if self.surface.face_count <= KEPT_FACES:
+                self._hessian = blocks
         wp.launch(
             triangle_hessian,
             dim=self.surface.face_count,
@@ -128,7 +134,7 @@ class DistortionEnergy:
             outputs=[blocks],
             device=self.device,
         )
-        out: NDArray[np.float64] = blocks.numpy()  # on the CPU the same memory; overwritten by the next call
+        out: NDArray[np.float64] = blocks.numpy()  # on the CPU the same memory, which the next call may overwrite
         out /= SPHERE_AREA
         return out
 

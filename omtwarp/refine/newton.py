@@ -9,6 +9,7 @@ from omtwarp._warp import wp
 from omtwarp.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
+from omtwarp.refine.energy import KEPT_FACES
 from omtwarp.refine.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 
 REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
@@ -42,7 +43,7 @@ class NewtonMatrix:
         growth: float = 0.0,
     ):
         self._shift, self._growth = shift, growth
-        self._factor = MultifrontalCholesky(dissection, block=2, keep=True)
+        self._factor = MultifrontalCholesky(dissection, block=2, keep=len(faces) <= KEPT_FACES)
         self._rows = [wp.array(array, dtype=wp.int32, device="cpu") for array in vertex_corners]
         self._sides = [
             wp.array(edges, dtype=wp.vec2i, device="cpu"),
@@ -104,6 +105,7 @@ class NewtonMatrix:
             OmtwarpError: the blocks are not finite, or far from semidefinite.
         """
         diagonal, off_diagonal = self.assemble(blocks)
+        del blocks  # as large as the factor's own room
         own = diagonal[:, [0, 1], [0, 1]]
         shift = self._shift * own.mean()
         for part in STIFFER:
