@@ -59,7 +59,7 @@ class Meshes:
 
     def surface(self, name: str) -> omtwarp.Surface:
         if name == "demo":
-            return omtwarp.shapes.demo_shape(6000)
+            return omtwarp.shapes.demo_shape(4000)
         mesh = omtwarp.read_mesh(self.paths[name])
         return omtwarp.Surface(mesh.vertices, mesh.faces)
 

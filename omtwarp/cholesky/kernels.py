@@ -66,6 +66,45 @@ def add_fronts(
         add_front(c, block, owned, starts, upward, parent, offsets, below, above)
 
 
+ENTER = """
+    const int width = block * block, length = lengths.data[t];
+    const double* value = values.data + (long long)width * source.data[t];
+    double* into = room.data + first.data[t];
+    for (int v = 0; v < block; ++v)
+        for (int u = 0; u < block; ++u)
+            into[(long long)v * length + u] = turned.data[t] ? value[block * v + u] : value[block * u + v];
+"""
+
+
+@wp.func_native(ENTER)
+def enter_block(
+    t: int,
+    block: int,
+    first: wp.array[wp.int64],
+    lengths: wp.array[wp.int32],
+    source: wp.array[wp.int32],
+    turned: wp.array[wp.uint8],
+    values: wp.array[wp.float64],
+    room: wp.array[wp.float64],
+): ...
+
+
+@wp.kernel
+def enter_blocks(
+    block: int,
+    first: wp.array[wp.int64],
+    lengths: wp.array[wp.int32],
+    source: wp.array[wp.int32],
+    turned: wp.array[wp.uint8],
+    values: wp.array[wp.float64],
+    # Data in and out:
+    room: wp.array[wp.float64],
+):
+    """Put blocks of the matrix, or their transposes, at their places in the fronts."""
+    t = wp.tid()
+    enter_block(t, block, first, lengths, source, turned, values, room)
+
+
 # A front's own rows are consecutive in x; its other rows are gathered once for all its columns.
 DOWN = """
     for (int f = 0; f < fronts; ++f) {

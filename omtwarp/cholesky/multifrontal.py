@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from omtwarp._warp import wp
 from omtwarp.cholesky.dissection import Dissection
-from omtwarp.cholesky.kernels import add_fronts, solve_triangular
+from omtwarp.cholesky.kernels import add_fronts, enter_blocks, solve_triangular
 from omtwarp.cholesky.lapack import DenseEliminations
 from omtwarp.threads import blas_threads, core_count, launch_parts, run_all
 
@@ -27,7 +27,8 @@ THREADED_ADDITIONS = 1e6
 TOGETHER = 5e7
 
 
-Entries = tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]
+# First position in the storage, length of a column, source, whether a block enters transposed; empty without any.
+Entries = tuple[wp.array, ...]
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -89,23 +90,36 @@ class MultifrontalCholesky:
         return [range(a, b) for a, b in pairwise(bounds) if b > a]
 
     def _entries(self) -> None:
-        """Where diagonal and edges enter, depth by depth: first position in the storage, length of a column, source."""
+        """Where diagonal and edges enter, depth by depth."""
         d, block = self.dissection, self.block
         sizes = block * d.sizes
         front = np.repeat(np.arange(len(d.owned)), d.owned)  # of every place
         column = block * (np.arange(d.vertex_count) - d.first[front])
         depth_of = np.repeat(np.arange(len(d.depths)), [depth.stop - depth.start for depth in d.depths])
 
-        def by_depth(front: NDArray, row: NDArray, column: NDArray, source: NDArray) -> list[Entries]:
+        def by_depth(
+            front: NDArray, row: NDArray, column: NDArray, source: NDArray, turned: NDArray
+        ) -> list[Entries]:
             ends = np.cumsum(np.bincount(depth_of[front], minlength=len(d.depths)))
             first = self._offsets[front] + column * sizes[front] + row
-            lengths, source = sizes[front].astype(np.int32), source.astype(np.int32)
-            return [(first[a:b], lengths[a:b], source[a:b]) for a, b in pairwise([0, *ends.tolist()])]
+            columns = (
+                (first, wp.int64),
+                (sizes[front], wp.int32),
+                (source, wp.int32),
+                (turned, wp.uint8),
+            )
+            first, lengths, source, turned = (wp.array(values, dtype=dtype, device="cpu") for values, dtype in columns)
+            return [
+                (first[a:b], lengths[a:b], source[a:b], turned[a:b]) if b > a else ()
+                for a, b in pairwise([0, *ends.tolist()])
+            ]
 
-        self._diagonal_entries = by_depth(front, column, column, d.order)
+        straight = np.zeros(d.vertex_count, dtype=bool)
+        self._diagonal_entries = by_depth(front, column, column, d.order, straight)
         order = np.argsort(d.edge_front, kind="stable")
         row, column = block * d.edge_row.astype(np.int64), block * d.edge_column.astype(np.int64)
-        self._edge_entries = by_depth(d.edge_front[order], row[order], column[order], order)
+        # An edge's block has rows of its first end; where that is eliminated first it enters transposed.
+        self._edge_entries = by_depth(d.edge_front[order], row[order], column[order], order, d.edge_turned[order])
 
     def _upload(self) -> None:
         d = self.dissection
@@ -138,33 +152,28 @@ class MultifrontalCholesky:
         Raises:
             NotPositiveDefinite: it is not, to round-off.
         """
-        d, width = self.dissection, self.block**2
-        diagonal = np.ascontiguousarray(diagonal, dtype=np.float64).reshape(d.vertex_count, width)
-        off_diagonal = np.ascontiguousarray(off_diagonal, dtype=np.float64).reshape(len(d.edges), width)
+        d = self.dissection
+        values = [
+            wp.array(np.ascontiguousarray(array, dtype=np.float64).ravel(), device="cpu", copy=False)
+            for array in (diagonal, off_diagonal)
+        ]
         if not self._rooms:
             self._rooms = [np.empty(max(self._lengths[k::2], default=0)) for k in range(2)]
         # Small matrices are done before a library has been told how many threads to use.
         with blas_threads(1) if self._operations > TOGETHER else contextlib.nullcontext():
             for k in range(len(d.depths)):
-                self._factorise_depth(k, diagonal, off_diagonal)
+                self._factorise_depth(k, values)
         if not self._keep:
             self._rooms = []
 
-    def _factorise_depth(self, k: int, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+    def _factorise_depth(self, k: int, values: list[wp.array]) -> None:
         room = self._rooms[k % 2]
         room[: self._lengths[k]] = 0.0
-        for (first, lengths, source), data, turned in (
-            (self._diagonal_entries[k], diagonal, None),
-            (self._edge_entries[k], off_diagonal, self.dissection.edge_turned),
-        ):
-            for u in range(self.block):
-                for v in range(self.block):
-                    entry, mirrored = self.block * u + v, self.block * v + u
-                    values = data[source, entry]
-                    # An edge's block has rows of its first end; where that is eliminated first it enters transposed.
-                    if turned is not None and entry != mirrored:
-                        values = np.where(turned[source], data[source, mirrored], values)
-                    room[first + v * lengths.astype(np.int64) + u] = values
+        target = wp.array(room, device="cpu", copy=False)
+        for entries, data in zip((self._diagonal_entries[k], self._edge_entries[k]), values, strict=True):
+            if entries:
+                count = len(entries[0])
+                wp.launch(enter_blocks, dim=count, inputs=[self.block, *entries, data, target], device="cpu")
         if k > 0:
             self._add_below(k - 1)
         if self._together[k]:

@@ -36,6 +36,7 @@ class Schedule:
         thinnest: see :func:`omtwarp.refine.frames.triangle_frames`.
         weight: λ, how much area counts against angle.
         largest: the first ε; the larger, the freer are triangles to pass through one another.
+        most: flipped triangles of a patch, at most; patches with more are left to the attempts after it.
     """
 
     rings: int
@@ -44,11 +45,12 @@ class Schedule:
     thinnest: float
     weight: float = 1.0
     largest: float = 1.0
+    most: float = np.inf
 
 
 SCHEDULES = (
-    Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0),
-    Schedule(rings=3, factor=0.5, steps=3, thinnest=0.02),
+    Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, most=30),
+    Schedule(rings=3, factor=0.5, steps=3, thinnest=0.02, most=100),
     Schedule(rings=5, factor=0.7, steps=4, thinnest=0.1),
     Schedule(rings=9, factor=0.7, steps=6, thinnest=0.2),
     Schedule(rings=17, factor=0.7, steps=8, thinnest=0.3),
@@ -120,9 +122,12 @@ def untangle(
     for attempt, schedule in enumerate(schedules):
         if not flipped.any():
             break
+        seeds = _of_small_patches(faces, flipped, schedule)
+        if not seeds.any():
+            continue
         if progress is not None:
             progress(f"untangling {int(flipped.sum())} triangles", attempt, len(schedules))
-        patches = _Patches(surface, points, flipped, schedule, where)
+        patches = _Patches(surface, points, seeds, schedule, where)
         points, done = patches.solve()
         flipped = flipped_faces(points, faces)
         rounds += done
@@ -163,6 +168,24 @@ def untangle_patches(
     return points, patches.size
 
 
+def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], schedule: Schedule) -> NDArray[np.bool_]:
+    """The flipped triangles of those patches that have no more of them than the schedule takes on, shape [F]."""
+    if schedule.most >= flipped.sum():
+        return flipped
+    seed = np.zeros(int(faces.max()) + 1, dtype=bool)
+    seed[faces[flipped].ravel()] = True
+    free = grow(faces, seed, schedule.rings)
+    inside = faces[free[faces].any(axis=1)]
+    pairs = np.concatenate([inside[:, [0, 1]], inside[:, [1, 2]], inside[:, [2, 0]]])
+    pairs = pairs[free[pairs].all(axis=1)]
+    graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(free), len(free)))
+    _, component = connected_components(graph, directed=False)
+    patch = component[faces[flipped][:, 0]]
+    out = flipped.copy()
+    out[flipped] = np.bincount(patch)[patch] <= schedule.most
+    return out
+
+
 def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
     """Vertices within ``rings`` edges of the seed vertices, as a mask of shape [V]."""
     mask = seed.copy()
@@ -196,7 +219,7 @@ class _Patches:
         self.free = free[self.vertices]
         self.size = int(self.free.sum())
         self.areas = np.ascontiguousarray(surface.face_areas[touched])
-        self.frames = np.ascontiguousarray(triangle_frames(surface, schedule.thinnest)[touched])
+        self.frames = triangle_frames(surface, schedule.thinnest, surface.faces[touched])
         self._label()
         self._pattern()
         self._upload()

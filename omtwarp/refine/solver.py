@@ -40,6 +40,7 @@ REPAIRS = (
     Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
     Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02, largest=0.5),
 )  # how the few triangles that a step flips are mended, before the step is shortened
+FEW = 0.01  # of the vertices: mending so few says little against the step
 MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
 WORTH = 0.15  # of what the last fresh matrix gained: with less from a corrected step the matrix is renewed
 
@@ -90,7 +91,7 @@ def refine_map(
     weight: str | float = "area",
     device: str | None = "auto",
     iterations: int = 200,
-    tolerance: float = 5e-4,
+    tolerance: float = 2e-3,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> RefineResult:
     """Move the vertices of a flip-free map to a minimum of angle + λ area distortion.
@@ -207,12 +208,12 @@ class Refiner:
             result.history.append(_record(terms, weight, decrement, length, mended, fresh))
             if progress is not None:
                 progress(f"refining: area {terms.area + 2:.4f}, angle {terms.angle + 2:.4f}", step + 1, iterations)
-            if decrement < 2.0 * tolerance and length == 1.0:
+            if decrement < 2.0 * tolerance and length >= (0.5 if fresh else 1.0):
                 result.converged = True
                 break
             trust = 2.0 * gain / decrement
             if fresh:
-                if length == 1.0 and mended == 0 and 0.75 < trust < 1.25:
+                if length == 1.0 and mended <= FEW * len(gradient) and 0.75 < trust:
                     caution = max(caution / 3.0, LEAST_CAUTION)
                 elif length < 1.0 or trust < 0.5:
                     caution = min(1.0, 3.0 * caution)
