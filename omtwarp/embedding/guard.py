@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from omtwarp._warp import wp
-from omtwarp.embedding.guard_kernels import flag_bad_steps, flag_flips, shorten_steps
+from omtwarp.embedding.guard_kernels import end_round, flag_bad_steps, flag_flips, shorten_steps
 from omtwarp.mesh.surface import Surface
 
 # A vertex whose step was halved this often stays where it was.
@@ -30,6 +28,9 @@ class StepGuard:
         device: where the kernels run.
         smallest: a step may shrink no triangle below this part of its area on the surface; a triangle that is smaller
             already may only grow. With 0 only flips count.
+
+    Attributes:
+        held: how many vertices the last step was shortened for, Warp int32 [1] on the device.
     """
 
     def __init__(self, surface: Surface, device: Any, smallest: float = SMALLEST_PART):
@@ -43,10 +44,12 @@ class StepGuard:
         # det[s0, s1, s2] of a small triangle is twice its area.
         self._floors = wp.array(2.0 * smallest * surface.face_areas, dtype=wp.float64, device=device)
         self._flags = wp.empty(self.face_count, dtype=wp.int32, device=device)
-        self._count = wp.zeros(1, dtype=wp.int32, device=device)
+        self._counters = wp.zeros(3, dtype=wp.int32, device=device)
+        self._count, self._rounds, self.held = (self._counters[k : k + 1] for k in range(3))
+        self._again = wp.empty(1, dtype=wp.int32, device=device)
         self._halvings = wp.empty(self.vertex_count, dtype=wp.int32, device=device)
         self._changed = wp.empty(self.vertex_count, dtype=wp.int32, device=device)
-        self._trial = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
+        self._wanted = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
 
     def count(self, points: Any) -> int:
         """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]."""
@@ -55,32 +58,36 @@ class StepGuard:
         wp.launch(flag_flips, dim=self.face_count, inputs=inputs, device=self.device)
         return int(self._count.numpy()[0])
 
-    def _count_bad(self, old: Any, new: Any) -> int:
-        self._count.zero_()
-        inputs = [old, new, self._faces, self._floors, self._changed, self._flags, self._count]
-        wp.launch(flag_bad_steps, dim=self.face_count, inputs=inputs, device=self.device)
-        return int(self._count.numpy()[0])
+    def _find_bad(self, old: Any, new: Any, everywhere: bool) -> None:
+        inputs = [old, new, self._faces, self._floors, int(everywhere), self._changed]
+        wp.launch(
+            flag_bad_steps, dim=self.face_count, inputs=inputs, outputs=[self._flags, self._count], device=self.device
+        )
+        inputs = [MAXIMUM_ROUNDS, self._count, self._rounds]
+        wp.launch(end_round, dim=1, inputs=inputs, outputs=[self._again], device=self.device)
 
-    def limit(self, old: Any, new: Any) -> int:
+    def hold(self, old: Any, new: Any) -> None:
         """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips or shrinks too far.
 
-        Returns:
-            The number of vertices whose step was shortened.
+        All of it happens on the device, and can be part of a graph; :attr:`held` says how many vertices it touched.
         """
-        self._changed.fill_(1)
-        if self._count_bad(old, new) == 0:
-            return 0
-        wp.copy(self._trial, new)
+        self._counters.zero_()
         self._halvings.zero_()
-        for _ in range(MAXIMUM_ROUNDS):
+        self._find_bad(old, new, everywhere=True)
+
+        def shorten() -> None:
             wp.launch(
                 shorten_steps,
                 dim=self.vertex_count,
-                inputs=[old, self._trial, self._offsets, self._corners, self._flags, HALVINGS],
-                outputs=[self._halvings, self._changed, new],
+                inputs=[old, self._offsets, self._corners, self._flags, HALVINGS, self._rounds, MAXIMUM_ROUNDS],
+                outputs=[self._halvings, self._wanted, new, self.held, self._changed],
                 device=self.device,
             )
-            if self._count_bad(old, new) == 0:
-                return int(np.count_nonzero(self._halvings.numpy()))
-        wp.copy(new, old)
-        return self.vertex_count
+            self._find_bad(old, new, everywhere=False)
+
+        wp.capture_while(self._again, shorten)
+
+    def limit(self, old: Any, new: Any) -> int:
+        """:meth:`hold`, and the number of vertices whose step was shortened."""
+        self.hold(old, new)
+        return int(self.held.numpy()[0])

@@ -7,6 +7,7 @@ from typing import Any
 from omtwarp._warp import wp
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.transport.kernels import capped_area_error
+from omtwarp.transport.sums import RowSums
 
 # A triangle's area error D + 1/D - 2 counts at most this much: a few hopeless triangles decide nothing.
 LARGEST_ERROR = 0.1
@@ -23,7 +24,8 @@ class AreaMonitor:
         self.device = device
         self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
         self._areas = wp.array(surface.face_areas, dtype=wp.float64, device=device)
-        self._errors = wp.empty(surface.face_count, dtype=wp.float64, device=device)
+        self._errors = wp.empty((surface.face_count, 1), dtype=wp.float64, device=device)
+        self._sums = RowSums(surface.face_count, 1, device)
 
     def error(self, points: Any, largest: float = LARGEST_ERROR) -> float:
         """Mean of D + 1/D - 2 weighted by original area, each triangle counting at most ``largest``."""
@@ -34,4 +36,4 @@ class AreaMonitor:
             outputs=[self._errors],
             device=self.device,
         )
-        return float(wp.utils.array_sum(self._errors)) / SPHERE_AREA
+        return float(self._sums(self._errors).numpy().sum()) / SPHERE_AREA

@@ -19,10 +19,20 @@ from numpy.typing import NDArray
 from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.surface import Surface
+from omtwarp.graphs import Graph
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.threads import blas_threads, launch_parts
-from omtwarp.transport.area import AreaMonitor
-from omtwarp.transport.kernels import advect, centre_distance, combine, cost_and_force, divide_by_area
+from omtwarp.transport.area import LARGEST_ERROR
+from omtwarp.transport.descent_kernels import (
+    FlowState,
+    begin_iteration,
+    inner_products,
+    judge_step,
+    keep_accepted,
+    turn_direction,
+)
+from omtwarp.transport.kernels import advect, centre_distance, cost_and_force, divide_by_area
+from omtwarp.transport.sums import RowSums, partial_count
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 from omtwarp.wavelets.filter import WaveletFilter
 
@@ -39,15 +49,17 @@ FADING = 3
 # relative to the displacement, or when steps no longer lower the cost by a noticeable part.
 CURL_TOLERANCE = 2e-3
 COST_TOLERANCE = {"default": 3e-5, "plain": 1e-7}  # plain steps are short: a small one is not the last
-SUFFICIENT_DECREASE = 0.1
 # A step that promises less than this part of the cost is not worth looking for.
 NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
 # The flow ends when the area error has grown by more than AREA_LOSS of what it was and AREA_PRICE times the part of the
 # cost that this bought: from there on the cost would fall at the expense of area.
 AREA_LOSS = 0.1
 AREA_PRICE = 0.02
-AREA_HALVINGS = 3
 LONGEST_STEP = 4.0
+# Where iterations are a graph on the device, so many are made before the host is told of them.
+ITERATIONS_AT_ONCE = 10
+# What an iteration leaves behind, in the order of the kernels.
+RECORD = ("cost", "curl", "step", "held", "area_error")
 
 
 @dataclass(frozen=True)
@@ -144,7 +156,7 @@ def optimal_transport(
 
 
 class _Flow:
-    """The state of the flow on the device."""
+    """The state of the flow, all of it on the device: an iteration reads nothing back."""
 
     def __init__(
         self,
@@ -154,6 +166,7 @@ class _Flow:
         cost: str,
         scheme: str,
         device: Any,
+        record: bool | None = None,
     ):
         self.device = device
         self.count = surface.vertex_count
@@ -186,28 +199,43 @@ class _Flow:
             wp.array(np.concatenate(levels), dtype=wp.int32, device=device),
             wp.array(starts, dtype=wp.int32, device=device),
         ]
-        self.monitor = AreaMonitor(surface, device)
         self.guard = StepGuard(surface, device)
         self.guarded = self.guard.count(self.points) == 0
-        self.costs = wp.empty(self.face_count, dtype=wp.float64, device=device)
+        self.measured = wp.empty((self.face_count, 2), dtype=wp.float64, device=device)
         self.turned = wp.empty(self.face_count, dtype=wp.vec3d, device=device)
+        self.face_sums = RowSums(self.face_count, 2, device)
+        nodes = self.hierarchy.node_count
+        self.gradient, self.image, self.weak, self.steepest, self.direction, self.previous = (
+            wp.zeros(nodes, dtype=wp.float64, device=device) for _ in range(6)
+        )
+        self.products = wp.empty((partial_count(nodes), 4), dtype=wp.float64, device=device)
+        self.product_sums = RowSums(partial_count(nodes), 4, device)
+        self.state = wp.empty(1, dtype=FlowState, device=device)
+        self.running, self.searching = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
+        self.iterations = Graph(lambda: wp.capture_while(self.running, self.iterate), device, record)
+        at_once = ITERATIONS_AT_ONCE if self.iterations.recorded else 1
+        self.records = wp.empty((at_once, len(RECORD)), dtype=wp.float64, device=device)
 
-    def cost_at(self, points: Any) -> float:
-        options = [int(self.geodesic), wp.float64(self.softening)]
+    def launch(self, kernel: Any, dim: Any, inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+    def measure(self, points: Any) -> Any:
+        """Partial sums of cost and area error; also sets what :meth:`set_gradient` needs."""
+        options = [int(self.geodesic), wp.float64(self.softening), wp.float64(LARGEST_ERROR)]
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             own = [self.faces[part], self.masses[part]]
-            return [self.start, points, *own, *options], [self.costs[part], self.turned[part], self.centres[part]]
+            return [self.start, points, *own, *options], [self.measured[part], self.turned[part], self.centres[part]]
 
         launch_parts(cost_and_force, self.face_count, arguments, self.device)
-        return float(wp.utils.array_sum(self.costs))
+        return self.face_sums(self.measured)
 
-    def gradient(self) -> Any:
-        """The derivative of the cost with respect to H at the nodes, weak form; needs :meth:`cost_at` before."""
+    def set_gradient(self) -> None:
+        """The derivative of the cost with respect to H at the nodes, weak form."""
         self.sampler.locate(self.centres)
-        return self.sampler.gradient_adjoint(self.turned, smooth=True)
+        self.sampler.gradient_adjoint(self.turned, out=self.gradient, smooth=True)
 
-    def curl(self, gradient: Any) -> Any:
+    def set_steepest(self) -> None:
         """H of equation 12, the curl itself, in the space that the mesh resolves: F A^-1 F^T of the weak one.
 
         F fades out the wavelets that are too fine for the mesh (Algorithm 1 clears those of the finest levels), A holds
@@ -215,91 +243,83 @@ class _Flow:
         do: the cost then falls because areas are lost.
         """
         assert self.filter is not None
-        weak, out = wp.clone(gradient), wp.empty_like(gradient)
-        self.filter.apply_adjoint(weak)
-        wp.launch(divide_by_area, dim=len(out), inputs=[weak, self.node_areas], outputs=[out], device=self.device)
-        self.filter.apply(out)
-        return out
+        wp.copy(self.weak, self.gradient)
+        self.filter.apply_adjoint(self.weak)
+        self.launch(divide_by_area, len(self.weak), [self.weak, self.node_areas], [self.steepest])
+        self.filter.apply(self.steepest)
 
-    def move(self, velocity: Any, step: float) -> None:
+    def iterate(self) -> None:
+        """One iteration: a direction, and steps along it until one is good."""
+        self.set_gradient()
+        self.preconditioner.apply(self.gradient, out=self.image)
+        ascent = self.image
+        if self.plain:
+            self.set_steepest()
+            ascent = self.steepest
+        inputs = [self.gradient, self.image, ascent, self.previous, self.direction]
+        self.launch(inner_products, len(self.products), inputs, [self.products])
+        inputs = [self.product_sums(self.products), self.guard.held, self.state]
+        self.launch(begin_iteration, 1, inputs, [self.records, self.running, self.searching])
+        inputs = [self.gradient, ascent, self.state, self.direction]
+        self.launch(turn_direction, len(ascent), inputs, [self.previous])
+        velocity = self.sampler.node_gradient(self.direction)
+        wp.capture_while(self.searching, self.search, velocity=velocity)
+        self.launch(keep_accepted, self.count, [self.trial, self.state], [self.points])
+
+    def search(self, velocity: Any) -> None:
+        """Try a step."""
+
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
-            return [self.points[part], wp.float64(step), *self.grid, velocity], [self.trial[part]]
+            return [self.points[part], self.state, *self.grid, velocity], [self.trial[part]]
 
         launch_parts(advect, self.count, arguments, self.device)
+        if self.guarded:
+            self.guard.hold(self.points, self.trial)
+        inputs = [self.measure(self.trial), wp.float64(SPHERE_AREA), self.state]
+        self.launch(judge_step, 1, inputs, [self.running, self.searching])
 
-    def run(self, most: int, tolerance: float, progress: Callable[[int, int, dict[str, Any]], None] | None) -> bool:
-        cost = self.cost_at(self.points)
+    def prepare(self, most: int, tolerance: float) -> None:
+        """Measure the start, and set the state."""
+        self.guard.held.zero_()
+        cost, error = (float(x) for x in self.measure(self.points).numpy().sum(axis=0))
         # In the squared cost a unit of the preconditioned gradient, halved, is a Newton step on a flat density.
         scale = 2.0 if not self.geodesic else 4.0 * np.pi / max(cost, 1e-12)
-        step = 0.4 / scale if not self.plain else 0.1 * self.softening**2
-        longest = LONGEST_STEP / scale if not self.plain else np.inf
-        direction: Any = None
-        previous: Any = None
-        previous_square = 0.0
-        held = 0
-        small = 0
-        area_error = self.monitor.error(self.points)
-        first_cost, largest_error = cost, (1.0 + AREA_LOSS) * area_error
-        for iteration in range(most + 1):
-            gradient = self.gradient()
-            image = self.preconditioner.apply(gradient)
-            square = float(wp.utils.array_inner(gradient, image))
-            curl = float(np.sqrt(max(square / scale, 0.0) / max(scale * cost, 1e-300)))
-            record = {"iteration": iteration, "cost": cost, "curl": curl, "step": step, "held": held}
-            record["area_error"] = area_error
-            self.history.append(record)
-            if progress is not None:
-                progress(iteration, most, record)
-            if curl <= tolerance or cost <= 1e-14 or square <= 0.0 or small >= 3:
-                return True
-            if iteration == most:
-                return False
-            if self.plain:
-                image = self.curl(gradient)
-                square = float(wp.utils.array_inner(gradient, image))
-            # Polak and Ribiere's conjugate directions, restarted when they stop pointing downhill.
-            factor = 0.0
-            if direction is not None and not self.plain:
-                factor = max(0.0, (square - float(wp.utils.array_inner(previous, image))) / previous_square)
-            if direction is None:
-                direction = wp.zeros_like(image)
-            wp.launch(
-                combine, dim=len(image), inputs=[image, wp.float64(factor), direction], device=self.device
-            )
-            slope = float(wp.utils.array_inner(gradient, direction))
-            if slope > -0.1 * square:
-                wp.launch(combine, dim=len(image), inputs=[image, wp.float64(0.0), direction], device=self.device)
-                slope = -square
-            previous, previous_square = gradient, square
-            velocity = self.sampler.node_gradient(direction)
-            accepted, shortened = False, 0
-            for _ in range(30):
-                self.move(velocity, step)
-                held = self.guard.limit(self.points, self.trial) if self.guarded else 0
-                new_cost = self.cost_at(self.trial)
-                # The parabola through the cost, its slope and the trial says where along this direction to stop.
-                bend = (new_cost - cost - slope * step) / step**2
-                best = -slope / (2.0 * bend) if bend > 0.0 else 2.0 * step
-                if new_cost <= cost + SUFFICIENT_DECREASE * slope * step:
-                    area_error = self.monitor.error(self.trial)
-                    accepted = area_error <= largest_error + AREA_PRICE * (1.0 - new_cost / first_cost)
-                    if accepted or shortened == AREA_HALVINGS:
-                        break
-                    # What a step costs in area grows with its square, what it gains with its length.
-                    shortened += 1
-                    step *= 0.5
-                    continue
-                step = max(min(best, 0.5 * step), 0.1 * step)
-                if -slope * step < NEGLIGIBLE[self.scheme] * cost:
-                    break
-            if not accepted:
-                # Either area will not have it, or no step along the best direction lowers the cost: at round-off.
-                return shortened == 0
-            small = small + 1 if cost - new_cost <= COST_TOLERANCE[self.scheme] * cost else 0
-            self.points, self.trial = self.trial, self.points
-            cost = new_cost
-            step = min(max(best, 0.5 * step), 2.0 * step, longest)
-        return False
+        self.state.zero_()
+        state = self.state.numpy().copy()
+        area_error = error / SPHERE_AREA
+        values = {
+            "most": most,
+            "conjugate": int(not self.plain),
+            "tolerance": tolerance,
+            "cost_tolerance": COST_TOLERANCE[self.scheme],
+            "negligible": NEGLIGIBLE[self.scheme],
+            "scale": scale,
+            "longest": LONGEST_STEP / scale if not self.plain else np.inf,
+            "first_cost": cost,
+            "largest_error": (1.0 + AREA_LOSS) * area_error,
+            "area_price": AREA_PRICE,
+            "cost": cost,
+            "area_error": area_error,
+            "step": 0.4 / scale if not self.plain else 0.1 * self.softening**2,
+        }
+        for name, value in values.items():
+            state[name] = value
+        self.state.assign(state)
+
+    def run(self, most: int, tolerance: float, progress: Callable[[int, int, dict[str, Any]], None] | None) -> bool:
+        self.prepare(most, tolerance)
+        while True:
+            self.running.fill_(1)
+            self.iterations()
+            state, rows = self.state.numpy()[0], self.records.numpy()
+            for iteration in range(len(self.history), int(state["iteration"])):
+                numbers = dict(zip(RECORD, rows[iteration % len(rows)].tolist(), strict=True))
+                record = {"iteration": iteration} | numbers | {"held": int(numbers["held"])}
+                self.history.append(record)
+                if progress is not None:
+                    progress(iteration, most, record)
+            if state["finished"]:
+                return bool(state["converged"])
 
 
 def resolution_damping(

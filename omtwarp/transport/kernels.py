@@ -1,6 +1,7 @@
 """Kernels of the Lagrangian transport flow: its cost, its force and the motion along a stream function."""
 
 from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+from omtwarp.transport.descent_kernels import FlowState
 from omtwarp.wavelets.sampling_kernels import spherical_coordinates, triple
 
 wp.set_module_options({"enable_backward": False})
@@ -37,6 +38,15 @@ def centre_distance(
     distance[f] = wp.atan2(wp.length(wp.cross(x, y)), wp.dot(x, y))
 
 
+@wp.func
+def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, largest: wp.float64):
+    """Area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
+    p0 = points[face[0]]
+    image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
+    ratio = wp.max(image / area, wp.float64(1e-150))
+    return area * wp.min(ratio + ONE / ratio - TWO, largest)
+
+
 @wp.kernel
 def cost_and_force(
     start: wp.array[wp.vec3d],
@@ -45,25 +55,27 @@ def cost_and_force(
     masses: wp.array[wp.float64],
     geodesic: int,
     softening: wp.float64,
+    largest_error: wp.float64,
     # Data out:
-    cost: wp.array[wp.float64],
+    measured: wp.array2d[wp.float64],
     turned: wp.array[wp.vec3d],
     centres: wp.array[wp.vec3d],
 ):
-    """Cost of every triangle, and c × y with c the derivative of the cost with respect to its centre y."""
+    """Cost and area error of every triangle, and c × y with c the cost's derivative with respect to its centre y."""
     f = wp.tid()
     face = faces[f]
     y = centre(points, face)
     centres[f] = y
     pull, distance = logarithm(y, centre(start, face))
     mass = masses[f]
+    measured[f, 1] = area_error(points, face, mass, largest_error)
     if geodesic == 1:
         # The gradient of the distance jumps at y = x; within the softening length it is taken as linear.
         soft = wp.sqrt(distance * distance + softening * softening)
-        cost[f] = mass * distance
+        measured[f, 0] = mass * distance
         turned[f] = wp.cross(-mass / soft * pull, y)
     else:
-        cost[f] = mass * distance * distance
+        measured[f, 0] = mass * distance * distance
         turned[f] = wp.cross(-TWO * mass * pull, y)
 
 
@@ -131,7 +143,7 @@ def stream_velocity(
 @wp.kernel
 def advect(
     points: wp.array[wp.vec3d],
-    step: wp.float64,
+    state: wp.array[FlowState],
     nodes: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     level_starts: wp.array[wp.int32],
@@ -139,9 +151,10 @@ def advect(
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
-    """One fourth-order Runge-Kutta step of dy/dt = J ∇H(y), of length ``step``."""
+    """One fourth-order Runge-Kutta step of dy/dt = J ∇H(y), as long as the state says."""
     v = wp.tid()
     p = points[v]
+    step = state[0].step
     half = HALF * step
     k1, f1 = stream_velocity(p, -1, nodes, faces, level_starts, gradients)
     k2, f2 = stream_velocity(wp.normalize(p + half * k1), f1, nodes, faces, level_starts, gradients)
@@ -157,27 +170,10 @@ def capped_area_error(
     areas: wp.array[wp.float64],
     largest: wp.float64,
     # Data out:
-    error: wp.array[wp.float64],
+    error: wp.array2d[wp.float64],
 ):
-    """Area times D + 1/D - 2 of every triangle, D the area of its flat image over its own, at most ``largest``."""
     f = wp.tid()
-    face = faces[f]
-    p0 = points[face[0]]
-    image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
-    ratio = wp.max(image / areas[f], wp.float64(1e-150))
-    error[f] = areas[f] * wp.min(ratio + ONE / ratio - TWO, largest)
-
-
-@wp.kernel
-def combine(
-    first: wp.array[wp.float64],
-    factor: wp.float64,
-    # Data in and out:
-    second: wp.array[wp.float64],
-):
-    """second <- factor * second - first."""
-    i = wp.tid()
-    second[i] = factor * second[i] - first[i]
+    error[f, 0] = area_error(points, faces[f], areas[f], largest)
 
 
 @wp.kernel

@@ -24,9 +24,15 @@ from omtwarp.embedding.guard import StepGuard
 from omtwarp.linear import SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.threads import blas_threads
-from omtwarp.transport.area import AreaMonitor
-from omtwarp.transport.flow import AREA_PRICE, TransportMap, transport_cost
-from omtwarp.transport.polish_kernels import displacements, move_by_potentials, weak_curl_and_area
+from omtwarp.transport.area import LARGEST_ERROR
+from omtwarp.transport.flow import AREA_PRICE, TransportMap
+from omtwarp.transport.polish_kernels import (
+    cost_and_area_errors,
+    displacements,
+    move_by_potentials,
+    weak_curl_and_area,
+)
+from omtwarp.transport.sums import RowSums
 
 ROUNDS = 18
 # The part of the way that a round goes: where the map contracts strongly a full step overshoots. A round that does not
@@ -76,15 +82,25 @@ def polish_transport(
     points = wp.array(np.array(sphere, dtype=np.float64), dtype=wp.vec3d, device=where)
     moved, pull = wp.empty_like(points), wp.empty_like(points)
     curl, energy, area = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(3))
+    areas = wp.array(surface.face_areas, dtype=wp.float64, device=where)
+    measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
+    sums = RowSums(surface.face_count, 3, where)
+
+    def measure() -> tuple[float, float, float]:
+        limits = [wp.float64(LARGEST_ERROR), wp.float64(WORST)]
+        inputs = [origin, points, faces, areas, *limits]
+        wp.launch(cost_and_area_errors, dim=len(measured), inputs=inputs, outputs=[measured], device=where)
+        cost, usual, worst = (float(x) for x in sums(measured).numpy().sum(axis=0))
+        return cost, usual / SPHERE_AREA, worst / SPHERE_AREA
+
     guard = StepGuard(surface, where)
-    monitor = AreaMonitor(surface, where)
     guarded = guard.count(points) == 0
     solver = SurfaceLaplacianSolver(surface, sphere)
     history: list[dict[str, Any]] = []
     best = wp.clone(points)
-    largest = (monitor.error(points), monitor.error(points, WORST))
+    first_cost, *largest = measure()
     potentials: list[Any] = []
-    least, first_cost, held, step, last = np.inf, 0.0, 0, STEP, False
+    least, held, step, last = np.inf, 0, STEP, False
     for number in range(rounds + 1):
         wp.launch(displacements, dim=count, inputs=[origin, points], outputs=[pull], device=where)
         wp.launch(
@@ -94,15 +110,13 @@ def polish_transport(
             outputs=[curl, energy, area],
             device=where,
         )
-        weak, areas = curl.numpy(), area.numpy()
-        missing = surface.vertex_areas - areas * (SPHERE_AREA / areas.sum())
+        weak, covered = curl.numpy(), area.numpy()
+        missing = surface.vertex_areas - covered * (SPHERE_AREA / covered.sum())
         solved = solver.solve(np.stack([weak, missing], axis=1))
         removable = float(np.sqrt(max(weak @ solved[:, 0], 0.0)))
         relative = removable / max(float(np.sqrt(energy.numpy().sum())), 1e-150)
-        cost = transport_cost(surface, start, points.numpy())
-        first_cost = first_cost or cost
+        cost, *errors = measure()
         slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, 1e-300))
-        errors = (monitor.error(points), monitor.error(points, WORST))
         record = {
             "iteration": number,
             "cost": cost,

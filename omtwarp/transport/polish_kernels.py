@@ -2,11 +2,31 @@
 
 from omtwarp._warp import HALF, ONE, ZERO, wp
 from omtwarp.metrics.kernels import solid_angle
-from omtwarp.transport.kernels import TINY, logarithm
+from omtwarp.transport.kernels import TINY, area_error, centre, logarithm
 
 wp.set_module_options({"enable_backward": False})
 
 THIRD = wp.constant(wp.float64(1.0 / 3.0))
+
+
+@wp.kernel
+def cost_and_area_errors(
+    start: wp.array[wp.vec3d],
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    areas: wp.array[wp.float64],
+    usual: wp.float64,
+    worst: wp.float64,
+    # Data out:
+    measured: wp.array2d[wp.float64],
+):
+    """Squared cost of every triangle, and its area error, at most ``usual`` and at most ``worst``."""
+    f = wp.tid()
+    face = faces[f]
+    _pull, distance = logarithm(centre(points, face), centre(start, face))
+    measured[f, 0] = areas[f] * distance * distance
+    measured[f, 1] = area_error(points, face, areas[f], usual)
+    measured[f, 2] = area_error(points, face, areas[f], worst)
 
 
 @wp.kernel

@@ -1,6 +1,7 @@
 """Warp kernels of the lifted wavelet transforms: one predict and one update per level, in place, and their adjoints.
 
 The values of all levels share one array, coarse nodes first: node k of K(j) at ``k``, node m of M(j) at ``first + m``.
+A thread adds to its own element alone, spelt out: ``+=`` on an array is an atomic addition in Warp.
 """
 
 # mypy: ignore-errors
@@ -23,7 +24,7 @@ def predict_kernel(
     total = wp.float64(0.0)
     for s in range(stencil.shape[1]):
         total += weights[s] * values[stencil[m, s]]
-    values[first + m] += sign * total
+    values[first + m] = values[first + m] + sign * total
 
 
 @wp.kernel
@@ -43,7 +44,7 @@ def predict_adjoint_kernel(
     for n in range(offsets[k], offsets[k + 1]):
         m = entries[n] // width
         total += weights[entries[n] - width * m] * values[first + m]
-    values[k] += sign * total
+    values[k] = values[k] + sign * total
 
 
 @wp.kernel
@@ -63,7 +64,7 @@ def update_kernel(
     for n in range(offsets[k], offsets[k + 1]):
         m = first + entries[n] // 2
         total += fine_integrals[m] * values[m]
-    values[k] += sign * HALF * total / coarse_integrals[k]
+    values[k] = values[k] + sign * HALF * total / coarse_integrals[k]
 
 
 @wp.kernel
@@ -79,7 +80,7 @@ def update_adjoint_kernel(
     m = wp.tid()
     a, b = parents[m, 0], parents[m, 1]
     total = values[a] / coarse_integrals[a] + values[b] / coarse_integrals[b]
-    values[first + m] += sign * HALF * fine_integrals[first + m] * total
+    values[first + m] = values[first + m] + sign * HALF * fine_integrals[first + m] * total
 
 
 @wp.kernel

@@ -91,10 +91,11 @@ class WaveletPreconditioner:
         self._coarse_inverse: Any = wp.array(np.linalg.pinv(coarse, rcond=1e-10, hermitian=True), device=self.device)
         self._coarse = wp.empty(solid, dtype=wp.float64, device=self.device)
 
-    def apply(self, right_hand_side: Any) -> Any:
+    def apply(self, right_hand_side: Any, out: Any = None) -> Any:
         """Right-hand side (weak form, one value per node) to H, shape [N] -> [N], NumPy or Warp as given.
 
-        The constant part of the right-hand side is ignored, and H is defined up to a constant.
+        The constant part of the right-hand side is ignored, and H is defined up to a constant. With Warp arrays, H can
+        be written to ``out``.
         """
         from omtwarp._warp import wp
         from omtwarp.wavelets import kernels
@@ -104,7 +105,8 @@ class WaveletPreconditioner:
         if from_numpy:
             values = wp.array(np.array(right_hand_side, dtype=np.float64), device=self.device)
         else:
-            values = wp.clone(right_hand_side)
+            values = wp.empty_like(right_hand_side) if out is None else out
+            wp.copy(values, right_hand_side)
         self.wavelets.synthesise_adjoint(values)
         inputs = [self._coarse_inverse, values]
         wp.launch(

@@ -117,7 +117,8 @@ class SphereSampler:
 
         launch_parts(kernels.locate_kernel, count, arguments, self.device)
         self._launch(kernels.sort_keys_kernel, count, [self.point_faces], [self._keys, self._order])
-        wp.utils.radix_sort_pairs(self._keys, self._order, count)
+        bits = int(self.face_count - 1).bit_length()
+        wp.utils.radix_sort_pairs(self._keys, self._order, count, end_bit=bits)
         self._launch(kernels.face_rows_kernel, self.face_count + 1, [self._keys, count], [self._point_rows])
         self._level_masses = []
 

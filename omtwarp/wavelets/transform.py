@@ -40,7 +40,8 @@ class SphericalWavelets:
 
     A transformed array holds the scaling coefficients lambda(0, k) at the solid's nodes and gamma(j, m) at the nodes of
     M(j). Two kernel launches per level, work linear in the number of nodes. The Warp methods work in place on a float64
-    array of shape [N]; :meth:`forward` and :meth:`inverse` do the same for NumPy arrays and return a new one.
+    array of shape [N], and on CUDA the launches are recorded once for each array; :meth:`forward` and :meth:`inverse`
+    do the same for NumPy arrays and return a new one.
 
     Args:
         hierarchy: the nested triangulations.
@@ -56,9 +57,11 @@ class SphericalWavelets:
         self, hierarchy: SphereHierarchy, *, butterfly: bool = False, lifted: bool = True, device: str = "auto"
     ) -> None:
         from omtwarp._warp import resolve_device, wp
+        from omtwarp.graphs import GraphsByArray
 
         self.hierarchy, self.butterfly, self.lifted = hierarchy, butterfly, lifted
         self.device = resolve_device(device)
+        self._run = GraphsByArray(self.device)
         integrals = [hierarchy.node_areas]
         for j in reversed(range(hierarchy.level)):
             integrals.insert(0, hierarchy.refinement_matrix(j, butterfly=butterfly).T @ integrals[0])
@@ -123,24 +126,36 @@ class SphericalWavelets:
 
     def analyse(self, values: Any) -> None:
         """Values at nodes to coefficients, in place: SWfwd of Algorithm 1."""
+        self._run(self._analyse, values)
+
+    def _analyse(self, values: Any) -> None:
         for level in reversed(self._levels):
             self._predict(level, values, -1.0)
             self._update(level, values, 1.0)
 
     def synthesise(self, values: Any) -> None:
         """Coefficients to values at nodes, in place: SWbak of Algorithm 1."""
+        self._run(self._synthesise, values)
+
+    def _synthesise(self, values: Any) -> None:
         for level in self._levels:
             self._update(level, values, -1.0)
             self._predict(level, values, 1.0)
 
     def synthesise_adjoint(self, values: Any) -> None:
         """The transpose of :meth:`synthesise`, in place: entry (j, m) becomes the sum of values times psi(j, m)."""
+        self._run(self._synthesise_adjoint, values)
+
+    def _synthesise_adjoint(self, values: Any) -> None:
         for level in reversed(self._levels):
             self._predict_adjoint(level, values, 1.0)
             self._update_adjoint(level, values, -1.0)
 
     def analyse_adjoint(self, values: Any) -> None:
         """The transpose of :meth:`analyse`, in place."""
+        self._run(self._analyse_adjoint, values)
+
+    def _analyse_adjoint(self, values: Any) -> None:
         for level in self._levels:
             self._update_adjoint(level, values, 1.0)
             self._predict_adjoint(level, values, -1.0)
@@ -170,11 +185,11 @@ class SphericalWavelets:
 
     def forward(self, values: ArrayLike) -> NDArray[np.float64]:
         """:meth:`analyse` for a NumPy array, shape [N] -> [N]."""
-        return self._on_copy(values, self.analyse)
+        return self._on_copy(values, self._analyse)
 
     def inverse(self, coefficients: ArrayLike) -> NDArray[np.float64]:
         """:meth:`synthesise` for a NumPy array, shape [N] -> [N]."""
-        return self._on_copy(coefficients, self.synthesise)
+        return self._on_copy(coefficients, self._synthesise)
 
     def wavelet(self, node: int) -> NDArray[np.float64]:
         """The basis function of a node at the finest nodes, shape [N]: psi(j, m), or phi(0, k) at the solid's nodes."""

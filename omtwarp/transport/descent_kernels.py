@@ -1,0 +1,245 @@
+"""Kernels of a descent that decides on the device: sums in a fixed order, directions, and what to make of a step."""
+
+from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+
+wp.set_module_options({"enable_backward": False})
+
+# A thread sums GROUP rows, LANES apart: threads side by side read side by side on CUDA, and what the next thread of a
+# CPU reads is still in its cache.
+GROUP = wp.constant(64)
+LANES = wp.constant(32)
+
+SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))
+AREA_HALVINGS = wp.constant(3)
+STEP_TRIALS = wp.constant(30)
+SMALL_STEPS = wp.constant(3)
+TENTH = wp.constant(wp.float64(0.1))
+ROUND_OFF = wp.constant(wp.float64(1e-14))
+TINY = wp.constant(wp.float64(1e-300))
+
+
+@wp.struct
+class FlowState:
+    """Where a descent stands, and what it goes by; one of them, on the device."""
+
+    # Set at the start:
+    most: wp.int32  # iterations
+    conjugate: wp.int32  # 0 for steepest descent
+    tolerance: wp.float64  # of the relative curl
+    cost_tolerance: wp.float64  # of the relative decrease; three steps below it in a row are the end
+    negligible: wp.float64  # part of the cost that a step has to promise
+    scale: wp.float64  # of the preconditioned gradient: the second derivative of the cost along it
+    longest: wp.float64
+    first_cost: wp.float64
+    largest_error: wp.float64  # of the areas, as long as nothing is gained
+    area_price: wp.float64  # what it may grow by, for the whole of the cost
+    # Moves on:
+    cost: wp.float64
+    area_error: wp.float64
+    step: wp.float64
+    square: wp.float64  # of the gradient
+    slope: wp.float64  # of the cost along the direction
+    factor: wp.float64  # of the last direction in this one
+    iteration: wp.int32
+    small: wp.int32  # steps in a row that hardly lowered the cost
+    trials: wp.int32
+    shortened: wp.int32  # trials refused for their areas
+    accepted: wp.int32
+    finished: wp.int32
+    converged: wp.int32
+
+
+@wp.func
+def first_row(thread: int):
+    return (thread // LANES) * (LANES * GROUP) + thread % LANES
+
+
+@wp.func
+def column_sum(rows: wp.array2d[wp.float64], column: int):
+    total = wp.float64(0.0)
+    for i in range(rows.shape[0]):
+        total += rows[i, column]
+    return total
+
+
+@wp.kernel
+def sum_rows(
+    rows: wp.array2d[wp.float64],
+    # Data out:
+    sums: wp.array2d[wp.float64],
+):
+    """Sums of GROUP rows each, column by column."""
+    thread, column = wp.tid()
+    total = wp.float64(0.0)
+    i = first_row(thread)
+    for _ in range(GROUP):
+        if i < rows.shape[0]:
+            total += rows[i, column]
+        i += LANES
+    sums[thread, column] = total
+
+
+@wp.kernel
+def inner_products(
+    gradient: wp.array[wp.float64],
+    preconditioned: wp.array[wp.float64],
+    ascent: wp.array[wp.float64],
+    previous: wp.array[wp.float64],
+    direction: wp.array[wp.float64],
+    # Data out:
+    sums: wp.array2d[wp.float64],
+):
+    """Gradient times preconditioned gradient, ascent, and last direction; and last gradient times ascent."""
+    thread = wp.tid()
+    with_preconditioned = wp.float64(0.0)
+    with_ascent = wp.float64(0.0)
+    with_direction = wp.float64(0.0)
+    across = wp.float64(0.0)
+    i = first_row(thread)
+    for _ in range(GROUP):
+        if i < gradient.shape[0]:
+            g, a = gradient[i], ascent[i]
+            with_preconditioned += g * preconditioned[i]
+            with_ascent += g * a
+            with_direction += g * direction[i]
+            across += previous[i] * a
+        i += LANES
+    sums[thread, 0] = with_preconditioned
+    sums[thread, 1] = with_ascent
+    sums[thread, 2] = with_direction
+    sums[thread, 3] = across
+
+
+@wp.kernel
+def begin_iteration(
+    products: wp.array2d[wp.float64],
+    held: wp.array[wp.int32],
+    # Data in and out:
+    state: wp.array[FlowState],
+    # Data out:
+    records: wp.array2d[wp.float64],
+    running: wp.array[wp.int32],
+    searching: wp.array[wp.int32],
+):
+    """Write the record, see whether this is the end, and choose the direction.
+
+    Polak and Ribière's conjugate directions, restarted when they stop pointing downhill.
+    """
+    s = state[0]
+    size = column_sum(products, 0)
+    square = column_sum(products, 1)
+    curl = wp.sqrt(wp.max(size / s.scale, ZERO) / wp.max(s.scale * s.cost, TINY))
+    row = s.iteration % records.shape[0]
+    records[row, 0] = s.cost
+    records[row, 1] = curl
+    records[row, 2] = s.step
+    records[row, 3] = wp.float64(held[0])
+    records[row, 4] = s.area_error
+
+    s.accepted = 0
+    s.trials = 0
+    s.shortened = 0
+    if curl <= s.tolerance or s.cost <= ROUND_OFF or size <= ZERO or s.small >= SMALL_STEPS:
+        s.finished = 1
+        s.converged = 1
+    elif s.iteration == s.most:
+        s.finished = 1
+    searching[0] = 1 - s.finished
+
+    s.factor = ZERO
+    if s.iteration > 0 and s.conjugate == 1:
+        s.factor = wp.max(ZERO, (square - column_sum(products, 3)) / s.square)
+    s.slope = s.factor * column_sum(products, 2) - square
+    if s.slope > -TENTH * square:
+        s.factor = ZERO
+        s.slope = -square
+    s.square = square
+    s.iteration = s.iteration + 1
+    # The records are full: let the host read them.
+    running[0] = 1 - s.finished
+    if s.iteration % records.shape[0] == 0:
+        running[0] = 0
+    state[0] = s
+
+
+@wp.kernel
+def turn_direction(
+    gradient: wp.array[wp.float64],
+    ascent: wp.array[wp.float64],
+    state: wp.array[FlowState],
+    # Data in and out:
+    direction: wp.array[wp.float64],
+    # Data out:
+    previous: wp.array[wp.float64],
+):
+    """direction <- factor * direction - ascent; and the gradient becomes the previous one."""
+    i = wp.tid()
+    direction[i] = state[0].factor * direction[i] - ascent[i]
+    previous[i] = gradient[i]
+
+
+@wp.kernel
+def judge_step(
+    measured: wp.array2d[wp.float64],
+    total_area: wp.float64,
+    # Data in and out:
+    state: wp.array[FlowState],
+    # Data out:
+    running: wp.array[wp.int32],
+    searching: wp.array[wp.int32],
+):
+    """Accept a step, or say how long the next one is to be tried, or give up."""
+    s = state[0]
+    cost = column_sum(measured, 0)
+    # The parabola through the cost, its slope and the trial says where along this direction to stop.
+    bend = (cost - s.cost - s.slope * s.step) / (s.step * s.step)
+    best = TWO * s.step
+    if bend > ZERO:
+        best = -s.slope / (TWO * bend)
+    s.trials = s.trials + 1
+    over = int(0)
+    if cost <= s.cost + SUFFICIENT_DECREASE * s.slope * s.step:
+        s.area_error = column_sum(measured, 1) / total_area
+        if s.area_error <= s.largest_error + s.area_price * (ONE - cost / s.first_cost):
+            s.accepted = 1
+            over = 1
+        elif s.shortened == AREA_HALVINGS:
+            over = 1
+        else:
+            # What a step costs in area grows with its square, what it gains with its length.
+            s.shortened = s.shortened + 1
+            s.step = HALF * s.step
+    else:
+        s.step = wp.max(wp.min(best, HALF * s.step), TENTH * s.step)
+        if -s.slope * s.step < s.negligible * s.cost:
+            over = 1
+    if s.trials == STEP_TRIALS:
+        over = 1
+    if over == 1:
+        searching[0] = 0
+        if s.accepted == 1:
+            if s.cost - cost <= s.cost_tolerance * s.cost:
+                s.small = s.small + 1
+            else:
+                s.small = 0
+            s.cost = cost
+            s.step = wp.min(wp.min(wp.max(best, HALF * s.step), TWO * s.step), s.longest)
+        else:
+            # Either area will not have it, or no step along the best direction lowers the cost: at round-off.
+            s.finished = 1
+            running[0] = 0
+            if s.shortened == 0:
+                s.converged = 1
+    state[0] = s
+
+
+@wp.kernel
+def keep_accepted(
+    trial: wp.array[wp.vec3d],
+    state: wp.array[FlowState],
+    # Data in and out:
+    points: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    if state[0].accepted == 1:
+        points[i] = trial[i]
