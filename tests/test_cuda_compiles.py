@@ -3,13 +3,13 @@
 import importlib
 
 import pytest
-from warp._src.context import runtime
+import warp._src.context as context
 
 from omtwarp._prewarm import kernel_modules
 from omtwarp._warp import wp
 
 
-@pytest.mark.skipif(not runtime.nvrtc_supported_archs, reason="this build of Warp has no CUDA compiler")
+@pytest.mark.skipif(not context.runtime.nvrtc_supported_archs, reason="this build of Warp has no CUDA compiler")
 @pytest.mark.parametrize("name", kernel_modules())
 def test_kernels_compile_for_cuda(name, tmp_path):
     module = importlib.import_module(name)
