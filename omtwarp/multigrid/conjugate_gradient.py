@@ -1,0 +1,186 @@
+"""Conjugate gradients with a multigrid cycle before them, all on the device.
+
+Step lengths, sums and the decision to stop stay on the device. On CUDA the whole loop is one graph with a conditional
+node, captured when it first runs and launched for every right-hand side after that, of this or later values of the
+matrix; where the driver has no conditional nodes the graph holds a few iterations, and the flag is read between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from omtwarp._warp import wp
+from omtwarp.multigrid import iteration_kernels as kernels
+from omtwarp.multigrid.cycle import VCycle
+from omtwarp.multigrid.hierarchy import SCALAR_DAMPING, MeshHierarchy
+
+# Blocks of the Newton matrix couple more than the entries of a Laplacian: D^-1 A has eigenvalues near 3.
+BLOCK_DAMPING = 0.5
+MOST_ITERATIONS = 500
+# Between looks at the flag, where a graph cannot look itself; iterations after the last one change nothing.
+UNWATCHED = 4
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a solve ended.
+
+    Attributes:
+        iterations: how many there were.
+        converged: whether the tolerance was reached.
+    """
+
+    iterations: int
+    converged: bool
+
+
+class DeviceSum:
+    """Sums over float64 arrays in an order that depends on their length alone, without leaving the device.
+
+    Args:
+        device: a Warp device.
+    """
+
+    def __init__(self, device: wp.Device):
+        self.device = device
+        self._partial = wp.empty(kernels.FIRST, dtype=wp.float64, device=device)
+        self._fewer = wp.empty(kernels.SECOND, dtype=wp.float64, device=device)
+
+    def products(self, a: wp.array, b: wp.array) -> wp.array:
+        """All but the last additions of a · b: what the kernels that need the sum finish themselves."""
+        inputs, outputs = [a, b], [self._partial]
+        wp.launch(kernels.sum_products, dim=kernels.FIRST, inputs=inputs, outputs=outputs, device=self.device)
+        return self._again()
+
+    def dot(self, a: wp.array, b: wp.array, out: wp.array) -> None:
+        """a · b as the first element of ``out``."""
+        inputs = [self.products(a, b)]
+        wp.launch(kernels.finish_sum, dim=1, inputs=inputs, outputs=[out], device=self.device)
+
+    def total(self, a: wp.array, out: wp.array) -> None:
+        """The sum of all elements as the first element of ``out``."""
+        wp.launch(kernels.sum_values, dim=kernels.FIRST, inputs=[a], outputs=[self._partial], device=self.device)
+        wp.launch(kernels.finish_sum, dim=1, inputs=[self._again()], outputs=[out], device=self.device)
+
+    def _again(self) -> wp.array:
+        inputs, outputs = [self._partial], [self._fewer]
+        wp.launch(kernels.sum_again, dim=kernels.SECOND, inputs=inputs, outputs=outputs, device=self.device)
+        return self._fewer
+
+
+class MultigridSolver:
+    """Solves A x = b for symmetric positive (semi)definite matrices on the vertices and edges of a mesh.
+
+    Every result has the same bits on every run. Where A is singular, b has to be orthogonal to its null space, and x is
+    one of the solutions.
+
+    Args:
+        hierarchy: levels for the mesh; see :class:`MeshHierarchy`.
+        block: unknowns per vertex: 1, or 2 for coordinates in tangent planes of a sphere.
+        most: iterations after which a solve is given up.
+    """
+
+    def __init__(self, hierarchy: MeshHierarchy, block: int = 1, most: int = MOST_ITERATIONS):
+        device = hierarchy.device
+        self.device, self.hierarchy, self.block, self.most = device, hierarchy, block, most
+        coarse, damping = (1, SCALAR_DAMPING) if block == 1 else (3, BLOCK_DAMPING)
+        self._cycle = VCycle(hierarchy, block, coarse, damping)
+        self.matrix = self._cycle.matrices[0]
+        count = hierarchy.levels[0].size
+        self._ones: Any = wp.full(count, 1.0, dtype=wp.float64, device=device) if block == 1 else None
+        self._x, self._rest, self._direction, self._image = (
+            wp.empty(count * block, dtype=wp.float64, device=device) for _ in range(4)
+        )
+        self._smoothed = self._image  # never needed at the same time
+        self._scalars = wp.zeros(4, dtype=wp.float64, device=device)
+        self._counters = wp.zeros(3, dtype=wp.int32, device=device)
+        self._tolerance = wp.zeros(1, dtype=wp.float64, device=device)
+        self._sum = DeviceSum(device)
+        self._graph: Any = None
+
+    def refresh(self, diagonal: wp.array, off_diagonal: wp.array, tentative: wp.array | None = None) -> None:
+        """Take the values of a matrix.
+
+        Args:
+            diagonal: the blocks of the vertices, flat float64 on the device, shape [V b b].
+            off_diagonal: the block of every edge, rows of its first end, columns of its second, shape [E b b].
+            tentative: for two unknowns per vertex, how a rotation of the sphere moves them: blocks 2 by 3, shape [6 V].
+        """
+        self.matrix.fill(self.hierarchy.source, diagonal, off_diagonal)
+        self._cycle.refresh(self._ones if tentative is None else tentative)
+
+    def solve(self, right: wp.array, out: wp.array, tolerance: float) -> Outcome:
+        """Solve for one right-hand side.
+
+        Args:
+            right: flat float64 on the device, shape [V b].
+            out: the solution, the same shape.
+            tolerance: what the error is to be reduced to in the norm of the energy, as the preconditioner measures it.
+
+        Returns:
+            How it ended. Without convergence ``out`` is the last iterate.
+        """
+        self.enqueue(right, out, tolerance)
+        return self.outcome()
+
+    def enqueue(self, right: wp.array, out: wp.array, tolerance: float) -> None:
+        """The same without a word to the host; also inside of a graph that is being captured."""
+        self._begin(right, tolerance)
+        if self.device.is_cpu or self.device.is_capturing:
+            wp.capture_while(self._counters, self._iterate)
+        else:
+            self._run_graph()
+        wp.copy(out, self._x)
+
+    def outcome(self) -> Outcome:
+        """How the last solve ended; waits for it."""
+        _, done, broken = self._counters.numpy().tolist()
+        return Outcome(done, broken == 0)
+
+    def _begin(self, right: wp.array, tolerance: float) -> None:
+        """Start from zero."""
+        self._tolerance.fill_(tolerance)
+        self._x.zero_()
+        wp.copy(self._rest, right)
+        self._cycle.apply(self._rest, self._direction)
+        wp.launch(
+            kernels.begin,
+            dim=1,
+            inputs=[self._sum.products(self._rest, self._direction), self._tolerance],
+            outputs=[self._scalars, self._counters],
+            device=self.device,
+        )
+
+    def _iterate(self) -> None:
+        """One iteration; allocates nothing and changes nothing once it has converged."""
+        device, state = self.device, [self._scalars, self._counters]
+        size = self._x.size
+        self.matrix.multiply(self._direction, self._image)
+        inputs = [self._sum.products(self._direction, self._image)]
+        wp.launch(kernels.choose_step, dim=1, inputs=inputs, outputs=state, device=device)
+        inputs, outputs = [self._scalars, self._direction, self._image], [self._x, self._rest]
+        wp.launch(kernels.advance, dim=size, inputs=inputs, outputs=outputs, device=device)
+        self._cycle.apply(self._rest, self._smoothed)
+        inputs = [self._sum.products(self._rest, self._smoothed), self.most]
+        wp.launch(kernels.choose_turn, dim=1, inputs=inputs, outputs=state, device=device)
+        inputs = [self._scalars, self._smoothed]
+        wp.launch(kernels.turn, dim=size, inputs=inputs, outputs=[self._direction], device=device)
+
+    def _run_graph(self) -> None:
+        """Launch the loop as a graph, captured at the first time."""
+        whole = wp.is_conditional_graph_supported()
+        if self._graph is None:
+            with wp.ScopedCapture(device=self.device) as capture:
+                if whole:
+                    wp.capture_while(self._counters, self._iterate)
+                else:
+                    for _ in range(UNWATCHED):
+                        self._iterate()
+            self._graph = capture.graph
+        wp.capture_launch(self._graph)
+        while not whole and self._counters.numpy()[0]:
+            wp.capture_launch(self._graph)
+
+
+__all__ = ["DeviceSum", "MultigridSolver", "Outcome"]
