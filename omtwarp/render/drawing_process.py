@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import select
 import signal
 import struct
 import sys
@@ -41,6 +42,11 @@ def _exactly(stream: BinaryIO, count: int) -> bytes:
     return data
 
 
+def _waiting(stream: BinaryIO) -> bool:
+    """Whether something can be read already, where that can be told: of pipes not on Windows."""
+    return os.name == "nt" or bool(select.select([stream], [], [], 0.0)[0])
+
+
 def main() -> None:
     """Serve until standard input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle; it closes the pipe
@@ -61,6 +67,8 @@ def main() -> None:
         send(replies, ("unavailable", f"OpenGL could not be started: {type(error).__name__}: {error}"))
         return
     send(replies, ("ready", renderer.device))
+    if not _waiting(jobs):
+        renderer.warm_up()
     while True:
         try:
             job = receive(jobs)

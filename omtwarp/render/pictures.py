@@ -58,7 +58,7 @@ def preview(
     frames: int | None = None,
     fps: float = 20.0,
     captions: bool | Sequence[str] = True,
-    samples: int = 2,
+    samples: int | None = None,
     backend: str = "auto",
     device: str = "auto",
 ) -> Image.Image | list[Image.Image]:
@@ -89,7 +89,8 @@ def preview(
         frames: draw a turntable of so many frames instead; a .gif or .mp4 path implies 36.
         fps: frames per second of the film.
         captions: name the views in a sheet; or the captions themselves.
-        samples: supersampling along each side of a pixel, 1 to 4.
+        samples: supersampling along each side of a pixel, 1 to 4, beside multisampling and filtered textures, which
+            leave little to do but for edges: 2 where they are drawn and 1 elsewhere by default.
         backend: ``"pyrender"`` (OpenGL), ``"warp"`` (ray caster) or ``"auto"``: OpenGL where it works.
         device: where the ray caster runs: ``auto``, ``cpu`` or ``cuda:N``.
 
@@ -273,7 +274,7 @@ class _Options:
     color_bar: bool = True
     arrows: Any = None
     frames: int | None = None
-    samples: int = 2
+    samples: int | None = None
     backend: str = "auto"
     device: str = "auto"
 
@@ -290,7 +291,7 @@ class _Options:
                 f"cannot draw a picture of {width} x {height} pixels: use 16 to {LARGEST} along each side"
             )
         self.size = (width, height)
-        if not 1 <= int(self.samples) <= 4:
+        if self.samples is not None and not 1 <= int(self.samples) <= 4:
             raise OmtwarpError(f"{self.samples} samples along a pixel's side asked for: use 1 to 4")
         if self.light is not None:
             as_light(self.light)
@@ -351,7 +352,7 @@ def _draw(subject: Any, options: _Options, cameras: list[Camera], clear: bool) -
         width=drawn_width,
         height=height,
         light=as_light(options.light or ("studio" if view.scalar is None else "soft")),
-        samples=int(options.samples),
+        samples=int(options.samples or (2 if parts[0].edges else 1)),
         wireframe=edges,
     )
     pictures, note = _render(job, options.backend, options.device)

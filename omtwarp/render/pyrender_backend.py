@@ -17,6 +17,7 @@ from PIL import Image
 from omtwarp.render import shaders
 from omtwarp.render.camera import Shot
 from omtwarp.render.colors import parse_color
+from omtwarp.render.light import LIGHTS
 from omtwarp.render.pyrender_compat import INSTALL_GL, GLUnavailable, import_pyrender
 from omtwarp.render.scene import Part, RenderJob
 
@@ -130,6 +131,17 @@ class GLRenderer:
         name = GL.glGetString(GL.GL_RENDERER)
         self.device = name.decode(errors="replace") if name else "unknown"
 
+    def warm_up(self) -> None:
+        """Draw a textured triangle: the driver compiles the commonest shader while the caller reads its mesh."""
+        corners = np.eye(3, dtype=np.float32)
+        normals = np.full((3, 3), 3.0**-0.5, dtype=np.float32)
+        image = np.full((4, 4, 3), 128, dtype=np.uint8)
+        part = Part(corners, normals, np.array([[0, 1, 2]], dtype=np.int32), "uv", corners, image)
+        pose = np.eye(4)
+        pose[2, 3] = 4.0
+        shot = Shot(pose, perspective=True, half_width=0.5, half_height=0.5, near=1.0, far=8.0)
+        self.draw(RenderJob([part], [shot], width=16, height=16, light=LIGHTS["studio"]))
+
     def draw(self, job: RenderJob) -> list[NDArray[np.uint8]]:
         """Draw every shot.
 
@@ -141,8 +153,13 @@ class GLRenderer:
         samples = max(1, min(job.samples, room, self.largest_picture // max(job.width, job.height)))
         self._renderer.viewport_width, self._renderer.viewport_height = job.width * samples, job.height * samples
         wires = job.wireframe
+        lights = np.zeros((4, 4))
+        for k, (way, power) in enumerate(job.light.unit_directions()):
+            lights[:, k] = [*way, power]
         self._programs.defines = {"UNLIT": 1} if job.light.unlit else {}
         self._programs.uniforms = {
+            "lights": lights,
+            "light_count": len(job.light.directional),
             "sky": np.full(3, job.light.sky),
             "ground": np.full(3, job.light.ground),
             "edge_color": parse_color(wires.color),
@@ -156,9 +173,6 @@ class GLRenderer:
             for mesh in meshes:
                 scene.add(mesh)
             scene.add(_camera(shot, job.width / job.height), pose=shot.pose)
-            for way, power in job.light.unit_directions():
-                light = pyrender.DirectionalLight(color=[1.0, 1.0, 1.0], intensity=power)
-                scene.add(light, pose=_facing(shot.pose[:3, :3] @ way))
             # A part's defines differ by its mipmaps alone, and at most one part has an image.
             if any(part.image is not None and not part.mipmaps for part in job.parts):
                 self._programs.defines["SINGLE_LEVEL"] = 1
@@ -224,16 +238,6 @@ def _camera(shot: Shot, aspect: float) -> Any:
         opening = 2.0 * float(np.arctan(shot.half_height))
         return pyrender.PerspectiveCamera(yfov=opening, znear=shot.near, zfar=shot.far, aspectRatio=aspect)
     return pyrender.OrthographicCamera(xmag=shot.half_width, ymag=shot.half_height, znear=shot.near, zfar=shot.far)
-
-
-def _facing(towards: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A pose whose z axis points towards the light; pyrender's lights shine along -z."""
-    z = towards / np.linalg.norm(towards)
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    return pose
 
 
 def _open_context() -> Any:

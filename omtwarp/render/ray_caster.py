@@ -58,7 +58,7 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
         chosen = np.flatnonzero(marked.numpy()).astype(np.int32)
         if chosen.size:
             pixels: Any = wp.array(chosen, dtype=wp.int32, device=where)
-            side = 2 * max(1, job.samples)
+            side = 2 * max(2, job.samples)
             wp.launch(
                 kernels.draw_finely,
                 len(chosen),

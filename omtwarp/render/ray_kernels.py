@@ -188,25 +188,31 @@ def sphere_color(picture: Picture, p: wp.vec3, px: wp.vec3, py: wp.vec3):
 
 @wp.func
 def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
-    """Lambert's diffuse term and a GGX highlight (Schlick's Fresnel, Smith's shadowing), as glTF 2.0, appendix B."""
+    """Lambert's diffuse term and a GGX highlight (Schlick's Fresnel, Smith's shadowing), as glTF 2.0, appendix B.
+
+    With h = (l + v) / |l + v| and |l + v|² = 2 (1 + l.v) all angles come from n.l, n.v and l.v.
+    """
     alpha2 = wp.pow(look.roughness, 4.0)
     k = (look.roughness + 1.0) * (look.roughness + 1.0) / 8.0
-    nv = wp.clamp(wp.abs(wp.dot(n, v)), 0.001, 1.0)
+    facing = wp.dot(n, v)
+    shadow = wp.clamp(wp.abs(facing), 0.001, 1.0) * (1.0 - k) + k
+    gloss = alpha2 / (4.0 * PI_F)
     high = 0.5 + 0.5 * n[1]
-    total = albedo * (look.ground * (1.0 - high) + look.sky * high)
+    diffuse = look.ground * (1.0 - high) + look.sky * high
+    shine = float(0.0)
     for i in range(look.powers.shape[0]):
         way = look.directions[i]
-        h = wp.normalize(way + v)
-        nl = wp.clamp(wp.dot(n, way), 0.0, 1.0)
-        nh = wp.clamp(wp.dot(n, h), 0.0, 1.0)
-        vh = wp.clamp(wp.dot(v, h), 0.0, 1.0)
-        fresnel = 0.04 + 0.96 * wp.pow(1.0 - vh, 5.0)
+        incident = wp.dot(n, way)
+        nl = wp.clamp(incident, 0.0, 1.0)
+        both = 1.0 + wp.dot(v, way)
+        scale = 1.0 / wp.sqrt(wp.max(2.0 * both, 1.0e-6))
+        nh = wp.clamp((incident + facing) * scale, 0.0, 1.0)
+        fresnel = 0.04 + 0.96 * wp.pow(1.0 - wp.clamp(both * scale, 0.0, 1.0), 5.0)
         spread = nh * nh * (alpha2 - 1.0) + 1.0
-        density = alpha2 / (PI_F * spread * spread)
-        seen = nl * nv / ((nl * (1.0 - k) + k) * (nv * (1.0 - k) + k))
-        highlight = fresnel * seen * density / (4.0 * nl * nv + 0.001)
-        total += nl * look.powers[i] * ((1.0 - fresnel) / PI_F * albedo + wp.vec3(highlight, highlight, highlight))
-    return total
+        power = nl * look.powers[i]
+        diffuse += power * (1.0 - fresnel) / PI_F
+        shine += power * fresnel * gloss / (spread * spread * (nl * (1.0 - k) + k) * shadow)
+    return diffuse * albedo + wp.vec3(shine, shine, shine)
 
 
 @wp.func

@@ -231,7 +231,7 @@ class RenderJob:
     width: int
     height: int
     light: Light
-    samples: int = 2
+    samples: int = 1
     wireframe: Wireframe = field(default_factory=Wireframe)
 
 

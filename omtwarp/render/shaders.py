@@ -49,12 +49,10 @@ void main()
 
 FRAGMENT = """
 struct Material { vec4 base_color_factor; float roughness_factor; sampler2D base_color_texture; };
-struct DirectionalLight { vec3 color; float intensity; vec3 direction; };
 
 uniform Material material;
-uniform DirectionalLight directional_lights[4];
-uniform int n_directional_lights;
-uniform mat4 V;
+uniform mat4 lights;  // a column each: where it is, of unit length, seen from the camera, and its power
+uniform int light_count;
 uniform mat4 P;
 uniform vec3 sky;
 uniform vec3 ground;
@@ -161,27 +159,32 @@ vec3 surface_color()
 
 #ifndef UNLIT
 // Lambert's diffuse term and a GGX highlight with Schlick's Fresnel and Smith's shadowing, as glTF 2.0, appendix B.
+// With h = (l + v) / |l + v| and |l + v|² = 2 (1 + l.v) all angles come from n.l, n.v and l.v.
 vec3 lit(vec3 albedo, vec3 n, vec3 v)
 {
-    float alpha = material.roughness_factor * material.roughness_factor;
+    float alpha2 = material.roughness_factor * material.roughness_factor;
+    alpha2 *= alpha2;
     float k = (material.roughness_factor + 1.0) * (material.roughness_factor + 1.0) / 8.0;
-    float nv = clamp(abs(dot(n, v)), 0.001, 1.0);
-    vec3 sum = albedo * mix(ground, sky, 0.5 + 0.5 * n.y);
-    for (int i = 0; i < n_directional_lights; ++i)
+    float facing = dot(n, v);
+    float shadow = min(max(abs(facing), 0.001), 1.0) * (1.0 - k) + k;
+    float gloss = alpha2 / (4.0 * PI);
+    float diffuse = 0.0;
+    float shine = 0.0;
+    for (int i = 0; i < light_count; ++i)
     {
-        vec3 l = normalize(mat3(V) * -directional_lights[i].direction);
-        vec3 h = normalize(l + v);
-        float nl = clamp(dot(n, l), 0.0, 1.0);
-        float nh = clamp(dot(n, h), 0.0, 1.0);
-        float vh = clamp(dot(v, h), 0.0, 1.0);
-        float fresnel = 0.04 + 0.96 * pow(1.0 - vh, 5.0);
-        float spread = nh * nh * (alpha * alpha - 1.0) + 1.0;
-        float density = alpha * alpha / (PI * spread * spread);
-        float seen = nl * nv / ((nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
-        float highlight = fresnel * seen * density / (4.0 * nl * nv + 0.001);
-        sum += nl * directional_lights[i].intensity * ((1.0 - fresnel) * albedo / PI + vec3(highlight));
+        float incident = dot(n, lights[i].xyz);
+        float nl = clamp(incident, 0.0, 1.0);
+        float both = 1.0 + dot(v, lights[i].xyz);
+        float scale = inversesqrt(max(2.0 * both, 1e-6));
+        float nh = clamp((incident + facing) * scale, 0.0, 1.0);
+        float away = 1.0 - clamp(both * scale, 0.0, 1.0);
+        float fresnel = 0.04 + 0.96 * (away * away) * (away * away) * away;
+        float spread = nh * nh * (alpha2 - 1.0) + 1.0;
+        float power = nl * lights[i].w;
+        diffuse += power * (1.0 - fresnel);
+        shine += power * fresnel * gloss / (spread * spread * (nl * (1.0 - k) + k) * shadow);
     }
-    return sum;
+    return albedo * (mix(ground, sky, 0.5 + 0.5 * n.y) + diffuse / PI) + shine;
 }
 #endif
 
