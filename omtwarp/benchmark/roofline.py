@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from omtwarp._warp import wp
+from omtwarp.graphs import step_by_step
 
 PER_THREAD = 16
 MANY_THREADS = 1024
@@ -42,21 +43,27 @@ class KernelRecord:
 
 
 class LaunchRecorder:
-    """Times all launches on one device between entering and leaving; the launches themselves are unchanged."""
+    """Times all launches on one device between entering and leaving; the launches themselves are unchanged.
+
+    What would be replayed as a graph is launched step by step meanwhile.
+    """
 
     def __init__(self, device: str):
         self.device = wp.get_device(device)
         self.kernels: dict[str, KernelRecord] = {}
         self._lock = threading.Lock()
         self._events: list[tuple[KernelRecord, Any, Any]] = []
+        self._steps = step_by_step()
 
     def __enter__(self) -> LaunchRecorder:
+        self._steps.__enter__()
         self._launch = wp.launch
         wp.launch = self._timed
         return self
 
     def __exit__(self, *_: Any) -> None:
         wp.launch = self._launch
+        self._steps.__exit__(None, None, None)
         if self._events:
             wp.synchronize_device(self.device)
             for record, begin, end in self._events:
@@ -125,14 +132,16 @@ def kernel_table(surface: Any, device: str, refine: str | float | None) -> dict[
         refine: as in :func:`omtwarp.map_to_sphere`.
 
     Returns:
-        ``bandwidth`` (bytes per second of a copy) and ``kernels``, slowest in all first: ``name``, ``launches``,
-        ``seconds``, ``bytes``, ``bytes_per_second`` and ``part_of_copy``.
+        ``bandwidth`` (bytes per second of a copy), ``kernels``, slowest in all first: ``name``, ``launches``,
+        ``seconds``, ``bytes``, ``bytes_per_second`` and ``part_of_copy``; and ``flow``, of :func:`flow_iterations`.
     """
     from omtwarp.pipeline import map_to_sphere
 
     bandwidth = copy_bandwidth(device)
     with LaunchRecorder(device) as recorder:
-        map_to_sphere((surface.vertices, surface.faces), device=device, refine=refine)
+        mapped = map_to_sphere((surface.vertices, surface.faces), device=device, refine=refine)
+    flow = flow_iterations(surface, mapped.conformal, mapped.moser, device)
+    flow["part_of_copy"] = flow["bytes"] / flow["seconds"] / bandwidth
     rows = []
     for name, record in sorted(recorder.kernels.items(), key=lambda item: -item[1].seconds):
         rate = record.moved / record.seconds if record.seconds > 0.0 else 0.0
@@ -147,4 +156,43 @@ def kernel_table(surface: Any, device: str, refine: str | float | None) -> dict[
                 "part_of_copy": rate / bandwidth,
             }
         )
-    return {"device": device, "faces": surface.face_count, "bandwidth": bandwidth, "kernels": rows}
+    return {"device": device, "faces": surface.face_count, "bandwidth": bandwidth, "kernels": rows, "flow": flow}
+
+
+def flow_iterations(surface: Any, start: Any, initial: Any, device: str, most: int = 20) -> dict[str, Any]:
+    """What an iteration of the transport flow takes as it is run by a map: on CUDA replayed as a graph.
+
+    Args:
+        surface: as in :func:`omtwarp.optimal_transport`, and so are ``start`` and ``initial``.
+        device: a device's name.
+        most: the most iterations.
+
+    Returns:
+        ``iterations``; and of one, a mean of all: ``seconds`` on the wall, ``launches``, and ``bytes`` that its kernels
+        have to move (sorting, copying and clearing arrays not counted).
+    """
+    from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
+
+    flow = _Flow(surface, start, initial, "squared", "default", wp.get_device(device))
+    points = wp.clone(flow.points)
+
+    def descend() -> float:
+        wp.copy(flow.points, points)
+        flow.history.clear()
+        wp.synchronize_device(device)
+        begin = time.perf_counter()
+        flow.run(most, CURL_TOLERANCE, None)
+        return time.perf_counter() - begin
+
+    with LaunchRecorder(device) as recorder:
+        descend()
+    descend()  # records the graph
+    seconds = descend()
+    count = len(flow.history)
+    launched = recorder.kernels.values()
+    return {
+        "iterations": count,
+        "seconds": seconds / count,
+        "launches": sum(record.launches for record in launched) / count,
+        "bytes": sum(record.moved for record in launched) / count,
+    }

@@ -46,11 +46,14 @@ def flag_bad_steps(
         touched = changed[face[0]] + changed[face[1]] + changed[face[2]]
     if touched > 0:
         after = wp.dot(end[face[0]], wp.cross(end[face[1]], end[face[2]]))
-        before = wp.dot(start[face[0]], wp.cross(start[face[1]], start[face[2]]))
-        if after > ZERO and (after >= before or after >= floors[f]):
-            flags[f] = 0
-        else:
-            flags[f] = 1
+        bad = int(1)
+        if after > ZERO:
+            if after >= floors[f]:
+                bad = int(0)
+            elif after >= wp.dot(start[face[0]], wp.cross(start[face[1]], start[face[2]])):
+                bad = int(0)
+        flags[f] = bad
+        if bad == 1:
             wp.atomic_add(count, 0, 1)
 
 

@@ -31,7 +31,7 @@ from omtwarp.transport.descent_kernels import (
     keep_accepted,
     turn_direction,
 )
-from omtwarp.transport.kernels import advect, centre_distance, cost_and_force, divide_by_area
+from omtwarp.transport.kernels import advect, centre_distance, cost_and_force, divide_by_area, face_centres
 from omtwarp.transport.sums import RowSums, partial_count
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 from omtwarp.wavelets.filter import WaveletFilter
@@ -169,17 +169,17 @@ class _Flow:
         record: bool | None = None,
     ):
         self.device = device
-        self.count = surface.vertex_count
+        self.count, self.face_count = surface.vertex_count, surface.face_count
         self.geodesic = cost == "geodesic"
         self.scheme = scheme
         self.plain = scheme == "plain"
         self.history: list[dict[str, Any]] = []
-        self.start = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=device)
         self.points = wp.array(np.array(initial, dtype=np.float64), dtype=wp.vec3d, device=device)
         self.trial = wp.empty_like(self.points)
         self.faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
-        self.face_count = surface.face_count
-        self.centres = wp.empty(surface.face_count, dtype=wp.vec3d, device=device)
+        self.centres, self.start_centres = (wp.empty(self.face_count, dtype=wp.vec3d, device=device) for _ in range(2))
+        begin = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=device)
+        self.launch(face_centres, self.face_count, [begin, self.faces], [self.start_centres])
         self.masses = wp.array(surface.face_areas, dtype=wp.float64, device=device)
         self.hierarchy = sphere_hierarchy(level_for(1.2 * surface.vertex_count, lowest=2))
         centres = triangle_centres(surface, initial)
@@ -199,6 +199,7 @@ class _Flow:
             wp.array(np.concatenate(levels), dtype=wp.int32, device=device),
             wp.array(starts, dtype=wp.int32, device=device),
         ]
+        self.hints = wp.full(self.count, -1, dtype=wp.int32, device=device)
         self.guard = StepGuard(surface, device)
         self.guarded = self.guard.count(self.points) == 0
         self.measured = wp.empty((self.face_count, 2), dtype=wp.float64, device=device)
@@ -224,8 +225,8 @@ class _Flow:
         options = [int(self.geodesic), wp.float64(self.softening), wp.float64(LARGEST_ERROR)]
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
-            own = [self.faces[part], self.masses[part]]
-            return [self.start, points, *own, *options], [self.measured[part], self.turned[part], self.centres[part]]
+            inputs = [self.start_centres[part], points, self.faces[part], self.masses[part], *options]
+            return inputs, [self.measured[part], self.turned[part], self.centres[part]]
 
         launch_parts(cost_and_force, self.face_count, arguments, self.device)
         return self.face_sums(self.measured)
@@ -270,7 +271,7 @@ class _Flow:
         """Try a step."""
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
-            return [self.points[part], self.state, *self.grid, velocity], [self.trial[part]]
+            return [self.points[part], self.state, *self.grid, velocity], [self.hints[part], self.trial[part]]
 
         launch_parts(advect, self.count, arguments, self.device)
         if self.guarded:

@@ -25,6 +25,17 @@ def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
 
 
 @wp.kernel
+def face_centres(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    centres: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    centres[f] = centre(points, faces[f])
+
+
+@wp.kernel
 def centre_distance(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
@@ -49,7 +60,7 @@ def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, lar
 
 @wp.kernel
 def cost_and_force(
-    start: wp.array[wp.vec3d],
+    start_centres: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     masses: wp.array[wp.float64],
@@ -66,7 +77,7 @@ def cost_and_force(
     face = faces[f]
     y = centre(points, face)
     centres[f] = y
-    pull, distance = logarithm(y, centre(start, face))
+    pull, distance = logarithm(y, start_centres[f])
     mass = masses[f]
     measured[f, 1] = area_error(points, face, mass, largest_error)
     if geodesic == 1:
@@ -148,18 +159,24 @@ def advect(
     faces: wp.array2d[wp.int32],
     level_starts: wp.array[wp.int32],
     gradients: wp.array[wp.vec3d],
+    # Data in and out:
+    hints: wp.array[wp.int32],
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
-    """One fourth-order Runge-Kutta step of dy/dt = J ∇H(y), as long as the state says."""
+    """One fourth-order Runge-Kutta step of dy/dt = J ∇H(y), as long as the state says.
+
+    ``hints`` remembers in which triangle it ended, where the next one is likely to begin; -1 where nothing is known.
+    """
     v = wp.tid()
     p = points[v]
     step = state[0].step
     half = HALF * step
-    k1, f1 = stream_velocity(p, -1, nodes, faces, level_starts, gradients)
+    k1, f1 = stream_velocity(p, hints[v], nodes, faces, level_starts, gradients)
     k2, f2 = stream_velocity(wp.normalize(p + half * k1), f1, nodes, faces, level_starts, gradients)
     k3, f3 = stream_velocity(wp.normalize(p + half * k2), f2, nodes, faces, level_starts, gradients)
-    k4, _f4 = stream_velocity(wp.normalize(p + step * k3), f3, nodes, faces, level_starts, gradients)
+    k4, f4 = stream_velocity(wp.normalize(p + step * k3), f3, nodes, faces, level_starts, gradients)
+    hints[v] = f4
     moved[v] = wp.normalize(p + step * SIXTH * (k1 + TWO * k2 + TWO * k3 + k4))
 
 

@@ -8,7 +8,7 @@ from omtwarp._warp import wp
 from omtwarp.transport.descent_kernels import GROUP, LANES, sum_rows
 
 # This few rows are left to the thread that needs their sum.
-FEW = 512
+FEW = 64
 
 
 def partial_count(rows: int) -> int:
