@@ -21,6 +21,10 @@ ROOM = 8
 _recording = True
 
 
+def _records(device: Any, record: bool | None) -> bool:
+    return bool(device.is_cuda and wp.is_conditional_graph_supported()) if record is None else record
+
+
 class Graph:
     """Work that can be done again and again on the same arrays.
 
@@ -37,7 +41,7 @@ class Graph:
     def __init__(self, work: Callable[[], None], device: Any, record: bool | None = None):
         self._work = work
         self._device = wp.get_device(device)
-        self.recorded = self._device.is_cuda and wp.is_conditional_graph_supported() if record is None else record
+        self.recorded = _records(self._device, record)
         self._graph: Any = None
 
     def __call__(self) -> None:
@@ -63,17 +67,20 @@ class GraphsByArray:
 
     def __init__(self, device: Any, record: bool | None = None):
         self._device = wp.get_device(device)
-        self._record = record
+        self._record = _records(self._device, record)
         self._graphs: dict[tuple[str, int], Graph] = {}
 
     def __call__(self, work: Callable[[Any], None], array: Any) -> None:
-        """work(array); what is recorded belongs to the memory, whichever array of the same kind is there later."""
+        """work(array), recorded when the array comes for the first time; what is recorded keeps it alive."""
+        if not (self._record and _recording) or self._device.is_capturing:
+            work(array)
+            return
         key = (work.__name__, array.ptr)
         if key not in self._graphs:
             if len(self._graphs) >= ROOM:
                 wp.synchronize_device(self._device)  # none of them may still be running
                 self._graphs.clear()
-            self._graphs[key] = Graph(partial(work, array), self._device, self._record)
+            self._graphs[key] = Graph(partial(work, array), self._device, True)
         self._graphs[key]()
 
 

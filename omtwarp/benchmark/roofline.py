@@ -174,14 +174,14 @@ def flow_iterations(surface: Any, start: Any, initial: Any, device: str, most: i
     from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
 
     flow = _Flow(surface, start, initial, "squared", "default", wp.get_device(device))
-    points = wp.clone(flow.points)
+    iterations, points = flow.iterations(), wp.clone(flow.points)
 
     def descend() -> float:
         wp.copy(flow.points, points)
         flow.history.clear()
         wp.synchronize_device(device)
         begin = time.perf_counter()
-        flow.run(most, CURL_TOLERANCE, None)
+        flow.run(iterations, most, CURL_TOLERANCE)
         return time.perf_counter() - begin
 
     with LaunchRecorder(device) as recorder:

@@ -151,7 +151,7 @@ def optimal_transport(
         raise OmtwarpError(f"unknown scheme '{scheme}': use {' or '.join(SCHEMES)}")
     flow = _Flow(surface, start, initial, cost, scheme, resolve_device(device))
     most = MAXIMUM_ITERATIONS[scheme] if iterations is None else iterations
-    converged = flow.run(most, tolerance, progress)
+    converged = flow.run(flow.iterations(), most, tolerance, progress)
     return TransportMap(flow.points.numpy().copy(), flow.history, converged)
 
 
@@ -166,7 +166,6 @@ class _Flow:
         cost: str,
         scheme: str,
         device: Any,
-        record: bool | None = None,
     ):
         self.device = device
         self.count, self.face_count = surface.vertex_count, surface.face_count
@@ -213,9 +212,6 @@ class _Flow:
         self.product_sums = RowSums(partial_count(nodes), 4, device)
         self.state = wp.empty(1, dtype=FlowState, device=device)
         self.running, self.searching = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
-        self.iterations = Graph(lambda: wp.capture_while(self.running, self.iterate), device, record)
-        at_once = ITERATIONS_AT_ONCE if self.iterations.recorded else 1
-        self.records = wp.empty((at_once, len(RECORD)), dtype=wp.float64, device=device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list[Any], outputs: list[Any]) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
@@ -307,11 +303,24 @@ class _Flow:
             state[name] = value
         self.state.assign(state)
 
-    def run(self, most: int, tolerance: float, progress: Callable[[int, int, dict[str, Any]], None] | None) -> bool:
+    def iterations(self, record: bool | None = None) -> Graph:
+        """As many iterations as the host is told of at once; it keeps the flow alive, not the other way round."""
+        graph = Graph(lambda: wp.capture_while(self.running, self.iterate), self.device, record)
+        at_once = ITERATIONS_AT_ONCE if graph.recorded else 1
+        self.records = wp.empty((at_once, len(RECORD)), dtype=wp.float64, device=self.device)
+        return graph
+
+    def run(
+        self,
+        iterations: Graph,
+        most: int,
+        tolerance: float,
+        progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+    ) -> bool:
         self.prepare(most, tolerance)
         while True:
             self.running.fill_(1)
-            self.iterations()
+            iterations()
             state, rows = self.state.numpy()[0], self.records.numpy()
             for iteration in range(len(self.history), int(state["iteration"])):
                 numbers = dict(zip(RECORD, rows[iteration % len(rows)].tolist(), strict=True))

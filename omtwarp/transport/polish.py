@@ -95,7 +95,7 @@ def polish_transport(
 
     guard = StepGuard(surface, where)
     guarded = guard.count(points) == 0
-    solver = SurfaceLaplacianSolver(surface, sphere)
+    solver = SurfaceLaplacianSolver(surface, sphere, device=where)
     history: list[dict[str, Any]] = []
     best = wp.clone(points)
     first_cost, *largest = measure()

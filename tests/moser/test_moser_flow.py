@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 from sphere_truths import height_and_longitude, mean_edge, pushed_north, random_rotation, rms, turned
 
+from omtwarp._warp import wp
 from omtwarp.conformal import conformal_map
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.linear import LaplacianSolver, SurfaceLaplacianSolver
@@ -110,3 +111,20 @@ def test_the_same_bits_twice():
     two = moser_map(surface, start.sphere, solver=start.solver)
     np.testing.assert_array_equal(one.sphere, two.sphere)
     assert one.steps == two.steps
+
+
+def test_all_particles_go_all_their_way_in_one_launch(device, monkeypatch):
+    monkeypatch.setenv("OMTWARP_THREADS", "1")  # else one for every core of a CPU
+    surface = turned(icosphere(6))
+    launched = []
+    launch = wp.launch
+
+    def note(kernel, *arguments, **named):
+        launched.append(kernel.key)
+        return launch(kernel, *arguments, **named)
+
+    solver = SurfaceLaplacianSolver(surface, surface.vertices)
+    monkeypatch.setattr(wp, "launch", note)
+    flowed = moser_map(surface, pushed_north(surface.vertices, 0.3), solver=solver, device=device)
+    assert flowed.steps > 10
+    assert launched.count("vertex_field") == launched.count("integrate_particles") == 1

@@ -1,5 +1,9 @@
 """The flow decides on the device: an iteration can be recorded, reads nothing back, and repeats to the bit."""
 
+import gc
+import weakref
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,11 +17,11 @@ from omtwarp.transport.flow import COSTS, SCHEMES, _Flow, optimal_transport
 from omtwarp.transport.sums import FEW, RowSums
 
 
-def flow_of_a_twist(device: str, cost: str = "squared", scheme: str = "default", record: bool | None = None) -> _Flow:
+def flow_of_a_twist(device: str, cost: str = "squared", scheme: str = "default") -> _Flow:
     """From a twist that the guard has to hold back here and there."""
     surface = random_sphere(900, seed=3)
     start, initial = pushed_north(surface.vertices, 0.5), twisted(surface.vertices, 1.6)
-    return _Flow(surface, start, initial, cost, scheme, resolve_device(device), record)
+    return _Flow(surface, start, initial, cost, scheme, resolve_device(device))
 
 
 @pytest.mark.parametrize("cost", COSTS)
@@ -28,9 +32,10 @@ def test_recorded_and_step_by_step_are_the_same_to_the_bit(device, cost, scheme,
     monkeypatch.setenv("OMTWARP_THREADS", "1")  # a launch cut into parts would be recorded by several threads
     ends = []
     for record in (False, True):
-        flow = flow_of_a_twist(device, cost, scheme, record)
+        flow = flow_of_a_twist(device, cost, scheme)
         told: list[int] = []
-        converged = flow.run(23, 1e-4, lambda done, most, details, told=told: told.append(done))
+        tell = partial(lambda told, done, most, details: told.append(done), told)
+        converged = flow.run(flow.iterations(record), 23, 1e-4, tell)
         assert told == list(range(len(flow.history)))
         ends.append((flow.points.numpy().copy(), flow.history, converged))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
@@ -42,6 +47,7 @@ def test_recorded_and_step_by_step_are_the_same_to_the_bit(device, cost, scheme,
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_an_iteration_reads_nothing_back_and_allocates_nothing(device, scheme, monkeypatch):
     flow = flow_of_a_twist(device, scheme=scheme)
+    flow.iterations()
     flow.prepare(60, 0.0)
     flow.running.fill_(1)
     flow.iterate()  # loads what has to be loaded
@@ -63,12 +69,12 @@ def test_an_iteration_reads_nothing_back_and_allocates_nothing(device, scheme, m
 def test_the_same_flow_can_be_run_again(device):
     """What is left from the first run has no say in the second."""
     flow = flow_of_a_twist(device)
-    initial = wp.clone(flow.points)
+    iterations, initial = flow.iterations(), wp.clone(flow.points)
     ends = []
     for _ in range(2):
         wp.copy(flow.points, initial)
         flow.history.clear()
-        flow.run(7, 0.0, None)
+        flow.run(iterations, 7, 0.0)
         ends.append((flow.points.numpy().copy(), list(flow.history)))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     assert ends[0][1] == ends[1][1]
@@ -81,6 +87,19 @@ def test_the_same_bits_twice(device, cost):
     one, two = (optimal_transport(surface, start, initial, cost=cost, device=device) for _ in range(2))
     np.testing.assert_array_equal(one.sphere, two.sphere)
     assert one.history == two.history
+
+
+def test_memory_is_given_back_at_once(device):
+    """Not when Python next looks for cycles: the arrays of a large mesh are large."""
+    flow = flow_of_a_twist(device)
+    flow.run(flow.iterations(), 2, 0.0)
+    there = weakref.ref(flow)
+    gc.disable()
+    try:
+        del flow
+        assert there() is None
+    finally:
+        gc.enable()
 
 
 def agree(one, two) -> None:
