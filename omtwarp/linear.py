@@ -1,17 +1,47 @@
-"""Sparse symmetric positive definite systems, factorised once and solved many times."""
+"""Sparse symmetric positive definite systems, factorised once and solved many times.
+
+Here it is also decided where a system on a surface is solved: by a factorisation on the host, or by conjugate gradients
+and multigrid on the device (:mod:`omtwarp.multigrid`).
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from omtwarp._warp import resolve_device, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
+
+if TYPE_CHECKING:
+    from omtwarp.multigrid import DeviceLaplacian
+
+
+SOLVERS = ("auto", "host", "device")
+# An iteration on the device is a hundred launches or more, whatever the size of the mesh: below so many vertices they
+# have next to nothing to do, and the host has factorised a Laplacian in 0.03 s.
+DEVICE_VERTICES = 30_000
+
+
+def on_device(device: wp.Device, vertices: int) -> bool:
+    """Whether systems on a surface of so many vertices are solved on the device.
+
+    They are on CUDA where the surface is large. The environment variable ``OMTWARP_SOLVER`` overrides that: ``host`` or
+    ``device`` everywhere, the CPU included; ``auto`` is the rule above.
+
+    Raises:
+        OmtwarpError: the variable holds something else.
+    """
+    wanted = os.environ.get("OMTWARP_SOLVER") or "auto"
+    if wanted not in SOLVERS:
+        raise OmtwarpError(f"unknown OMTWARP_SOLVER '{wanted}': use {', '.join(SOLVERS)}")
+    return wanted == "device" or (wanted == "auto" and device.is_cuda and vertices > DEVICE_VERTICES)
 
 
 class PoissonSolver(Protocol):
@@ -83,15 +113,52 @@ class LaplacianSolver:
 class SurfaceLaplacianSolver:
     """Solves L u = b for the cotangent Laplacian of a surface at its own or other positions of its vertices.
 
-    The same as :class:`LaplacianSolver` of :func:`omtwarp.geometry.cotangent_laplacian` to round-off, with the order of
-    elimination that belongs to the surface: it is worked out once for all positions, and the factorisation is several
-    times faster than SuperLU's.
+    The same as :class:`LaplacianSolver` of :func:`omtwarp.geometry.cotangent_laplacian` to round-off. On the host the
+    order of elimination belongs to the surface: it is worked out once for all positions, and the factorisation is
+    several times faster than SuperLU's. See :func:`on_device` for when it is not the host.
 
     Args:
         surface: a closed surface, V vertices.
         points: positions, shape [V, 3].
-        pinned: the vertex held at zero while solving.
+        pinned: the vertex held at zero while solving on the host.
+        device: where the stage that asks runs.
     """
+
+    def __init__(
+        self, surface: Surface, points: NDArray[np.float64], pinned: int = 0, device: str | wp.Device | None = "cpu"
+    ):
+        where = resolve_device(device)
+        self._iterative: DeviceLaplacian | None = None
+        self._direct: PoissonSolver | None = None
+        self._make = lambda: _SurfaceFactorization(surface, points, pinned)
+        if on_device(where, surface.vertex_count):
+            from omtwarp.multigrid import DeviceLaplacian
+
+            uploaded = wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device=where)
+            self._iterative = DeviceLaplacian(surface, uploaded)
+        else:
+            self._direct = self._make()
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
+        if self._iterative is not None:
+            out = np.empty((len(right), right.size // len(right)))
+            for k, column in enumerate(right.reshape(out.shape).T):
+                given = wp.array(np.ascontiguousarray(column), dtype=wp.float64, device=self._iterative.device)
+                solved = wp.empty_like(given)
+                if not self._iterative.solve(given, solved).converged:
+                    self._iterative = None
+                    break
+                out[:, k] = solved.numpy()
+            else:
+                return out.reshape(right.shape)
+        if self._direct is None:
+            self._direct = self._make()
+        return self._direct.solve(right)
+
+
+class _SurfaceFactorization:
+    """The direct solution on the host; arguments as of :class:`SurfaceLaplacianSolver`."""
 
     def __init__(self, surface: Surface, points: NDArray[np.float64], pinned: int = 0):
         from omtwarp.cholesky import MultifrontalCholesky, NotPositiveDefinite

@@ -59,7 +59,7 @@ def conformal_map(surface: Surface, *, device: str | None = "cpu") -> ConformalM
     """
     points = surface.scaled_vertices
     face = most_regular_face(points, surface.faces)
-    solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]))
+    solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]), device=device)
     plane = solver.solve(_dipole(points, surface.faces[face]))
     if not np.isfinite(plane).all():
         raise OmtwarpError("the conformal map is not finite: the surface has triangles too thin for it; remesh them")

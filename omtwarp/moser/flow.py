@@ -62,7 +62,7 @@ def moser_map(
     where = resolve_device(device)
     image = np.ascontiguousarray(start, dtype=np.float64)
     if solver is None:
-        solver = SurfaceLaplacianSolver(surface, image)
+        solver = SurfaceLaplacianSolver(surface, image, device=where)
     areas = triangle_areas(image, surface.faces)
     image_masses = surface.sum_to_vertices(areas * (SPHERE_AREA / areas.sum())) / 3.0
     potential = solver.solve(surface.vertex_areas - image_masses)

@@ -2,5 +2,14 @@
 
 from omtwarp.multigrid.conjugate_gradient import DeviceSum, MultigridSolver, Outcome
 from omtwarp.multigrid.hierarchy import MeshHierarchy
+from omtwarp.multigrid.laplacian import DeviceLaplacian, positioned_hierarchy, surface_hierarchy
 
-__all__ = ["DeviceSum", "MeshHierarchy", "MultigridSolver", "Outcome"]
+__all__ = [
+    "DeviceLaplacian",
+    "DeviceSum",
+    "MeshHierarchy",
+    "MultigridSolver",
+    "Outcome",
+    "positioned_hierarchy",
+    "surface_hierarchy",
+]

@@ -1,8 +1,8 @@
 """Conjugate gradients with a multigrid cycle before them, all on the device.
 
 Step lengths, sums and the decision to stop stay on the device. On CUDA the whole loop is one graph with a conditional
-node, captured when it first runs and launched for every right-hand side after that, of this or later values of the
-matrix; where the driver has no conditional nodes the graph holds a few iterations, and the flag is read between them.
+node, recorded when it first runs and replayed for every right-hand side after that, of this or later values of the
+matrix (:mod:`omtwarp.graphs`).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from omtwarp._warp import wp
+from omtwarp.graphs import Graph
 from omtwarp.multigrid import iteration_kernels as kernels
 from omtwarp.multigrid.cycle import VCycle
 from omtwarp.multigrid.hierarchy import SCALAR_DAMPING, MeshHierarchy
@@ -18,8 +19,6 @@ from omtwarp.multigrid.hierarchy import SCALAR_DAMPING, MeshHierarchy
 # Blocks of the Newton matrix couple more than the entries of a Laplacian: D^-1 A has eigenvalues near 3.
 BLOCK_DAMPING = 0.5
 MOST_ITERATIONS = 500
-# Between looks at the flag, where a graph cannot look itself; iterations after the last one change nothing.
-UNWATCHED = 4
 
 
 @dataclass(frozen=True)
@@ -79,9 +78,12 @@ class MultigridSolver:
         hierarchy: levels for the mesh; see :class:`MeshHierarchy`.
         block: unknowns per vertex: 1, or 2 for coordinates in tangent planes of a sphere.
         most: iterations after which a solve is given up.
+        record: whether the loop is recorded, see :class:`omtwarp.graphs.Graph`.
     """
 
-    def __init__(self, hierarchy: MeshHierarchy, block: int = 1, most: int = MOST_ITERATIONS):
+    def __init__(
+        self, hierarchy: MeshHierarchy, block: int = 1, most: int = MOST_ITERATIONS, record: bool | None = None
+    ):
         device = hierarchy.device
         self.device, self.hierarchy, self.block, self.most = device, hierarchy, block, most
         coarse, damping = (1, SCALAR_DAMPING) if block == 1 else (3, BLOCK_DAMPING)
@@ -97,7 +99,7 @@ class MultigridSolver:
         self._counters = wp.zeros(3, dtype=wp.int32, device=device)
         self._tolerance = wp.zeros(1, dtype=wp.float64, device=device)
         self._sum = DeviceSum(device)
-        self._graph: Any = None
+        self._loop = Graph(self._run, device, record)
 
     def refresh(self, diagonal: wp.array, off_diagonal: wp.array, tentative: wp.array | None = None) -> None:
         """Take the values of a matrix.
@@ -125,12 +127,10 @@ class MultigridSolver:
         return self.outcome()
 
     def enqueue(self, right: wp.array, out: wp.array, tolerance: float) -> None:
-        """The same without a word to the host; also inside of a graph that is being captured."""
-        self._begin(right, tolerance)
-        if self.device.is_cpu or self.device.is_capturing:
-            wp.capture_while(self._counters, self._iterate)
-        else:
-            self._run_graph()
+        """The same without a word to the host; also inside of a graph that is being recorded."""
+        self._tolerance.fill_(tolerance)
+        wp.copy(self._rest, right)
+        self._loop()
         wp.copy(out, self._x)
 
     def outcome(self) -> Outcome:
@@ -138,11 +138,9 @@ class MultigridSolver:
         _, done, broken = self._counters.numpy().tolist()
         return Outcome(done, broken == 0)
 
-    def _begin(self, right: wp.array, tolerance: float) -> None:
-        """Start from zero."""
-        self._tolerance.fill_(tolerance)
+    def _run(self) -> None:
+        """Iterate from zero, for the right-hand side that the residual has been set to."""
         self._x.zero_()
-        wp.copy(self._rest, right)
         self._cycle.apply(self._rest, self._direction)
         wp.launch(
             kernels.begin,
@@ -151,9 +149,10 @@ class MultigridSolver:
             outputs=[self._scalars, self._counters],
             device=self.device,
         )
+        wp.capture_while(self._counters, self._iterate)
 
     def _iterate(self) -> None:
-        """One iteration; allocates nothing and changes nothing once it has converged."""
+        """One iteration."""
         device, state = self.device, [self._scalars, self._counters]
         size = self._x.size
         self.matrix.multiply(self._direction, self._image)
@@ -166,21 +165,6 @@ class MultigridSolver:
         wp.launch(kernels.choose_turn, dim=1, inputs=inputs, outputs=state, device=device)
         inputs = [self._scalars, self._smoothed]
         wp.launch(kernels.turn, dim=size, inputs=inputs, outputs=[self._direction], device=device)
-
-    def _run_graph(self) -> None:
-        """Launch the loop as a graph, captured at the first time."""
-        whole = wp.is_conditional_graph_supported()
-        if self._graph is None:
-            with wp.ScopedCapture(device=self.device) as capture:
-                if whole:
-                    wp.capture_while(self._counters, self._iterate)
-                else:
-                    for _ in range(UNWATCHED):
-                        self._iterate()
-            self._graph = capture.graph
-        wp.capture_launch(self._graph)
-        while not whole and self._counters.numpy()[0]:
-            wp.capture_launch(self._graph)
 
 
 __all__ = ["DeviceSum", "MultigridSolver", "Outcome"]

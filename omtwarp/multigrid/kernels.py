@@ -47,6 +47,32 @@ def fill_rows(
 
 
 @wp.kernel
+def laplacian_diagonal(
+    offsets: wp.array[wp.int32],
+    source: wp.array[wp.int32],
+    weights: wp.array[wp.float64],
+    # Data out:
+    diagonal: wp.array[wp.float64],
+):
+    """The diagonal of a Laplacian: the weights of a vertex's edges, summed in the order of its row."""
+    i = wp.tid()
+    total = wp.float64(0.0)
+    for k in range(offsets[i], offsets[i + 1]):
+        if source[k] % 3 != 0:
+            total += weights[source[k] // 3]
+    diagonal[i] = total
+
+
+@wp.kernel
+def negate(
+    # Data in and out:
+    values: wp.array[wp.float64],
+):
+    i = wp.tid()
+    values[i] = -values[i]
+
+
+@wp.kernel
 def invert_diagonal_1(
     diagonal: wp.array[wp.int32],
     values: wp.array[wp.float64],

@@ -1,0 +1,108 @@
+"""The cotangent Laplacian of a surface, made and solved on the device."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp._warp import wp
+from omtwarp.geometry.edge_weight_kernels import edge_weight_kernel
+from omtwarp.mesh.surface import Surface
+from omtwarp.multigrid import iteration_kernels, kernels
+from omtwarp.multigrid.conjugate_gradient import DeviceSum, MultigridSolver, Outcome
+from omtwarp.multigrid.hierarchy import MeshHierarchy
+
+# Of the energy's norm: two digits above rounding. Harmonic functions are nearly constant on limbs, where what matters
+# are the differences.
+TOLERANCE = 1e-13
+# Levels by the surface's own triangles suit its images too, unless those are stretched much differently. Then levels
+# of their own, which cost as much as several solves, take a half to nine tenths of the iterations away.
+MANY_ITERATIONS = 60
+
+_hierarchies: weakref.WeakKeyDictionary[Surface, dict[str, MeshHierarchy]] = weakref.WeakKeyDictionary()
+
+
+def surface_hierarchy(surface: Surface, device: wp.Device) -> MeshHierarchy:
+    """The levels of a surface on a device, by its own cotangent Laplacian; made once and kept with the surface."""
+    kept = _hierarchies.setdefault(surface, {})
+    if str(device) not in kept:
+        kept[str(device)] = positioned_hierarchy(surface, surface.scaled_vertices, device)
+    return kept[str(device)]
+
+
+def positioned_hierarchy(surface: Surface, points: NDArray[np.float64], device: wp.Device) -> MeshHierarchy:
+    """Levels by the cotangent Laplacian at other positions of the vertices, shape [V, 3]."""
+    from omtwarp.geometry.edge_weights import cotangent_edge_weights
+
+    edges, count = surface.edges, surface.vertex_count
+    weights = cotangent_edge_weights(surface, points)
+    diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)
+    return MeshHierarchy(count, edges, diagonal.astype(np.float64, copy=False), -weights, device)
+
+
+class DeviceLaplacian:
+    """Solves L u = b for the cotangent Laplacian of a surface, all on the device.
+
+    The levels are those of the surface at its own positions until a solve takes more than ``MANY_ITERATIONS``.
+
+    Args:
+        surface: a closed connected surface, V vertices.
+        points: positions of the vertices, vec3d, shape [V], on the device.
+        record: see :class:`omtwarp.graphs.Graph`.
+    """
+
+    def __init__(self, surface: Surface, points: wp.array, record: bool | None = None):
+        self.device = points.device
+        self._surface, self._points, self._record = surface, points, record
+        self._sum, self._total = DeviceSum(self.device), wp.empty(1, dtype=wp.float64, device=self.device)
+        self._centred: Any = wp.empty(surface.vertex_count, dtype=wp.float64, device=self.device)
+        self._own_levels = False
+        self._solver = self._solver_on(surface_hierarchy(surface, self.device))
+
+    def _solver_on(self, hierarchy: MeshHierarchy) -> MultigridSolver:
+        surface, device = self._surface, self.device
+        corners = surface.edge_corners
+        diagonal = wp.empty(surface.vertex_count, dtype=wp.float64, device=device)
+        entries = wp.empty(len(corners), dtype=wp.float64, device=device)
+        faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
+        inputs = [self._points, faces, wp.array(corners, dtype=wp.vec2i, device=device)]
+        wp.launch(edge_weight_kernel, dim=entries.size, inputs=inputs, outputs=[entries], device=device)
+        inputs = [hierarchy.levels[0].pattern.offsets, hierarchy.source, entries]
+        wp.launch(kernels.laplacian_diagonal, dim=diagonal.size, inputs=inputs, outputs=[diagonal], device=device)
+        wp.launch(kernels.negate, dim=entries.size, outputs=[entries], device=device)
+        solver = MultigridSolver(hierarchy, record=self._record)
+        solver.refresh(diagonal, entries)
+        return solver
+
+    def solve(self, right: wp.array, out: wp.array) -> Outcome:
+        """Solve for b with its mean taken off, float64, shape [V]; u has mean zero."""
+        self.enqueue(right, out)
+        outcome = self._solver.outcome()
+        if outcome.iterations > MANY_ITERATIONS and not self._own_levels:
+            self._own_levels = True
+            levels = positioned_hierarchy(self._surface, self._points.numpy(), self.device)
+            self._solver = self._solver_on(levels)
+            if not outcome.converged:
+                self.enqueue(right, out)
+                outcome = self._solver.outcome()
+        return outcome
+
+    def enqueue(self, right: wp.array, out: wp.array) -> None:
+        """The same without a word to the host, and without levels of its own."""
+        wp.copy(self._centred, right)
+        self._centre(self._centred)
+        self._solver.enqueue(self._centred, out, TOLERANCE)
+        self._centre(out)
+
+    def _centre(self, values: wp.array) -> None:
+        self._sum.total(values, self._total)
+        inputs, outputs = [self._total], [values]
+        wp.launch(
+            iteration_kernels.remove_mean, dim=values.size, inputs=inputs, outputs=outputs, device=self.device
+        )
+
+
+__all__ = ["DeviceLaplacian", "positioned_hierarchy", "surface_hierarchy"]
