@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from omtwarp._warp import wp
-from omtwarp.embedding.guard_kernels import end_round, flag_bad_steps, flag_flips, shorten_steps
+from omtwarp.embedding.guard_kernels import HELD, count_flips, end_round, find_bad, find_bad_around, shorten_steps
 from omtwarp.mesh.surface import Surface
 
 # A vertex whose step was halved this often stays where it was.
 HALVINGS = 6
 MAXIMUM_ROUNDS = 500
+# Lists of unknown length are shared between so many threads on CUDA.
+THREADS = 16384
 # A step that leaves a triangle a hundredth of its area is as good as a flip: on scanned shapes a single such triangle
 # costs the whole map's area distortion more than the step gains.
 SMALLEST_PART = 0.2
@@ -43,48 +45,48 @@ class StepGuard:
         self._corners = wp.array(corners, dtype=wp.int32, device=device)
         # det[s0, s1, s2] of a small triangle is twice its area.
         self._floors = wp.array(2.0 * smallest * surface.face_areas, dtype=wp.float64, device=device)
-        self._flags = wp.empty(self.face_count, dtype=wp.int32, device=device)
-        self._counters = wp.zeros(3, dtype=wp.int32, device=device)
-        self._count, self._rounds, self.held = (self._counters[k : k + 1] for k in range(3))
+        self._counters = wp.zeros(5, dtype=wp.int32, device=device)
+        self.held = self._counters[HELD : HELD + 1]
         self._again = wp.empty(1, dtype=wp.int32, device=device)
-        self._halvings = wp.empty(self.vertex_count, dtype=wp.int32, device=device)
-        self._changed = wp.empty(self.vertex_count, dtype=wp.int32, device=device)
+        self._bad = wp.empty((2, self.face_count), dtype=wp.int32, device=device)
+        self._face_rounds = wp.empty(self.face_count, dtype=wp.int32, device=device)
+        self._vertex_rounds, self._halvings, self._changed = (
+            wp.empty(self.vertex_count, dtype=wp.int32, device=device) for _ in range(3)
+        )
         self._wanted = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
 
     def count(self, points: Any) -> int:
         """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]."""
-        self._count.zero_()
-        inputs = [points, self._faces, self._flags, self._count]
-        wp.launch(flag_flips, dim=self.face_count, inputs=inputs, device=self.device)
-        return int(self._count.numpy()[0])
-
-    def _find_bad(self, old: Any, new: Any, everywhere: bool) -> None:
-        inputs = [old, new, self._faces, self._floors, int(everywhere), self._changed]
+        self._counters.zero_()
         wp.launch(
-            flag_bad_steps, dim=self.face_count, inputs=inputs, outputs=[self._flags, self._count], device=self.device
+            count_flips, dim=self.face_count, inputs=[points, self._faces], outputs=[self._counters], device=self.device
         )
-        inputs = [MAXIMUM_ROUNDS, self._count, self._rounds]
-        wp.launch(end_round, dim=1, inputs=inputs, outputs=[self._again], device=self.device)
+        return int(self._counters.numpy()[0])
 
-    def hold(self, old: Any, new: Any) -> None:
+    def hold(self, old: Any, new: Any, rounds: int = MAXIMUM_ROUNDS) -> None:
         """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips or shrinks too far.
 
-        All of it happens on the device, and can be part of a graph; :attr:`held` says how many vertices it touched.
+        Where so many rounds of it do not suffice, everything stays at ``old``. All happens on the device and can be
+        part of a graph; :attr:`held` says how many vertices it touched.
         """
-        self._counters.zero_()
-        self._halvings.zero_()
-        self._find_bad(old, new, everywhere=True)
+        for array in (self._counters, self._face_rounds, self._vertex_rounds, self._halvings):
+            array.zero_()
+        mesh = [self._faces, self._floors]
+        threads = THREADS if wp.get_device(self.device).is_cuda else 1
+
+        def launch(kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
+            wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
         def shorten() -> None:
-            wp.launch(
-                shorten_steps,
-                dim=self.vertex_count,
-                inputs=[old, self._offsets, self._corners, self._flags, HALVINGS, self._rounds, MAXIMUM_ROUNDS],
-                outputs=[self._halvings, self._wanted, new, self.held, self._changed],
-                device=self.device,
-            )
-            self._find_bad(old, new, everywhere=False)
+            inputs = [old, self._faces, self._bad, HALVINGS, rounds, threads]
+            both = [self._counters, self._vertex_rounds, self._halvings, self._wanted, new]
+            launch(shorten_steps, threads, inputs, [*both, self._changed])
+            inputs = [old, new, *mesh, self._offsets, self._corners, self._changed, threads]
+            launch(find_bad_around, threads, inputs, [self._counters, self._face_rounds, self._bad])
+            launch(end_round, 1, [rounds], [self._counters, self._again])
 
+        launch(find_bad, self.face_count, [old, new, *mesh], [self._counters, self._bad])
+        launch(end_round, 1, [rounds], [self._counters, self._again])
         wp.capture_while(self._again, shorten)
 
     def limit(self, old: Any, new: Any) -> int:

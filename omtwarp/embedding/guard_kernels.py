@@ -1,114 +1,146 @@
-"""Kernels that find flipped triangles and shorten the steps of their vertices."""
+"""Kernels that find flipped triangles and shorten the steps of their vertices.
+
+After the first look at all triangles only those around vertices that have just been changed are looked at again. Lists
+of them are filled by counting upwards: in an order that differs from run to run, which nothing depends on.
+"""
 
 from omtwarp._warp import ZERO, wp
 
 wp.set_module_options({"enable_backward": False})
 
+# Places of the counters: triangles to be mended in this round and the next, vertices changed, rounds begun, and
+# vertices held back in all.
+BAD = wp.constant(0)
+NEXT = wp.constant(1)
+CHANGED = wp.constant(2)
+ROUND = wp.constant(3)
+HELD = wp.constant(4)
+
 
 @wp.kernel
-def flag_flips(
+def count_flips(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     # Data out:
-    flags: wp.array[wp.int32],
     count: wp.array[wp.int32],
 ):
-    f = wp.tid()
-    face = faces[f]
-    flags[f] = 1
-    if wp.dot(points[face[0]], wp.cross(points[face[1]], points[face[2]])) > ZERO:
-        flags[f] = 0
-    else:
-        wp.atomic_add(count, 0, 1)  # an integer: the order of the additions does not matter
+    face = faces[wp.tid()]
+    if not wp.dot(points[face[0]], wp.cross(points[face[1]], points[face[2]])) > ZERO:
+        wp.atomic_add(count, 0, 1)
+
+
+@wp.func
+def is_bad(before: wp.array[wp.vec3d], after: wp.array[wp.vec3d], face: wp.vec3i, floor: wp.float64):
+    """Whether a step flips a triangle, or shrinks it below its floor; one that is below it already may grow."""
+    size = wp.dot(after[face[0]], wp.cross(after[face[1]], after[face[2]]))
+    bad = bool(True)
+    if size > ZERO:
+        if size >= floor:
+            bad = bool(False)
+        elif size >= wp.dot(before[face[0]], wp.cross(before[face[1]], before[face[2]])):
+            bad = bool(False)
+    return bad
 
 
 @wp.kernel
-def flag_bad_steps(
-    start: wp.array[wp.vec3d],
-    end: wp.array[wp.vec3d],
+def find_bad(
+    before: wp.array[wp.vec3d],
+    after: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     floors: wp.array[wp.float64],
-    everywhere: int,
-    changed: wp.array[wp.int32],
+    # Data in and out:
+    counters: wp.array[wp.int32],
     # Data out:
-    flags: wp.array[wp.int32],
-    count: wp.array[wp.int32],
+    bad: wp.array2d[wp.int32],
 ):
-    """Triangles that a step flips, or shrinks below their floor; one that is below it already may grow.
-
-    Unless ``everywhere``, only where a corner has changed since the last time: a triangle that was bad has had all of
-    them changed.
-    """
     f = wp.tid()
-    face = faces[f]
-    touched = int(everywhere)
-    if touched == 0:
-        touched = changed[face[0]] + changed[face[1]] + changed[face[2]]
-    if touched > 0:
-        after = wp.dot(end[face[0]], wp.cross(end[face[1]], end[face[2]]))
-        bad = int(1)
-        if after > ZERO:
-            if after >= floors[f]:
-                bad = int(0)
-            elif after >= wp.dot(start[face[0]], wp.cross(start[face[1]], start[face[2]])):
-                bad = int(0)
-        flags[f] = bad
-        if bad == 1:
-            wp.atomic_add(count, 0, 1)
+    if is_bad(before, after, faces[f], floors[f]):
+        bad[0, wp.atomic_add(counters, NEXT, 1)] = f
 
 
 @wp.kernel
 def end_round(
     most: int,
     # Data in and out:
-    count: wp.array[wp.int32],
-    rounds: wp.array[wp.int32],
+    counters: wp.array[wp.int32],
     # Data out:
     again: wp.array[wp.int32],
 ):
     """Go on while there are bad triangles; in the round after the last one all vertices go back."""
     again[0] = 0
-    if count[0] > 0 and rounds[0] <= most:
+    if counters[NEXT] > 0 and counters[ROUND] <= most:
         again[0] = 1
-        rounds[0] = rounds[0] + 1
-    count[0] = 0
+        counters[ROUND] = counters[ROUND] + 1
+    counters[BAD] = counters[NEXT]
+    counters[NEXT] = 0
+    counters[CHANGED] = 0
 
 
 @wp.kernel
 def shorten_steps(
-    old: wp.array[wp.vec3d],
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    flags: wp.array[wp.int32],
+    before: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    bad: wp.array2d[wp.int32],
     limit: int,
-    rounds: wp.array[wp.int32],
     most: int,
+    threads: int,
     # Data in and out:
+    counters: wp.array[wp.int32],
+    vertex_rounds: wp.array[wp.int32],
     halvings: wp.array[wp.int32],
     wanted: wp.array[wp.vec3d],
-    moved: wp.array[wp.vec3d],
-    held: wp.array[wp.int32],
+    after: wp.array[wp.vec3d],
     # Data out:
     changed: wp.array[wp.int32],
 ):
-    """Halve the steps of bad triangles' corners; ``wanted`` keeps where those were going in the first place."""
-    v = wp.tid()
-    flipped = int(0)
-    for k in range(offsets[v], offsets[v + 1]):
-        flipped += flags[corners[k] // 3]
-    times = int(limit)
-    if rounds[0] > most:
-        flipped = 1
+    """Halve the steps of bad triangles' corners, once each; ``wanted`` keeps where those were going at first."""
+    thread = wp.tid()
+    this = counters[ROUND]
+    if this > most:
+        for v in range(thread, before.shape[0], threads):
+            if halvings[v] == 0:
+                wp.atomic_add(counters, HELD, 1)
+            after[v] = before[v]
     else:
-        times = halvings[v] + 1
-    changed[v] = flipped
-    if flipped > 0:
-        if halvings[v] == 0:
-            wanted[v] = moved[v]
-            wp.atomic_add(held, 0, 1)
-        halvings[v] = times
-        if times >= limit:
-            moved[v] = old[v]
-        else:
-            part = wp.pow(wp.float64(0.5), wp.float64(times))
-            moved[v] = wp.normalize(old[v] + part * (wanted[v] - old[v]))
+        for k in range(thread, counters[BAD], threads):
+            face = faces[bad[(this - 1) % 2, k]]
+            for corner in range(3):
+                v = face[corner]
+                if wp.atomic_max(vertex_rounds, v, this) < this:
+                    times = halvings[v] + 1
+                    halvings[v] = times
+                    if times == 1:
+                        wanted[v] = after[v]
+                        wp.atomic_add(counters, HELD, 1)
+                    if times >= limit:
+                        after[v] = before[v]
+                    else:
+                        part = wp.pow(wp.float64(0.5), wp.float64(times))
+                        after[v] = wp.normalize(before[v] + part * (wanted[v] - before[v]))
+                    changed[wp.atomic_add(counters, CHANGED, 1)] = v
+
+
+@wp.kernel
+def find_bad_around(
+    before: wp.array[wp.vec3d],
+    after: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    floors: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    changed: wp.array[wp.int32],
+    threads: int,
+    # Data in and out:
+    counters: wp.array[wp.int32],
+    face_rounds: wp.array[wp.int32],
+    # Data out:
+    bad: wp.array2d[wp.int32],
+):
+    this = counters[ROUND]
+    for k in range(wp.tid(), counters[CHANGED], threads):
+        v = changed[k]
+        for n in range(offsets[v], offsets[v + 1]):
+            f = corners[n] // 3
+            if wp.atomic_max(face_rounds, f, this) < this:
+                if is_bad(before, after, faces[f], floors[f]):
+                    bad[this % 2, wp.atomic_add(counters, NEXT, 1)] = f

@@ -56,6 +56,9 @@ NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
 AREA_LOSS = 0.1
 AREA_PRICE = 0.02
 LONGEST_STEP = 4.0
+# A step that flips triangles whose repair takes more rounds than this, each a ring further, is too long. Scanned shapes
+# took 48 at most.
+GUARD_ROUNDS = 100
 # Where iterations are a graph on the device, so many are made before the host is told of them.
 ITERATIONS_AT_ONCE = 10
 # What an iteration leaves behind, in the order of the kernels.
@@ -271,7 +274,7 @@ class _Flow:
 
         launch_parts(advect, self.count, arguments, self.device)
         if self.guarded:
-            self.guard.hold(self.points, self.trial)
+            self.guard.hold(self.points, self.trial, GUARD_ROUNDS)
         inputs = [self.measure(self.trial), wp.float64(SPHERE_AREA), self.state]
         self.launch(judge_step, 1, inputs, [self.running, self.searching])
 
