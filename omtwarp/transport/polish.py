@@ -67,7 +67,7 @@ def polish_transport(
         start: the points x that are transported, unit vectors, shape [V, 3].
         sphere: a mass-preserving map of them without flips, unit vectors, shape [V, 3].
         rounds: the most rounds.
-        device: where the kernels run; the sparse systems are solved on the host.
+        device: where the kernels run, and where the systems of a large mesh are solved.
         progress: called after each round with its number, the most there can be, and its record.
 
     Returns:
