@@ -12,6 +12,7 @@ from omtwarp._warp import wp
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.refine.frames import triangle_frames
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
+from omtwarp.refine.sums import DistortionSums
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,9 @@ class Terms:
         area: mean area distortion weighted by original area, less 2.
         scale: what brings the total flat area of the image to 4π.
         inverse_sum: sum of original area over area ratio, before scaling.
-        ratio: flat area of the image over original area of every triangle, before scaling, float64, shape [F].
-        volume: det[s0, s1, s2] of every triangle, float64, shape [F].
+        d_ratio: flat area of the image over original area of every triangle, before scaling, float64, shape [F], on
+            the device.
+        d_volume: det[s0, s1, s2] of every triangle, float64, shape [F], on the device.
         needle: mean of the needle barrier weighted by original area; 0 for all but needles standing upright.
     """
 
@@ -32,9 +34,19 @@ class Terms:
     area: float
     scale: float
     inverse_sum: float
-    ratio: NDArray[np.float64]
-    volume: NDArray[np.float64]
+    d_ratio: Any
+    d_volume: Any
     needle: float
+
+    @property
+    def ratio(self) -> NDArray[np.float64]:
+        """``d_ratio`` on the host."""
+        return self.d_ratio.numpy()
+
+    @property
+    def volume(self) -> NDArray[np.float64]:
+        """``d_volume`` on the host."""
+        return self.d_volume.numpy()
 
     def total(self, weight: float) -> float:
         """angle + λ area, less what a perfect map would have, and the barrier against upright needles."""
@@ -71,6 +83,8 @@ class DistortionEnergy:
         self.d_corners = wp.array(corners, dtype=wp.int32, device=device)
         self._hessian: Any = None
         self._corner_gradient: Any = wp.empty(3 * count, dtype=wp.vec3d, device=device)
+        # Beside the CPU's cores NumPy adds faster.
+        self._sums = DistortionSums(count, device) if device.is_cuda else None
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
         """Points on the device, shape [V] of vec3d."""
@@ -82,19 +96,24 @@ class DistortionEnergy:
         outputs = [wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(4)]
         inputs = [points, self.d_faces, self.d_frames]
         wp.launch(triangle_terms, dim=count, inputs=inputs, outputs=outputs, device=self.device)
-        angle, ratio, volume, steepness = (array.numpy() for array in outputs)
-        total = float(self.areas @ ratio)
-        scale = SPHERE_AREA / total
-        scaled = scale * ratio
-        with np.errstate(divide="ignore", invalid="ignore"):
-            # (r - 1)² / r = r + 1/r - 2 without cancellation
-            area = float(self.areas @ ((scaled - 1.0) ** 2 / scaled)) / SPHERE_AREA
-            inverse_sum = float((self.areas / ratio).sum())
-        needle = float(self.areas @ steepness) / SPHERE_AREA
-        return Terms(float(self.areas @ angle) / SPHERE_AREA, area, scale, inverse_sum, ratio, volume, needle)
+        if self._sums is not None:
+            angle, total, area, inverse_sum, needle = self._sums(self.d_areas, *outputs)
+            scale = SPHERE_AREA / total
+        else:
+            angles, ratio, _, steepness = (array.numpy() for array in outputs)
+            scale = SPHERE_AREA / float(self.areas @ ratio)
+            scaled = scale * ratio
+            with np.errstate(divide="ignore", invalid="ignore"):
+                # (r - 1)² / r = r + 1/r - 2 without cancellation
+                area = float(self.areas @ ((scaled - 1.0) ** 2 / scaled))
+                inverse_sum = float((self.areas / ratio).sum())
+            angle, needle = float(self.areas @ angles), float(self.areas @ steepness)
+        return Terms(
+            angle / SPHERE_AREA, area / SPHERE_AREA, scale, inverse_sum, outputs[1], outputs[2], needle / SPHERE_AREA
+        )
 
-    def gradient(self, points: wp.array, terms: Terms, weight: float) -> NDArray[np.float64]:
-        """Gradient of angle + λ area by the vertices, tangent to the sphere, shape [V, 3]."""
+    def gradient(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
+        """Gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
         pressures = self._pressures(terms, weight)
         gradient = wp.empty(self.surface.vertex_count, dtype=wp.vec3d, device=self.device)
         wp.launch(
@@ -104,17 +123,17 @@ class DistortionEnergy:
             outputs=[self._corner_gradient],
             device=self.device,
         )
+        inputs = [points, self.d_offsets, self.d_corners, self._corner_gradient, wp.float64(SPHERE_AREA)]
         wp.launch(
-            gather_tangent,
-            dim=self.surface.vertex_count,
-            inputs=[points, self.d_offsets, self.d_corners, self._corner_gradient],
-            outputs=[gradient],
-            device=self.device,
+            gather_tangent, dim=self.surface.vertex_count, inputs=inputs, outputs=[gradient], device=self.device
         )
-        return gradient.numpy() / SPHERE_AREA
+        return gradient
 
-    def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> NDArray[np.float64]:
-        """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 36]."""
+    def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> wp.array:
+        """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 36].
+
+        The next call may overwrite it.
+        """
         blocks = self._hessian
         if blocks is None:
             blocks = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
@@ -130,13 +149,12 @@ class DistortionEnergy:
                 self.d_areas,
                 *self._pressures(terms, weight),
                 wp.float64(caution),
+                wp.float64(SPHERE_AREA),
             ],
             outputs=[blocks],
             device=self.device,
         )
-        out: NDArray[np.float64] = blocks.numpy()  # on the CPU the same memory, which the next call may overwrite
-        out /= SPHERE_AREA
-        return out
+        return blocks
 
     def _pressures(self, terms: Terms, weight: float) -> tuple[wp.float64, wp.float64, wp.float64]:
         """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

@@ -124,15 +124,16 @@ def gather_tangent(
     offsets: wp.array(dtype=wp.int32),
     corners: wp.array(dtype=wp.int32),
     corner_gradient: wp.array(dtype=wp.vec3d),
+    divisor: wp.float64,
     gradient: wp.array(dtype=wp.vec3d),
 ):
-    """Sum at every vertex what its corners hold, and keep the part tangent to the sphere."""
+    """Sum at every vertex what its corners hold, keep the part tangent to the sphere, and divide it."""
     i = wp.tid()
     total = wp.vec3d(ZERO, ZERO, ZERO)
     for k in range(offsets[i], offsets[i + 1]):
         total = total + corner_gradient[corners[k]]
     y = sphere[i]
-    gradient[i] = total - wp.dot(total, y) * y
+    gradient[i] = (total - wp.dot(total, y) * y) / divisor
 
 
 @wp.kernel
@@ -154,8 +155,9 @@ def triangle_trouble(
     faces: wp.array(dtype=wp.vec3i),
     volume: wp.array(dtype=wp.float64),
     trouble: wp.array(dtype=wp.int32),
+    count: wp.array(dtype=wp.int32),
 ):
-    """1 where a step flips a triangle or takes nearly all its volume, shape [F]."""
+    """1 where a step flips a triangle or takes nearly all its volume, shape [F], and how many there are."""
     t = wp.tid()
     face = faces[t]
     after = triple(moved[face[0]], moved[face[1]], moved[face[2]])
@@ -164,6 +166,7 @@ def triangle_trouble(
         trouble[t] = wp.int32(0)
     else:
         trouble[t] = wp.int32(1)
+        wp.atomic_add(count, 0, wp.int32(1))  # of integers: the same in any order
 
 
 @wp.kernel
@@ -195,9 +198,10 @@ def triangle_hessian(
     inverse: wp.float64,
     barrier: wp.float64,
     caution: wp.float64,
+    divisor: wp.float64,
     hessian: wp.array2d(dtype=wp.float64),
 ):
-    """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the corners' tangent bases, shape [F, 36].
+    """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the corners' tangent bases, divided, [F, 36].
 
     The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
     known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
@@ -278,7 +282,7 @@ def triangle_hessian(
             entry = ZERO
             for k in range(5):
                 entry += modes[i, k] * modes[j, k]
-            hessian[t, 6 * i + j] = areas[t] * entry
+            hessian[t, 6 * i + j] = areas[t] * entry / divisor
 
 
 @wp.kernel

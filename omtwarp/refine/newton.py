@@ -106,16 +106,7 @@ class NewtonMatrix:
         """
         diagonal, off_diagonal = self.assemble(blocks)
         del blocks  # as large as the factor's own room
-        own = diagonal[:, [0, 1], [0, 1]]
-        shift = self._shift * own.mean()
-        for part in STIFFER:
-            diagonal[:, [0, 1], [0, 1]] = own * (1.0 + self._growth + part) + shift
-            try:
-                self._factor.factorise(diagonal, off_diagonal)
-                return
-            except NotPositiveDefinite:
-                continue
-        raise OmtwarpError("the distortion of the map is not finite")
+        factorise_stiffened(self._factor, diagonal, off_diagonal, self._shift, self._growth)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for tangent coordinates, shape [V, 2]."""
@@ -125,3 +116,33 @@ class NewtonMatrix:
     def diagonal(self) -> NDArray[np.float64]:
         """The diagonal of the matrix that was factorised last, shape [V, 2]."""
         return self._diagonal.numpy()[:, [0, 3]]
+
+
+def factorise_stiffened(
+    factor: MultifrontalCholesky,
+    diagonal: NDArray[np.float64],
+    off_diagonal: NDArray[np.float64],
+    shift: float,
+    growth: float,
+) -> None:
+    """Factorise a matrix whose diagonal grows, in place, by as little as makes it definite.
+
+    Args:
+        factor: what is made.
+        diagonal: blocks of the vertices, shape [V, 2, 2].
+        off_diagonal: blocks of the edges, shape [E, 2, 2].
+        shift, growth: what is added to the diagonal in any case, relative to its mean and to each entry.
+
+    Raises:
+        OmtwarpError: the blocks are not finite, or far from semidefinite.
+    """
+    own = diagonal[:, [0, 1], [0, 1]]
+    more = shift * own.mean()
+    for part in STIFFER:
+        diagonal[:, [0, 1], [0, 1]] = own * (1.0 + growth + part) + more
+        try:
+            factor.factorise(diagonal, off_diagonal)
+            return
+        except NotPositiveDefinite:
+            continue
+    raise OmtwarpError("the distortion of the map is not finite")

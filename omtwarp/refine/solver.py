@@ -1,10 +1,9 @@
 """Minimise the distortion of a sphere map without ever flipping a triangle.
 
 A projected Newton method. The Hessian of every triangle is made positive semidefinite in closed form, the sparse system
-is factorised, and between factorisations limited-memory BFGS corrects the last one (Nocedal and Wright, "Numerical
-Optimization", algorithm 7.4, with the factorisation as initial Hessian). The few triangles that a step flips are
-untangled where they have moved to, so that the whole map keeps its step; where that fails, the corners of the triangles
-in trouble are held back, and last of all the step is shortened.
+is factorised, and between factorisations limited-memory BFGS corrects the last one (:mod:`omtwarp.refine.steps`). The
+few triangles that a step flips are untangled where they have moved to, so that the whole map keeps its step; where that
+fails, the corners of the triangles in trouble are held back, and last of all the step is shortened.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from omtwarp.embedding.untangle import Schedule, flipped_faces, untangle_patches
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.refine.kernels import from_tangent, hold_back, retract, to_tangent, triangle_trouble
-from omtwarp.refine.newton import NewtonMatrix
+from omtwarp.refine.kernels import hold_back, retract, triangle_trouble
+from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.threads import blas_threads
 
 WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area counts against angle
@@ -30,7 +29,6 @@ WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area c
 AREA_MEAN, AREA_P95 = 2.002, 2.01
 HARDER, HARDEST = 3.0, 900.0
 
-MEMORY = 8  # pairs kept by limited-memory BFGS
 SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 25  # of the step as a whole
 MENDED = 3  # of them tried with repair of what they flip
@@ -157,7 +155,7 @@ class Refiner:
         self.surface = surface
         self.device = device
         self.energy = DistortionEnergy(surface, device)
-        self.matrix = NewtonMatrix.of_surface(surface)
+        self._steps = steps_for(self.energy)
 
     @blas_threads(1)
     def minimise(
@@ -176,19 +174,15 @@ class Refiner:
         gradient = energy.gradient(points, terms, weight)
         result = RefineResult(sphere, weight)
         result.history.append(_record(terms, weight, 0.0, 0.0, 0, False))
-        memory: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
         caution, renew = 1.0, True
         last_gain = 0.0
         for step in range(iterations):
             if renew:
-                self.matrix.factorise(energy.hessian(points, terms, weight, caution))
-                self._base = points
-                memory.clear()
+                self._steps.renew(points, terms, weight, caution)
                 result.factorisations += 1
-            direction = -self._corrected(points, gradient, memory)
-            slope = float((gradient * direction).sum())
-            decrement = -slope
-            moved = self._search(points, terms, gradient, direction, weight) if slope < 0.0 else None
+            direction = self._steps.direction(points, gradient)
+            decrement = -direction.slope
+            moved = self._search(points, terms, direction, weight) if decrement > 0.0 else None
             if moved is None:
                 if renew and caution == 1.0:
                     break
@@ -199,11 +193,7 @@ class Refiner:
             new_points, new_terms, length, mended = moved
             new_gradient = energy.gradient(new_points, new_terms, weight)
             gain = terms.total(weight) - new_terms.total(weight)
-            change, turn = new_points.numpy() - points.numpy(), new_gradient - gradient
-            product = float((change * turn).sum())
-            if product > 1e-12 * float(np.linalg.norm(change) * np.linalg.norm(turn)):
-                memory.append((change, turn, product))
-                del memory[:-MEMORY]
+            self._steps.learn(points, gradient, new_points, new_gradient)
             points, terms, gradient = new_points, new_terms, new_gradient
             result.history.append(_record(terms, weight, decrement, length, mended, fresh))
             if progress is not None:
@@ -213,7 +203,7 @@ class Refiner:
                 break
             trust = 2.0 * gain / decrement
             if fresh:
-                if length == 1.0 and mended <= FEW * len(gradient) and 0.75 < trust:
+                if length == 1.0 and mended <= FEW * self.surface.vertex_count and 0.75 < trust:
                     caution = max(caution / 3.0, LEAST_CAUTION)
                 elif length < 1.0 or trust < 0.5:
                     caution = min(1.0, 3.0 * caution)
@@ -223,52 +213,23 @@ class Refiner:
         result.sphere = points.numpy().copy()
         return result
 
-    def _corrected(self, points, gradient, memory) -> NDArray[np.float64]:
-        """The factorised matrix's step for a gradient, corrected by the steps since, tangent to the sphere."""
-        right = gradient.copy()
-        factors = []
-        for change, turn, product in reversed(memory):
-            factor = float((change * right).sum()) / product
-            factors.append(factor)
-            right -= factor * turn
-        out = self._solve(right)
-        for (change, turn, product), factor in zip(memory, reversed(factors), strict=True):
-            out += change * (factor - float((turn * out).sum()) / product)
-        here = points.numpy()
-        return out - (out * here).sum(axis=1, keepdims=True) * here
-
-    def _solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        count, device = self.surface.vertex_count, self.device
-        coordinates = wp.empty((count, 2), dtype=wp.float64, device=device)
-        vectors = wp.empty(count, dtype=wp.vec3d, device=device)
-        inputs = [self._base, wp.array(right, dtype=wp.vec3d, device=device)]
-        wp.launch(to_tangent, dim=count, inputs=inputs, outputs=[coordinates], device=device)
-        solved = wp.array(self.matrix.solve(coordinates.numpy()), dtype=wp.float64, device=device)
-        wp.launch(from_tangent, dim=count, inputs=[self._base, solved], outputs=[vectors], device=device)
-        return vectors.numpy().copy()
-
-    def _search(self, points, terms: Terms, gradient, direction, weight):
+    def _search(self, points, terms: Terms, direction: Direction, weight: float):
         """A step along the direction that lowers the energy and flips nothing: points, terms, length, vertices held."""
-        device = self.device
         before = terms.total(weight)
-        d_direction = wp.array(direction, dtype=wp.vec3d, device=device)
-        d_volume = wp.array(terms.volume, dtype=wp.float64, device=device)
-        along = (gradient * direction).sum(axis=1)
-        reach = float(np.sqrt((direction * direction).sum(axis=1).max()))
-        length = 1.0 / max(1.0, 2.0 * reach)  # no vertex may swing farther than half a radian
+        length = 1.0 / max(1.0, 2.0 * direction.reach)  # no vertex may swing farther than half a radian
         for attempt in range(HALVINGS):
             if attempt < MENDED:
-                moved, mended = self._mended(points, d_direction, d_volume, length, weight)
+                moved, mended = self._mended(points, direction.vectors, terms.d_volume, length, weight)
                 if moved is not None:
                     after = self.energy.terms(moved)
-                    if after.total(weight) <= before + SUFFICIENT * length * float(along.sum()):
+                    if after.total(weight) <= before + SUFFICIENT * length * direction.slope:
                         return moved, after, length, mended
-            moved, share = self._held_back(points, d_direction, d_volume, length)
+            moved, share = self._held_back(points, direction.vectors, terms.d_volume, length)
             if moved is not None:
-                slope = length * float(along @ share)
+                slope = length * direction.slope_of(share)
                 after = self.energy.terms(moved)
                 if slope < 0.0 and after.total(weight) <= before + SUFFICIENT * slope:
-                    return moved, after, length, int((share < 1.0).sum())
+                    return moved, after, length, int((share.numpy() < 1.0).sum())
             length *= 0.5
         return None
 
@@ -278,13 +239,14 @@ class Refiner:
         Holding a few vertices back while all around them move on would tangle them more.
         """
         device, energy = self.device, self.energy
-        count, faces = self.surface.vertex_count, self.surface.face_count
-        share = wp.full(count, 1.0, dtype=wp.float64, device=device)
-        moved = wp.empty(count, dtype=wp.vec3d, device=device)
+        vertices, faces = self.surface.vertex_count, self.surface.face_count
+        share = wp.full(vertices, 1.0, dtype=wp.float64, device=device)
+        moved = wp.empty(vertices, dtype=wp.vec3d, device=device)
         trouble = wp.empty(faces, dtype=wp.int32, device=device)
         inputs = [points, direction, share, wp.float64(length)]
-        wp.launch(retract, dim=count, inputs=inputs, outputs=[moved], device=device)
-        wp.launch(triangle_trouble, dim=faces, inputs=[moved, energy.d_faces, volume], outputs=[trouble], device=device)
+        wp.launch(retract, dim=vertices, inputs=inputs, outputs=[moved], device=device)
+        if self._count_trouble(moved, volume, trouble) == 0:
+            return moved, 0
         seeds = trouble.numpy() > 0
         mended = 0
         for schedule in REPAIRS:
@@ -310,14 +272,19 @@ class Refiner:
         for _ in range(HOLDS):
             inputs = [points, direction, share, wp.float64(length)]
             wp.launch(retract, dim=count, inputs=inputs, outputs=[moved], device=device)
-            inputs = [moved, energy.d_faces, volume]
-            wp.launch(triangle_trouble, dim=faces, inputs=inputs, outputs=[trouble], device=device)
-            if not trouble.numpy().any():
-                return moved, share.numpy()
+            if self._count_trouble(moved, volume, trouble) == 0:
+                return moved, share
             inputs = [energy.d_offsets, energy.d_corners, trouble, share]
             wp.launch(hold_back, dim=count, inputs=inputs, outputs=[other], device=device)
             share, other = other, share
         return None, None
+
+    def _count_trouble(self, moved, volume, trouble) -> int:
+        """Mark the triangles that a step must not leave as they are, and count them."""
+        count = wp.zeros(1, dtype=wp.int32, device=self.device)
+        inputs, outputs = [moved, self.energy.d_faces, volume], [trouble, count]
+        wp.launch(triangle_trouble, dim=trouble.size, inputs=inputs, outputs=outputs, device=self.device)
+        return int(count.numpy()[0])
 
 
 def _record(terms: Terms, weight: float, decrement: float, length: float, mended: int, fresh: bool) -> dict[str, Any]:

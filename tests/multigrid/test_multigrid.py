@@ -74,9 +74,8 @@ def newton(surface: Surface, sphere: np.ndarray, weight: float = 100.0, caution:
     """Blocks of the Newton matrix at a map, its gradient in tangent coordinates, and what rotations do there."""
     energy = DistortionEnergy(surface, wp.get_device("cpu"))
     points = energy.upload(sphere)
-    diagonal, off = NewtonMatrix.of_surface(surface).assemble(
-        energy.hessian(points, energy.terms(points), weight, caution)
-    )
+    blocks = energy.hessian(points, energy.terms(points), weight, caution).numpy()
+    diagonal, off = NewtonMatrix.of_surface(surface).assemble(blocks)
     diagonal = diagonal + 1e-8 * np.einsum("vuu->v", diagonal).mean() / 2.0 * np.eye(2)
     # The bases of omtwarp.refine.triangle.first_tangent.
     axis = np.where(

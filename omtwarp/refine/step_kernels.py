@@ -1,0 +1,136 @@
+"""Kernels of Newton steps whose vectors and inner products stay on the device."""
+
+from omtwarp._warp import ONE, wp
+from omtwarp.refine.triangle import first_tangent
+
+wp.set_module_options({"enable_backward": False})
+
+SPHERE_AREA = wp.constant(wp.float64(12.566370614359172))
+
+
+@wp.kernel
+def distortion_summands(
+    ratio: wp.array[wp.float64],
+    total: wp.array[wp.float64],
+    # Data out:
+    excess: wp.array[wp.float64],
+    inverse: wp.array[wp.float64],
+):
+    """r + 1/r - 2 without cancellation, with r the area ratio scaled by the image's total area, and one over the ratio.
+
+    Both before they are multiplied by the areas.
+    """
+    t = wp.tid()
+    scaled = SPHERE_AREA / total[0] * ratio[t]
+    excess[t] = (scaled - ONE) * (scaled - ONE) / scaled
+    inverse[t] = ONE / ratio[t]
+
+
+@wp.kernel
+def subtract_share(
+    numerator: wp.array[wp.float64],
+    denominator: wp.array[wp.float64],
+    vectors: wp.array[wp.vec3d],
+    # Data in and out:
+    result: wp.array[wp.vec3d],
+):
+    """result - numerator / denominator vectors."""
+    i = wp.tid()
+    result[i] = result[i] - numerator[0] / denominator[0] * vectors[i]
+
+
+@wp.kernel
+def add_share(
+    numerator: wp.array[wp.float64],
+    less: wp.array[wp.float64],
+    denominator: wp.array[wp.float64],
+    vectors: wp.array[wp.vec3d],
+    # Data in and out:
+    result: wp.array[wp.vec3d],
+):
+    """result + (numerator - less) / denominator vectors."""
+    i = wp.tid()
+    result[i] = result[i] + (numerator[0] - less[0]) / denominator[0] * vectors[i]
+
+
+@wp.kernel
+def differences(
+    after: wp.array[wp.vec3d],
+    before: wp.array[wp.vec3d],
+    # Data out:
+    change: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    change[i] = after[i] - before[i]
+
+
+@wp.kernel
+def downhill(
+    points: wp.array[wp.vec3d],
+    step: wp.array[wp.vec3d],
+    gradient: wp.array[wp.vec3d],
+    # Data out:
+    direction: wp.array[wp.vec3d],
+    along: wp.array[wp.float64],
+    reach: wp.array[wp.float64],
+):
+    """Minus the part of a step tangent to the sphere, its product with the gradient, and its length."""
+    i = wp.tid()
+    tangent = wp.dot(step[i], points[i]) * points[i] - step[i]
+    direction[i] = tangent
+    along[i] = wp.dot(tangent, gradient[i])
+    reach[i] = wp.length(tangent)
+
+
+@wp.kernel
+def largest_of_strides(
+    values: wp.array[wp.float64],
+    # Data out:
+    largest: wp.array[wp.float64],
+):
+    """The largest of every so many-th number, none of them negative; as many as there are threads."""
+    t = wp.tid()
+    best = wp.float64(0.0)
+    for i in range(t, values.shape[0], largest.shape[0]):
+        best = wp.max(best, values[i])
+    largest[t] = best
+
+
+@wp.kernel
+def rotation_blocks(
+    points: wp.array[wp.vec3d],
+    # Data out:
+    blocks: wp.array[wp.float64],
+):
+    """How a rotation ω moves a vertex in its tangent basis: (ω × y) · t = ω · (y × t), blocks 2 by 3."""
+    i = wp.tid()
+    y = points[i]
+    t = first_tangent(y)
+    s = wp.cross(y, t)
+    for k in range(3):
+        blocks[6 * i + k] = s[k]
+        blocks[6 * i + 3 + k] = -t[k]
+
+
+@wp.kernel
+def add_to_diagonal(
+    trace: wp.array[wp.float64],
+    shift: wp.float64,
+    # Data in and out:
+    diagonal: wp.array2d[wp.float64],
+):
+    """Add a part of the mean of all entries on the diagonal of a matrix, whose sum is its trace."""
+    i = wp.tid()
+    more = shift * trace[0] / wp.float64(2 * diagonal.shape[0])
+    diagonal[i, 0] = diagonal[i, 0] + more
+    diagonal[i, 3] = diagonal[i, 3] + more
+
+
+@wp.kernel
+def traces(
+    diagonal: wp.array2d[wp.float64],
+    # Data out:
+    trace: wp.array[wp.float64],
+):
+    i = wp.tid()
+    trace[i] = diagonal[i, 0] + diagonal[i, 3]
