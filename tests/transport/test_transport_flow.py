@@ -140,6 +140,22 @@ def test_history_and_progress(device):
     assert moved.history[-1]["curl"] < moved.history[0]["curl"]
 
 
+def test_progress_can_stop_the_flow(device):
+    surface = turned(icosphere(5))
+    told = []
+
+    def stop(done: int, most: int, details: dict) -> None:
+        told.append(done)
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        optimal_transport(
+            surface, surface.vertices, twisted(surface.vertices, 0.5), tolerance=0.0, device=device, progress=stop
+        )
+    assert told == [0, 1, 2]
+
+
 def test_nothing_given_is_changed_and_the_bits_are_the_same_twice():
     surface = turned(icosphere(6))
     start, initial = pushed_north(surface.vertices, 0.3), twisted(surface.vertices, 0.4)

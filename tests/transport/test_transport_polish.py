@@ -6,13 +6,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import at_height, mean_edge, pushed_north, random_rotation, rms, turned, twisted
 
+from omtwarp._warp import wp
 from omtwarp.embedding.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere, sphere_from_directions
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import distortion
 from omtwarp.metrics.optimality import optimality
-from omtwarp.transport.flow import AREA_PRICE
+from omtwarp.transport.flow import AREA_PRICE, transport_cost
 from omtwarp.transport.polish import AREA_SLACK, polish_transport
+from omtwarp.transport.polish_kernels import (
+    cost_and_area_errors,
+    displacements,
+    move_by_potentials,
+    weak_curl_and_area,
+)
 
 
 def capped_sphere(rim: float = 0.6, around: int = 90) -> Surface:
@@ -116,3 +123,36 @@ def test_few_rounds_do_no_harm(rounds):
     assert polished.iterations == rounds
     if rounds == 0:
         np.testing.assert_array_equal(polished.sphere, initial)
+
+
+def test_every_kernel_of_a_round_agrees_with_the_cpu(device):
+    """And with transport_cost and the mean of D + 1/D - 2, each triangle counting as much as it is allowed to."""
+    surface = random_sphere(700, 2)
+    start, image = pushed_north(surface.vertices, 0.4), twisted(surface.vertices, 0.7)
+    potentials = np.random.default_rng(4).normal(size=(2, surface.vertex_count))
+    results = []
+    for where in ("cpu", device):
+        origin, points = (wp.array(p, dtype=wp.vec3d, device=where) for p in (start, image))
+        faces = wp.array(surface.faces, dtype=wp.vec3i, device=where)
+        areas = wp.array(surface.face_areas, dtype=wp.float64, device=where)
+        rows = [wp.array(array, dtype=wp.int32, device=where) for array in surface.vertex_corners]
+        stream, potential = (wp.array(values, dtype=wp.float64, device=where) for values in potentials)
+        pull, moved = wp.empty_like(points), wp.empty_like(points)
+        curl, energy, area = (wp.empty(surface.vertex_count, dtype=wp.float64, device=where) for _ in range(3))
+        measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
+        for kernel, size, inputs, outputs in (
+            (displacements, len(points), [origin, points], [pull]),
+            (weak_curl_and_area, len(points), [points, pull, faces, *rows], [curl, energy, area]),
+            (move_by_potentials, len(points), [points, faces, stream, potential, *rows, 0.3, 0.6], [moved]),
+            (cost_and_area_errors, surface.face_count, [origin, points, faces, areas, 0.1, 10.0], [measured]),
+        ):
+            wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=where)
+        results.append([array.numpy() for array in (pull, curl, energy, area, moved, measured)])
+    for cpu, other in zip(*results, strict=True):
+        np.testing.assert_allclose(other, cpu, rtol=1e-12, atol=1e-12 * np.abs(cpu).max())
+    cost, usual, worst = results[1][-1].sum(axis=0)
+    assert cost == pytest.approx(transport_cost(surface, start, image), rel=1e-12)
+    ratio = triangle_areas(image, surface.faces) / surface.face_areas
+    for sums, largest in ((usual, 0.1), (worst, 10.0)):
+        error = np.minimum(ratio + 1.0 / ratio - 2.0, largest)
+        assert sums == pytest.approx(surface.face_areas @ error, rel=1e-10)

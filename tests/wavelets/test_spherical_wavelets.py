@@ -303,3 +303,17 @@ def test_recorded_transforms_launch_nothing_again_and_keep_the_bits(device, name
             getattr(recorded, name)(arrays[1])
     np.testing.assert_array_equal(arrays[1].numpy(), arrays[0].numpy())
     assert (arrays[1].numpy() != values).any()
+
+
+@pytest.mark.parametrize("butterfly", [False, True])
+@pytest.mark.parametrize("name", ["analyse", "synthesise", "analyse_adjoint", "synthesise_adjoint"])
+def test_transforms_agree_with_the_cpu_and_repeat_to_the_bit(device, name, butterfly):
+    hierarchy = sphere_hierarchy(5)
+    values = np.random.default_rng(8).normal(size=hierarchy.node_count)
+    results = []
+    for where in ("cpu", device, device):
+        array = wp.array(values, dtype=wp.float64, device=where)
+        getattr(SphericalWavelets(hierarchy, butterfly=butterfly, device=where), name)(array)
+        results.append(array.numpy())
+    np.testing.assert_allclose(results[1], results[0], rtol=1e-12, atol=1e-12 * np.abs(results[0]).max())
+    np.testing.assert_array_equal(results[1], results[2])
