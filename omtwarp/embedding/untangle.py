@@ -43,7 +43,7 @@ class Schedule:
     factor: float
     steps: int
     thinnest: float
-    weight: float = 1.0
+    weight: float = 10.0
     largest: float = 1.0
     most: float = np.inf
 
