@@ -18,7 +18,7 @@ MAXIMUM_STEPS = 100
 
 
 def mobius_centring(
-    sphere: NDArray[np.float64], masses: NDArray[np.float64], *, device: str | None = "cpu"
+    sphere: NDArray[np.float64], masses: NDArray[np.float64], *, device: str | None = "auto"
 ) -> tuple[NDArray[np.float64], int]:
     """Apply the Möbius transformation that brings the mass-weighted mean of the points to the origin.
 

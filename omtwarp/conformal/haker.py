@@ -40,7 +40,7 @@ class ConformalMap:
 
 
 @blas_threads(1)
-def conformal_map(surface: Surface, *, device: str | None = "cpu") -> ConformalMap:
+def conformal_map(surface: Surface, *, device: str | None = "auto") -> ConformalMap:
     """Map a closed genus-0 surface to the sphere conformally, centred (section 4.1).
 
     The triangle removed is the one nearest to equilateral: the paper leaves the choice open, and a thin one would spoil

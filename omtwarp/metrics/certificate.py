@@ -50,7 +50,7 @@ class Certificate:
         return asdict(self) | {"bijective": self.bijective}
 
 
-def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: str | None = "cpu") -> Certificate:
+def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: str | None = "auto") -> Certificate:
     """Examine a sphere map.
 
     A piecewise map of a closed surface to the sphere whose triangles are all positively oriented is a covering; a

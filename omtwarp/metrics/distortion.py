@@ -60,7 +60,7 @@ class Distortion:
         )
 
 
-def distortion(vertices: ArrayLike, faces: ArrayLike, sphere: ArrayLike, *, device: str | None = "cpu") -> Distortion:
+def distortion(vertices: ArrayLike, faces: ArrayLike, sphere: ArrayLike, *, device: str | None = "auto") -> Distortion:
     """Measure a sphere map.
 
     Args:
