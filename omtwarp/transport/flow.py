@@ -31,7 +31,14 @@ from omtwarp.transport.descent_kernels import (
     keep_accepted,
     turn_direction,
 )
-from omtwarp.transport.kernels import advect, centre_distance, cost_and_force, divide_by_area, face_centres
+from omtwarp.transport.kernels import (
+    advect,
+    centre_distance,
+    cost_and_force,
+    divide_by_area,
+    face_centres,
+    longest_edges,
+)
 from omtwarp.transport.sums import RowSums, partial_count
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 from omtwarp.wavelets.filter import WaveletFilter
@@ -109,12 +116,6 @@ def transport_cost(
     return float((surface.face_areas * (moved * moved if cost == "squared" else moved)).sum())
 
 
-def triangle_centres(surface: Surface, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Centres of a map's triangles on the sphere, unit vectors, shape [F, 3]."""
-    sums = np.asarray(sphere)[surface.faces].sum(axis=1)
-    return np.asarray(sums / np.linalg.norm(sums, axis=1)[:, None])
-
-
 @blas_threads(1)
 def optimal_transport(
     surface: Surface,
@@ -184,11 +185,13 @@ class _Flow:
         self.launch(face_centres, self.face_count, [begin, self.faces], [self.start_centres])
         self.masses = wp.array(surface.face_areas, dtype=wp.float64, device=device)
         self.hierarchy = sphere_hierarchy(level_for(1.2 * surface.vertex_count, lowest=2))
-        centres = triangle_centres(surface, initial)
-        self.sampler = SphereSampler(self.hierarchy, centres, device=str(device))
+        squares = wp.empty(self.face_count, dtype=wp.float64, device=device)
+        self.launch(face_centres, self.face_count, [self.points, self.faces], [self.centres])
+        self.launch(longest_edges, self.face_count, [self.points, self.faces], [squares])
+        self.sampler = SphereSampler(self.hierarchy, self.centres, device=str(device))
         # Within a grid cell the direction to x is not resolved anyway.
         self.softening = self.hierarchy.node_spacing(self.hierarchy.level)
-        damping = resolution_damping(surface, np.asarray(initial), self.sampler, self.hierarchy)
+        damping = resolution_damping(squares.numpy(), self.sampler.point_faces.numpy(), self.hierarchy)
         self.preconditioner = WaveletPreconditioner(
             self.hierarchy, butterfly=True, damping=damping, device=str(device)
         )
@@ -336,18 +339,18 @@ class _Flow:
 
 
 def resolution_damping(
-    surface: Surface, image: NDArray[np.float64], sampler: SphereSampler, hierarchy: SphereHierarchy
+    squares: NDArray[np.float64], places: NDArray[np.int32], hierarchy: SphereHierarchy
 ) -> NDArray[np.float64]:
     """How much of every wavelet the vertices of an image can follow, between 0 and 1, shape [N].
+
+    ``squares`` holds the square of the longest edge of each of the image's triangles, shape [F], and ``places`` the
+    triangle of the hierarchy's finest level that its centre is in.
 
     A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (3 e / h)^2)^-3: all of it where it
     spans many edges, next to nothing where it spans one. Nodes far from every vertex (inside a large triangle) get 0.
     """
-    faces = surface.faces
-    corners = image[faces]
-    squares = np.max([((corners[:, k] - corners[:, k - 1]) ** 2).sum(axis=1) for k in range(3)], axis=0)
     longest = np.full(hierarchy.node_count, -np.inf)
-    nodes = hierarchy.faces[sampler.point_faces.numpy()]
+    nodes = hierarchy.faces[places]
     np.maximum.at(longest, nodes.ravel(), np.repeat(squares, 3))
     damping = np.ones(hierarchy.node_count)
     for level in reversed(range(hierarchy.level)):

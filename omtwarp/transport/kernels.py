@@ -36,6 +36,19 @@ def face_centres(
 
 
 @wp.kernel
+def longest_edges(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    squares: wp.array[wp.float64],
+):
+    """The square of the longest edge of every triangle."""
+    f = wp.tid()
+    a, b, c = points[faces[f][0]], points[faces[f][1]], points[faces[f][2]]
+    squares[f] = wp.max(wp.max(wp.length_sq(b - a), wp.length_sq(c - b)), wp.length_sq(a - c))
+
+
+@wp.kernel
 def centre_distance(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
