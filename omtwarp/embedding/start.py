@@ -55,7 +55,7 @@ class Start:
 def bijective_start(
     surface: Surface,
     *,
-    device: str | None = "cpu",
+    device: str | None = "auto",
     progress: Callable[[str, int, int, dict[str, Any]], None] | None = None,
 ) -> Start:
     """Find a map to the sphere without flips.

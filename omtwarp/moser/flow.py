@@ -42,7 +42,7 @@ def moser_map(
     start: NDArray[np.float64],
     *,
     solver: PoissonSolver | None = None,
-    device: str | None = "cpu",
+    device: str | None = "auto",
 ) -> MoserMap:
     """Carry a map to the sphere to an area-preserving one along Moser's flow.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.refine.frames import triangle_frames
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
 from omtwarp.refine.sums import DistortionSums
+from omtwarp.threads import launch_parts
 
 
 @dataclass(frozen=True)
@@ -94,8 +96,10 @@ class DistortionEnergy:
         """Distortions and per-triangle ratios of a map."""
         count = self.surface.face_count
         outputs = [wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(4)]
-        inputs = [points, self.d_faces, self.d_frames]
-        wp.launch(triangle_terms, dim=count, inputs=inputs, outputs=outputs, device=self.device)
+        self._of_triangles(
+            triangle_terms,
+            lambda part: ([points, self.d_faces[part], self.d_frames[part]], [array[part] for array in outputs]),
+        )
         if self._sums is not None:
             angle, total, area, inverse_sum, needle = self._sums(self.d_areas, *outputs)
             scale = SPHERE_AREA / total
@@ -116,12 +120,12 @@ class DistortionEnergy:
         """Gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
         pressures = self._pressures(terms, weight)
         gradient = wp.empty(self.surface.vertex_count, dtype=wp.vec3d, device=self.device)
-        wp.launch(
+        self._of_triangles(
             triangle_gradient,
-            dim=self.surface.face_count,
-            inputs=[points, self.d_faces, self.d_frames, self.d_areas, *pressures],
-            outputs=[self._corner_gradient],
-            device=self.device,
+            lambda part: (
+                [points, self.d_faces[part], self.d_frames[part], self.d_areas[part], *pressures],
+                [self._corner_gradient[3 * part.start : 3 * part.stop]],
+            ),
         )
         inputs = [points, self.d_offsets, self.d_corners, self._corner_gradient, wp.float64(SPHERE_AREA)]
         wp.launch(
@@ -139,22 +143,18 @@ class DistortionEnergy:
             blocks = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
             if self.surface.face_count <= KEPT_FACES:
                 self._hessian = blocks
-        wp.launch(
+        numbers = [*self._pressures(terms, weight), wp.float64(caution), wp.float64(SPHERE_AREA)]
+        self._of_triangles(
             triangle_hessian,
-            dim=self.surface.face_count,
-            inputs=[
-                points,
-                self.d_faces,
-                self.d_frames,
-                self.d_areas,
-                *self._pressures(terms, weight),
-                wp.float64(caution),
-                wp.float64(SPHERE_AREA),
-            ],
-            outputs=[blocks],
-            device=self.device,
+            lambda part: (
+                [points, self.d_faces[part], self.d_frames[part], self.d_areas[part], *numbers],
+                [blocks[part]],
+            ),
         )
         return blocks
+
+    def _of_triangles(self, kernel: Any, arguments: Callable[[slice], tuple[list[Any], list[Any]]]) -> None:
+        launch_parts(kernel, self.surface.face_count, arguments, self.device)
 
     def _pressures(self, terms: Terms, weight: float) -> tuple[wp.float64, wp.float64, wp.float64]:
         """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import KEPT_FACES
 from omtwarp.refine.newton_kernels import gather_edge_blocks, gather_vertex_blocks
+from omtwarp.threads import launch_parts
 
 REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
 # Where rounding still leaves a pivot that is not positive, the diagonal grows by these parts of itself.
@@ -91,11 +94,16 @@ class NewtonMatrix:
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 36]."""
         source = wp.array(np.ascontiguousarray(blocks), dtype=wp.float64, device="cpu", copy=False)
-        for kernel, where, out in (
-            (gather_vertex_blocks, self._rows, self._diagonal),
-            (gather_edge_blocks, self._sides, self._off_diagonal),
-        ):
-            wp.launch(kernel, dim=out.shape[0], inputs=[*where, source], outputs=[out], device="cpu")
+        (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
+
+        def of_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+            return [offsets[part.start : part.stop + 1], corners, source], [self._diagonal[part]]
+
+        def of_edges(part: slice) -> tuple[list[Any], list[Any]]:
+            return [edges[part], faces, edge_corners[part], source], [self._off_diagonal[part]]
+
+        launch_parts(gather_vertex_blocks, self._diagonal.shape[0], of_vertices, "cpu")
+        launch_parts(gather_edge_blocks, self._off_diagonal.shape[0], of_edges, "cpu")
         return self._diagonal.numpy().reshape(-1, 2, 2), self._off_diagonal.numpy().reshape(-1, 2, 2)
 
     def factorise(self, blocks: NDArray[np.float64]) -> None:

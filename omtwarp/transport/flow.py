@@ -126,7 +126,7 @@ def optimal_transport(
     scheme: str = "default",
     iterations: int | None = None,
     tolerance: float = CURL_TOLERANCE,
-    device: str | None = "cpu",
+    device: str | None = "auto",
     progress: Callable[[int, int, dict[str, Any]], None] | None = None,
 ) -> TransportMap:
     """Lower the transport cost of a mass-preserving map by a mass-preserving flow until it is optimal (section 4.3).

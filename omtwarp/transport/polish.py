@@ -57,7 +57,7 @@ def polish_transport(
     sphere: NDArray[np.float64],
     *,
     rounds: int = ROUNDS,
-    device: str | None = "cpu",
+    device: str | None = "auto",
     progress: Callable[[int, int, dict[str, Any]], None] | None = None,
 ) -> TransportMap:
     """Remove the curl left in a nearly optimal map, and its area error with it.
