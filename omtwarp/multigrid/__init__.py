@@ -1,15 +1,22 @@
 """Conjugate gradients and algebraic multigrid on the device, in place of a factorisation on the host."""
 
 from omtwarp.multigrid.conjugate_gradient import DeviceSum, MultigridSolver, Outcome
-from omtwarp.multigrid.hierarchy import MeshHierarchy
-from omtwarp.multigrid.laplacian import DeviceLaplacian, positioned_hierarchy, surface_hierarchy
+from omtwarp.multigrid.hierarchy import STRONG_BLOCKS, MeshHierarchy
+from omtwarp.multigrid.laplacian import (
+    DeviceLaplacian,
+    positioned_hierarchy,
+    release_hierarchy,
+    surface_hierarchy,
+)
 
 __all__ = [
+    "STRONG_BLOCKS",
     "DeviceLaplacian",
     "DeviceSum",
     "MeshHierarchy",
     "MultigridSolver",
     "Outcome",
     "positioned_hierarchy",
+    "release_hierarchy",
     "surface_hierarchy",
 ]

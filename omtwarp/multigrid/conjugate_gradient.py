@@ -79,6 +79,9 @@ class MultigridSolver:
         block: unknowns per vertex: 1, or 2 for coordinates in tangent planes of a sphere.
         most: iterations after which a solve is given up.
         record: whether the loop is recorded, see :class:`omtwarp.graphs.Graph`.
+
+    Attributes:
+        matrix: A, its entries where ``hierarchy.source`` says.
     """
 
     def __init__(
@@ -110,6 +113,10 @@ class MultigridSolver:
             tentative: for two unknowns per vertex, how a rotation of the sphere moves them: blocks 2 by 3, shape [6 V].
         """
         self.matrix.fill(self.hierarchy.source, diagonal, off_diagonal)
+        self.refresh_levels(tentative)
+
+    def refresh_levels(self, tentative: wp.array | None = None) -> None:
+        """The same after the values of :attr:`matrix` were written in place."""
         self._cycle.refresh(self._ones if tentative is None else tentative)
 
     def solve(self, right: wp.array, out: wp.array, tolerance: float) -> Outcome:

@@ -13,7 +13,7 @@ from omtwarp.geometry.edge_weight_kernels import edge_weight_kernel
 from omtwarp.mesh.surface import Surface
 from omtwarp.multigrid import iteration_kernels, kernels
 from omtwarp.multigrid.conjugate_gradient import DeviceSum, MultigridSolver, Outcome
-from omtwarp.multigrid.hierarchy import MeshHierarchy
+from omtwarp.multigrid.hierarchy import STRONG, MeshHierarchy
 
 # Of the energy's norm: two digits above rounding. Harmonic functions are nearly constant on limbs, where what matters
 # are the differences.
@@ -33,14 +33,28 @@ def surface_hierarchy(surface: Surface, device: wp.Device) -> MeshHierarchy:
     return kept[str(device)]
 
 
-def positioned_hierarchy(surface: Surface, points: NDArray[np.float64], device: wp.Device) -> MeshHierarchy:
-    """Levels by the cotangent Laplacian at other positions of the vertices, shape [V, 3]."""
+def release_hierarchy(surface: Surface, device: wp.Device) -> None:
+    """Let go of the kept levels of a surface; they are made again, the same, when they are asked for."""
+    _hierarchies.get(surface, {}).pop(str(device), None)
+
+
+def positioned_hierarchy(
+    surface: Surface, points: NDArray[np.float64], device: wp.Device, strong: float = STRONG
+) -> MeshHierarchy:
+    """Levels by the cotangent Laplacian at other positions of the vertices, shape [V, 3].
+
+    Args:
+        surface: a closed connected surface.
+        points: the positions.
+        device: where the levels live.
+        strong: see :class:`MeshHierarchy`.
+    """
     from omtwarp.geometry.edge_weights import cotangent_edge_weights
 
     edges, count = surface.edges, surface.vertex_count
     weights = cotangent_edge_weights(surface, points)
     diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)
-    return MeshHierarchy(count, edges, diagonal.astype(np.float64, copy=False), -weights, device)
+    return MeshHierarchy(count, edges, diagonal.astype(np.float64, copy=False), -weights, device, strong)
 
 
 class DeviceLaplacian:
@@ -105,4 +119,4 @@ class DeviceLaplacian:
         )
 
 
-__all__ = ["DeviceLaplacian", "positioned_hierarchy", "surface_hierarchy"]
+__all__ = ["DeviceLaplacian", "positioned_hierarchy", "release_hierarchy", "surface_hierarchy"]

