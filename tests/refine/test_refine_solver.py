@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from omtwarp.embedding.tube import tube_map
 from omtwarp.embedding.untangle import flipped_faces, untangle
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, tube
+from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, noisy, plate, tube
 from omtwarp.metrics.distortion import distortion
+from omtwarp.pipeline import map_to_sphere
 from omtwarp.refine.newton import NewtonMatrix
-from omtwarp.refine.solver import refine_map, refinement_weight
+from omtwarp.refine.solver import HARD, refine_map, refinement_weight
 
 
 def start_map(surface):
@@ -45,6 +46,26 @@ def test_refined_blob_keeps_area(device):
     assert result.converged and len(result.history) < 40
     assert judged.flips == 0
     assert judged.area["surface"] <= 2.002 and judged.area["p95"] <= 2.01
+
+
+def test_a_map_that_nearly_keeps_area_is_pressed_harder():
+    """A thin plate's rim needs more weight on area than most; with it the promise is kept."""
+    surface = plate(2.0, 2.0, 0.05, 1000)
+    result = refine_map(surface, map_to_sphere(surface, until="omt", device="cpu").sphere, device="cpu")
+    judged = distortion(surface.vertices, surface.faces, result.sphere)
+    assert result.weight > HARD
+    assert judged.flips == 0
+    assert judged.area["surface"] <= 2.002 and judged.area["p95"] <= 2.01
+
+
+def test_angles_are_not_given_up_for_areas_that_stay_out_of_reach():
+    """Where even the largest weight does not keep area, the map before the last tries is handed on."""
+    surface = flip_edges(tube(8.0, face_count=600), rounds=4, seed=1)
+    result = refine_map(surface, map_to_sphere(surface, until="omt", device="cpu").sphere, device="cpu")
+    judged = distortion(surface.vertices, surface.faces, result.sphere)
+    assert judged.area["surface"] > 2.002
+    assert result.weight == HARD
+    assert judged.angle["surface"] == pytest.approx(result.history[-1]["angle"], rel=1e-12)
 
 
 def test_weights_trade_area_for_angle():
