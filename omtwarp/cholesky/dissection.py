@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-LEAF = 48  # vertices of a part that is cut no further: from here on dense elimination is as cheap
+LEAF = 24  # vertices of a part that is cut no further: from here on dense elimination is as cheap
 WINDOW = 0.2  # how far from the middle of a part it may be cut
 
 

@@ -1,6 +1,6 @@
-"""Kernels around the dense eliminations: fronts added to the fronts above them, and triangular solves.
+"""Kernels of the factorisation, front by front, and of the triangular solves.
 
-They run on the CPU, beside the dense eliminations of LAPACK. Fronts are stored by columns, one after another.
+They run on the CPU, beside LAPACK. Fronts are stored by columns, of which only the lower triangle is used.
 """
 
 from omtwarp._warp import wp
@@ -9,100 +9,154 @@ wp.set_module_options({"enable_backward": False})
 
 
 # Raw pointers, because the compiler turns loops over them into vector instructions and loops over Warp's arrays not:
-# three times as fast.
-ADD = """
-    const int rows_count = starts.data[c + 1] - starts.data[c];
-    const int size = block * rows_count, p = parent.data[c];
-    const int parent_size = block * (starts.data[p + 1] - starts.data[p]);
-    const int* __restrict__ to = upward.data + starts.data[c];
-    const double* __restrict__ column = below.data + offsets.data[c];
-    double* __restrict__ target = above.data + offsets.data[p];
-    for (int j = block * owned.data[c]; j < size; ++j) {
-        const int row = j / block;
-        const double* source = column + (long long)j * size;
-        double* into = target + (long long)(block * to[row] + j % block) * parent_size;
-        if (block == 1) {
-            for (int i = row; i < rows_count; ++i) into[to[i]] += source[i];
-        } else {
-            for (int i = row; i < rows_count; ++i) {
-                into[2 * to[i]] += source[2 * i];
-                into[2 * to[i] + 1] += source[2 * i + 1];
+# three times as fast. LAPACK and BLAS are called by address (see lapack.py), so that no front passes through Python.
+ASSEMBLE = """
+    const int rows_count = starts.data[f + 1] - starts.data[f];
+    const int size = block * rows_count, width = block * block;
+    double* __restrict__ front = room.data + offsets.data[f];
+    for (int j = 0; j < size; ++j)
+        for (long long i = j; i < size; ++i) front[i + (long long)j * size] = 0.0;
+    for (int k = 0; k < owned.data[f]; ++k) {
+        const double* value = diagonal.data + (long long)width * order.data[first.data[f] + k];
+        double* into = front + (long long)block * k * size + block * k;
+        for (int v = 0; v < block; ++v)
+            for (int u = v; u < block; ++u) into[(long long)v * size + u] = value[block * u + v];
+    }
+    for (int e = edge_starts.data[f]; e < edge_starts.data[f + 1]; ++e) {
+        const double* value = off_diagonal.data + (long long)width * edges.data[e];
+        double* into = front + (long long)block * edge_columns.data[e] * size + block * edge_rows.data[e];
+        const bool transposed = turned.data[e];
+        for (int v = 0; v < block; ++v)
+            for (int u = 0; u < block; ++u)
+                into[(long long)v * size + u] = transposed ? value[block * v + u] : value[block * u + v];
+    }
+    for (int c = children.data[f]; c < children.data[f + 1]; ++c) {
+        const int child_rows = starts.data[c + 1] - starts.data[c], child_size = block * child_rows;
+        const int* __restrict__ to = upward.data + starts.data[c];
+        const double* __restrict__ column = room.data + offsets.data[c];
+        for (int j = block * owned.data[c]; j < child_size; ++j) {
+            const int row = j / block;
+            const double* source = column + (long long)j * child_size;
+            double* into = front + (long long)(block * to[row] + j % block) * size;
+            if (block == 1) {
+                for (int i = row; i < child_rows; ++i) into[to[i]] += source[i];
+            } else {
+                for (int i = row; i < child_rows; ++i) {
+                    into[2 * to[i]] += source[2 * i];
+                    into[2 * to[i] + 1] += source[2 * i + 1];
+                }
             }
         }
     }
 """
 
-
-@wp.func_native(ADD)
-def add_front(
-    c: int,
-    block: int,
-    owned: wp.array[wp.int32],
-    starts: wp.array[wp.int64],
-    upward: wp.array[wp.int32],
-    parent: wp.array[wp.int32],
-    offsets: wp.array[wp.int64],
-    below: wp.array[wp.float64],
-    above: wp.array[wp.float64],
-): ...
-
-
-@wp.kernel
-def add_fronts(
-    fronts: wp.array[wp.int32],
-    block: int,
-    owned: wp.array[wp.int32],
-    starts: wp.array[wp.int64],
-    upward: wp.array[wp.int32],
-    parent: wp.array[wp.int32],
-    offsets: wp.array[wp.int64],
-    below: wp.array[wp.float64],
-    # Data in and out:
-    above: wp.array[wp.float64],
-):
-    """Add what is left of fronts to their parents, lower triangles only; siblings are added by the same thread."""
-    t = wp.tid()
-    for c in range(fronts[t], fronts[t + 1]):
-        add_front(c, block, owned, starts, upward, parent, offsets, below, above)
-
-
-ENTER = """
-    const int width = block * block, length = lengths.data[t];
-    const double* value = values.data + (long long)width * source.data[t];
-    double* into = room.data + first.data[t];
-    for (int v = 0; v < block; ++v)
-        for (int u = 0; u < block; ++u)
-            into[(long long)v * length + u] = turned.data[t] ? value[block * v + u] : value[block * u + v];
+ELIMINATE = """
+    typedef void (*Potrf)(const char*, const int*, double*, const int*, int*);
+    typedef void (*Trsm)(const char*, const char*, const char*, const char*, const int*, const int*, const double*,
+                         const double*, const int*, double*, const int*);
+    typedef void (*Syrk)(const char*, const char*, const int*, const int*, const double*, const double*, const int*,
+                         const double*, double*, const int*);
+    const char lower = 'L', right = 'R', transposed = 'T', plain = 'N';
+    const double one = 1.0, minus = -1.0;
+    const int size = block * (starts.data[f + 1] - starts.data[f]), own = block * owned.data[f], rest = size - own;
+    double* front = room.data + offsets.data[f];
+    int info = 0;
+    if (own > 0) {
+        ((Potrf)routines.data[0])(&lower, &own, front, &size, &info);
+        if (info == 0 && rest > 0) {
+            double* side = front + own;
+            ((Trsm)routines.data[1])(&right, &lower, &transposed, &plain, &rest, &own, &one, front, &size, side, &size);
+            ((Syrk)routines.data[2])(&lower, &plain, &rest, &own, &minus, side, &size, &one,
+                                     front + own + (long long)own * size, &size);
+        }
+        double* __restrict__ kept = factor.data + factor_offsets.data[f];
+        for (int j = 0; j < own; ++j)
+            for (long long i = j; i < size; ++i) kept[i + (long long)j * size] = front[i + (long long)j * size];
+    }
+    return info;
 """
 
 
-@wp.func_native(ENTER)
-def enter_block(
-    t: int,
+@wp.func_native(ASSEMBLE)
+def assemble_front(
+    f: int,
     block: int,
-    first: wp.array[wp.int64],
-    lengths: wp.array[wp.int32],
-    source: wp.array[wp.int32],
-    turned: wp.array[wp.uint8],
-    values: wp.array[wp.float64],
+    first: wp.array[wp.int32],
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    upward: wp.array[wp.int32],
+    children: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    edge_starts: wp.array[wp.int32],
+    edges: wp.array[wp.int32],
+    edge_rows: wp.array[wp.int32],
+    edge_columns: wp.array[wp.int32],
+    turned: wp.array[wp.bool],
+    offsets: wp.array[wp.int64],
+    diagonal: wp.array[wp.float64],
+    off_diagonal: wp.array[wp.float64],
     room: wp.array[wp.float64],
 ): ...
 
 
-@wp.kernel
-def enter_blocks(
+@wp.func_native(ELIMINATE)
+def eliminate_front(  # type: ignore[empty-body]
+    f: int,
     block: int,
-    first: wp.array[wp.int64],
-    lengths: wp.array[wp.int32],
-    source: wp.array[wp.int32],
-    turned: wp.array[wp.uint8],
-    values: wp.array[wp.float64],
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    offsets: wp.array[wp.int64],
+    factor_offsets: wp.array[wp.int64],
+    routines: wp.array[wp.uint64],
+    room: wp.array[wp.float64],
+    factor: wp.array[wp.float64],
+) -> int: ...
+
+
+@wp.kernel
+def factorise_fronts(
+    fronts: wp.array[wp.int32],
+    eliminate: int,
+    block: int,
+    first: wp.array[wp.int32],
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    upward: wp.array[wp.int32],
+    children: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    edge_starts: wp.array[wp.int32],
+    edges: wp.array[wp.int32],
+    edge_rows: wp.array[wp.int32],
+    edge_columns: wp.array[wp.int32],
+    turned: wp.array[wp.bool],
+    offsets: wp.array[wp.int64],
+    factor_offsets: wp.array[wp.int64],
+    routines: wp.array[wp.uint64],
+    diagonal: wp.array[wp.float64],
+    off_diagonal: wp.array[wp.float64],
     # Data in and out:
     room: wp.array[wp.float64],
+    # Data out:
+    factor: wp.array[wp.float64],
+    failed: wp.array[wp.int32],
 ):
-    """Put blocks of the matrix, or their transposes, at their places in the fronts."""
-    t = wp.tid()
-    enter_block(t, block, first, lengths, source, turned, values, room)
+    """Put fronts together, each from the matrix and its children, and eliminate them, one after another.
+
+    One thread does all of them, since a front may follow from the one before; ``failed`` is the first whose pivots are
+    not positive, or -1. Where ``eliminate`` is 0 they are only put together.
+    """
+    failed[0] = wp.int32(-1)
+    for k in range(fronts.shape[0]):
+        f = fronts[k]
+        assemble_front(
+            f, block, first, owned, starts, upward, children, order, edge_starts, edges, edge_rows, edge_columns,
+            turned, offsets, diagonal, off_diagonal, room,
+        )  # fmt: skip
+        if eliminate == 1:
+            info = eliminate_front(f, block, owned, starts, offsets, factor_offsets, routines, room, factor)
+            if info != 0:
+                failed[0] = f
+                return
 
 
 # A front's own rows are consecutive in x; its other rows are gathered once for all its columns.

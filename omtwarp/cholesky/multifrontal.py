@@ -8,7 +8,6 @@ independent fronts run on as many threads as there are cores.
 from __future__ import annotations
 
 import contextlib
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,19 +15,16 @@ from numpy.typing import NDArray
 
 from omtwarp._warp import wp
 from omtwarp.cholesky.dissection import Dissection
-from omtwarp.cholesky.kernels import add_fronts, enter_blocks, solve_triangular
-from omtwarp.cholesky.lapack import DenseEliminations
-from omtwarp.threads import blas_threads, core_count, launch_parts, run_all
+from omtwarp.cholesky.kernels import factorise_fronts, solve_triangular
+from omtwarp.cholesky.lapack import eliminate_together, routine
+from omtwarp.threads import blas_threads, core_count, run_all
 
-# Below so many operations on a depth a second thread costs more than it saves.
+# Below so many operations in all a second thread costs more than it saves.
 THREADED = 1e7
-THREADED_ADDITIONS = 1e6
 # Operations per thread from which on threads share a front, where there are fewer fronts than threads.
 TOGETHER = 5e7
-
-
-# First position in the storage, length of a column, source, whether a block enters transposed; empty without any.
-Entries = tuple[wp.array, ...]
+# Branches of the tree for every thread: with several of them their work evens out.
+BRANCHES = 4
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -52,94 +48,102 @@ class MultifrontalCholesky:
         self.threads = threads or core_count()
         sizes = block * dissection.sizes
         own = block * dissection.owned
-        self._dense = DenseEliminations(own.astype(np.int32), sizes.astype(np.int32))
+        self._sizes, self._own = sizes, own
         self._factor_offsets = np.cumsum(own * sizes) - own * sizes
         self._factor = np.empty(int((own * sizes).sum()))
-        # Fronts of a depth lie one after another; two depths are there at a time.
-        squares = sizes * sizes
-        offsets = np.empty(len(sizes), dtype=np.int64)
-        lengths = []
-        for depth in dissection.depths:
-            ends = np.cumsum(squares[depth])
-            offsets[depth] = ends - squares[depth]
-            lengths.append(int(ends[-1]))
-        self._offsets = offsets
-        self._offset_list = offsets.tolist()
-        self._factor_list = self._factor_offsets.tolist()
-        self._keep = keep
-        self._rooms: list[NDArray[np.float64]] = []
-        self._lengths = lengths
         costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
         self._operations = float(costs.sum())
-        self._additions = [float(((sizes - own)[depth] ** 2).sum()) for depth in dissection.depths]
-        few = [len(costs[depth]) < self.threads for depth in dissection.depths]
-        self._together = [
-            one and costs[depth].sum() > TOGETHER * self.threads
-            for one, depth in zip(few, dissection.depths, strict=True)
-        ]
-        self._chunks = [self._split(depth, costs[depth]) for depth in dissection.depths]
-        self._entries()
+        self._jobs, self._trunk = self._divide(costs)
+        self._offsets, self._length = self._places([*self._jobs, np.concatenate([np.empty(0, np.int32), *self._trunk])])
+        self._keep = keep
+        self._room: NDArray[np.float64] | None = None
+        few = [fronts for fronts in self._trunk if len(fronts) < self.threads]
+        self._shared = {int(f) for fronts in few for f in fronts if costs[f] > TOGETHER * self.threads}
         self._upload()
 
-    def _split(self, depth: slice, costs: NDArray[np.float64]) -> list[range]:
-        """The fronts of a depth in shares of about the same work."""
-        total = float(costs.sum())
-        shares = min(self.threads, len(costs)) if total > THREADED and len(costs) >= self.threads else 1
-        cuts = np.searchsorted(np.cumsum(costs), total * np.arange(1, shares) / shares) + depth.start + 1
-        bounds = [depth.start, *cuts.tolist(), depth.stop]
-        return [range(a, b) for a, b in pairwise(bounds) if b > a]
-
-    def _entries(self) -> None:
-        """Where diagonal and edges enter, depth by depth."""
-        d, block = self.dissection, self.block
-        sizes = block * d.sizes
-        front = np.repeat(np.arange(len(d.owned)), d.owned)  # of every place
-        column = block * (np.arange(d.vertex_count) - d.first[front])
+    def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
+        """Fronts of whole branches of the tree, one job for every thread, and the trunk above them, depth by depth."""
+        d = self.dissection
+        every = np.arange(len(costs), dtype=np.int32)
+        if self.threads == 1 or self._operations < THREADED:
+            return [every], []
         depth_of = np.repeat(np.arange(len(d.depths)), [depth.stop - depth.start for depth in d.depths])
+        enough = [k for k, depth in enumerate(d.depths) if depth.stop - depth.start >= BRANCHES * self.threads]
+        if not enough:
+            return [every], []
+        top = max(enough)  # depths are deepest first
+        # The branch of a front: that of its parent, or its own where the trunk begins above it.
+        branch = every.copy()
+        for k in reversed(range(len(d.depths))):
+            fronts = np.arange(d.depths[k].start, d.depths[k].stop)
+            below = k < top
+            branch[fronts] = branch[d.parent[fronts]] if below else fronts
+        inside = depth_of <= top
+        work = np.bincount(branch[inside], costs[inside], minlength=len(costs))
+        thread_of = np.zeros(len(costs), dtype=np.int64)
+        load = np.zeros(self.threads)
+        roots = np.unique(branch[inside])
+        for root in roots[np.argsort(-work[roots], kind="stable")]:
+            thread_of[root] = int(load.argmin())
+            load[thread_of[root]] += work[root]
+        jobs = [every[inside & (thread_of[branch] == t)] for t in range(self.threads)]
+        trunk = [every[depth] for depth in d.depths[top + 1 :]]
+        return [job for job in jobs if len(job)], trunk
 
-        def by_depth(
-            front: NDArray, row: NDArray, column: NDArray, source: NDArray, turned: NDArray
-        ) -> list[Entries]:
-            ends = np.cumsum(np.bincount(depth_of[front], minlength=len(d.depths)))
-            first = self._offsets[front] + column * sizes[front] + row
-            columns = (
-                (first, wp.int64),
-                (sizes[front], wp.int32),
-                (source, wp.int32),
-                (turned, wp.uint8),
-            )
-            first, lengths, source, turned = (wp.array(values, dtype=dtype, device="cpu") for values, dtype in columns)
-            return [
-                (first[a:b], lengths[a:b], source[a:b], turned[a:b]) if b > a else ()
-                for a, b in pairwise([0, *ends.tolist()])
-            ]
+    def _places(self, jobs: list[NDArray[np.int32]]) -> tuple[NDArray[np.int64], int]:
+        """Where fronts begin in the room, and how large it is.
 
-        straight = np.zeros(d.vertex_count, dtype=bool)
-        self._diagonal_entries = by_depth(front, column, column, d.order, straight)
-        order = np.argsort(d.edge_front, kind="stable")
-        row, column = block * d.edge_row.astype(np.int64), block * d.edge_column.astype(np.int64)
-        # An edge's block has rows of its first end; where that is eliminated first it enters transposed.
-        self._edge_entries = by_depth(d.edge_front[order], row[order], column[order], order, d.edge_turned[order])
+        The fronts of a job and depth lie one after another; two depths of a job are there at a time.
+        """
+        d = self.dissection
+        squares = self._sizes**2
+        depth_of = np.repeat(np.arange(len(d.depths)), [depth.stop - depth.start for depth in d.depths])
+        offsets = np.zeros(len(squares), dtype=np.int64)
+        length = 0
+        for job in jobs:
+            depths = depth_of[job]
+            halves = [0, 0]
+            for k in np.unique(depths):
+                fronts = job[depths == k]
+                ends = np.cumsum(squares[fronts])
+                offsets[fronts] = ends - squares[fronts]
+                halves[k % 2] = max(halves[k % 2], int(ends[-1]))
+            offsets[job] += length + np.where(depths % 2 == 1, halves[0], 0)
+            length += sum(halves)
+        return offsets, length
 
     def _upload(self) -> None:
         d = self.dissection
 
-        def keep(values: NDArray, dtype: type) -> wp.array:
-            return wp.array(np.ascontiguousarray(values, dtype=dtype), device="cpu")
+        def keep(values: Any, dtype: type) -> wp.array:
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
 
-        self._first, self._owned = keep(d.first, np.int32), keep(d.owned, np.int32)
-        self._starts, self._rows = keep(d.starts, np.int64), keep(d.rows, np.int32)
-        self._upward, self._parent = keep(d.upward, np.int32), keep(d.parent, np.int32)
-        self._w_offsets, self._w_factor_offsets = keep(self._offsets, np.int64), keep(self._factor_offsets, np.int64)
+        self._first, self._owned = keep(d.first, wp.int32), keep(d.owned, wp.int32)
+        self._starts, self._rows = keep(d.starts, wp.int64), keep(d.rows, wp.int32)
+        self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
         self._w_factor = wp.array(self._factor, device="cpu", copy=False)
-        # Siblings stand together in a depth; one thread adds them all to their parent.
-        self._families, self._family_counts = [], []
-        for depth in d.depths[:-1]:
-            parents = d.parent[depth]
-            changes = np.flatnonzero(np.r_[True, np.diff(parents) != 0, True]) + depth.start
-            self._families.append(keep(changes, np.int32))
-            self._family_counts.append(len(changes) - 1)
         self._largest = self.block * int(d.sizes.max())
+        # Siblings stand together, families in the order of their parents, and the front without a parent last.
+        children = np.searchsorted(d.parent[:-1], np.arange(len(d.parent) + 1))
+        order = np.argsort(d.edge_front, kind="stable")
+        edge_starts = np.searchsorted(d.edge_front[order], np.arange(len(d.owned) + 1))
+        self._symbolic = [
+            self.block,
+            self._first,
+            self._owned,
+            self._starts,
+            keep(d.upward, wp.int32),
+            keep(children, wp.int32),
+            keep(d.order, wp.int32),
+            keep(edge_starts, wp.int32),
+            keep(order, wp.int32),
+            keep(d.edge_row[order], wp.int32),
+            keep(d.edge_column[order], wp.int32),
+            keep(d.edge_turned[order], wp.bool),
+            self._w_offsets,
+            self._w_factor_offsets,
+            wp.array([routine(name) for name in ("dpotrf", "dtrsm", "dsyrk")], dtype=wp.uint64, device="cpu"),
+        ]
 
     def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
         """Factorise a symmetric positive definite matrix.
@@ -152,69 +156,48 @@ class MultifrontalCholesky:
         Raises:
             NotPositiveDefinite: it is not, to round-off.
         """
-        d = self.dissection
-        values = [
-            wp.array(np.ascontiguousarray(array, dtype=np.float64).ravel(), device="cpu", copy=False)
-            for array in (diagonal, off_diagonal)
-        ]
-        if not self._rooms:
-            self._rooms = [np.empty(max(self._lengths[k::2], default=0)) for k in range(2)]
+        if self._room is None:
+            self._room = np.empty(self._length)
+        room = self._room
+        values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in (diagonal, off_diagonal)]
+        data = [wp.array(array, device="cpu", copy=False) for array in (*values, room, self._factor)]
+
+        def run(fronts: NDArray[np.int32], eliminate: int = 1) -> int:
+            failed = wp.empty(1, dtype=wp.int32, device="cpu")
+            inputs = [wp.array(fronts, dtype=wp.int32, device="cpu", copy=False), eliminate, *self._symbolic, *data]
+            wp.launch(factorise_fronts, dim=1, inputs=[*inputs, failed], device="cpu")
+            return int(failed.numpy()[0])
+
         # Small matrices are done before a library has been told how many threads to use.
         with blas_threads(1) if self._operations > TOGETHER else contextlib.nullcontext():
-            for k in range(len(d.depths)):
-                self._factorise_depth(k, values)
+            failed = max(run_all(run, self._jobs))
+            for fronts in self._trunk:
+                if failed >= 0:
+                    break
+                if self._shared.intersection(fronts.tolist()):
+                    failed = max(self._share(f, run) for f in fronts.tolist())
+                else:
+                    failed = max(run_all(run, np.array_split(fronts, min(self.threads, len(fronts)))))
         if not self._keep:
-            self._rooms = []
-
-    def _factorise_depth(self, k: int, values: list[wp.array]) -> None:
-        room = self._rooms[k % 2]
-        room[: self._lengths[k]] = 0.0
-        target = wp.array(room, device="cpu", copy=False)
-        for entries, data in zip((self._diagonal_entries[k], self._edge_entries[k]), values, strict=True):
-            if entries:
-                count = len(entries[0])
-                wp.launch(enter_blocks, dim=count, inputs=[self.block, *entries, data, target], device="cpu")
-        if k > 0:
-            self._add_below(k - 1)
-        if self._together[k]:
-            failed = max(self._share(front, room) for fronts in self._chunks[k] for front in fronts)
-        else:
-            failed = max(run_all(lambda fronts: self._eliminate(fronts, room), self._chunks[k]))
+            self._room = None
         if failed >= 0:
-            raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._dense.own)} is not positive")
+            raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
 
-    def _add_below(self, k: int) -> None:
-        below, above = (wp.array(self._rooms[q % 2], device="cpu", copy=False) for q in (k, k + 1))
-        families, inputs = self._families[k], [self._owned, self._starts, self._upward, self._parent, self._w_offsets]
-
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
-            return [families[part.start : part.stop + 1], self.block, *inputs, below], [above]
-
-        least = 2 if self._additions[k] > THREADED_ADDITIONS else self._family_counts[k] + 1
-        launch_parts(add_fronts, self._family_counts[k], arguments, "cpu", least=least)
-
-    def _share(self, front: int, room: NDArray[np.float64]) -> int:
+    def _share(self, front: int, run: Any) -> int:
         """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
-        failed = self._dense.run_together(front, room.ctypes.data, self._offset_list[front])
-        self._store(range(front, front + 1), room)
-        return failed
-
-    def _eliminate(self, fronts: range, room: NDArray[np.float64]) -> int:
-        """Eliminate fronts and keep their columns; the first that fails, or -1."""
-        failed = self._dense.run(fronts, room.ctypes.data, self._offset_list)
-        self._store(fronts, room)
-        return failed
-
-    def _store(self, fronts: range, room: NDArray[np.float64]) -> None:
-        factor, own, sizes = self._factor, self._dense.own, self._dense.sizes
-        for f in fronts:
-            begin, target, length = self._offset_list[f], self._factor_list[f], own[f] * sizes[f]
-            factor[target : target + length] = room[begin : begin + length]
+        assert self._room is not None
+        run(np.array([front], dtype=np.int32), eliminate=0)
+        own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
+        if not eliminate_together(own, size, self._room.ctypes.data + 8 * begin):
+            return front
+        target = int(self._factor_offsets[front])
+        self._factor[target : target + own * size] = self._room[begin : begin + own * size]
+        return -1
 
     @property
     def storage(self) -> int:
         """Bytes of the factor and of the room that it is made in."""
-        return 8 * (len(self._factor) + sum(max(self._lengths[k::2], default=0) for k in range(2)))
+        return 8 * (len(self._factor) + self._length)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for right-hand sides, shape [V, 2] or [V, 2, K]; [V] or [V, K] for one unknown per vertex."""
