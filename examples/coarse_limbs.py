@@ -6,8 +6,8 @@
 Three points of the unit sphere lie on a circle of radius at most 1, so that their flat triangle with edges a, b and c
 has an area of at least abc / 4. Triangles that share 4π evenly among F therefore need abc <= 16π / F. A closed ring of
 n vertices that cuts the share s of the area off is about 4π sqrt(s (1 - s)) long on the sphere, or longer, so its edges
-are about c = 4π sqrt(s (1 - s)) / n long. Where the vertices of the next ring lie halfway along them, a = b = c / 2, which
-is only possible if
+are about c = 4π sqrt(s (1 - s)) / n long. Where the vertices of the next ring lie halfway along them, a = b = c / 2;
+that is only possible if
 
     n >= 4π sqrt(s (1 - s)) (F / 64π)^(1/3) = 2.145 sqrt(s (1 - s)) F^(1/3).
 
