@@ -62,6 +62,11 @@ class DeviceSum:
         wp.launch(kernels.sum_values, dim=kernels.FIRST, inputs=[a], outputs=[self._partial], device=self.device)
         wp.launch(kernels.finish_sum, dim=1, inputs=[self._again()], outputs=[out], device=self.device)
 
+    def remove_mean(self, a: wp.array, room: wp.array) -> None:
+        """Take the mean off every element; ``room`` is for one number."""
+        self.total(a, room)
+        wp.launch(kernels.remove_mean, dim=a.size, inputs=[room], outputs=[a], device=self.device)
+
     def _again(self) -> wp.array:
         inputs, outputs = [self._partial], [self._fewer]
         wp.launch(kernels.sum_again, dim=kernels.SECOND, inputs=inputs, outputs=outputs, device=self.device)
@@ -71,21 +76,26 @@ class DeviceSum:
 class MultigridSolver:
     """Solves A x = b for symmetric positive (semi)definite matrices on the vertices and edges of a mesh.
 
-    Every result has the same bits on every run. Where A is singular, b has to be orthogonal to its null space, and x is
-    one of the solutions.
+    Every result has the same bits on every run.
 
     Args:
         hierarchy: levels for the mesh; see :class:`MeshHierarchy`.
         block: unknowns per vertex: 1, or 2 for coordinates in tangent planes of a sphere.
         most: iterations after which a solve is given up.
         record: whether the loop is recorded, see :class:`omtwarp.graphs.Graph`.
+        laplacian: whether A annihilates constants; b has to have mean zero then, and so has x.
 
     Attributes:
         matrix: A, its entries where ``hierarchy.source`` says.
     """
 
     def __init__(
-        self, hierarchy: MeshHierarchy, block: int = 1, most: int = MOST_ITERATIONS, record: bool | None = None
+        self,
+        hierarchy: MeshHierarchy,
+        block: int = 1,
+        most: int = MOST_ITERATIONS,
+        record: bool | None = None,
+        laplacian: bool = False,
     ):
         device = hierarchy.device
         self.device, self.hierarchy, self.block, self.most = device, hierarchy, block, most
@@ -102,6 +112,7 @@ class MultigridSolver:
         self._counters = wp.zeros(3, dtype=wp.int32, device=device)
         self._tolerance = wp.zeros(1, dtype=wp.float64, device=device)
         self._sum = DeviceSum(device)
+        self._total = wp.empty(1, dtype=wp.float64, device=device) if laplacian else None
         self._loop = Graph(self._run, device, record)
 
     def refresh(self, diagonal: wp.array, off_diagonal: wp.array, tentative: wp.array | None = None) -> None:
@@ -148,7 +159,7 @@ class MultigridSolver:
     def _run(self) -> None:
         """Iterate from zero, for the right-hand side that the residual has been set to."""
         self._x.zero_()
-        self._cycle.apply(self._rest, self._direction)
+        self._smooth(self._direction)
         wp.launch(
             kernels.begin,
             dim=1,
@@ -157,6 +168,13 @@ class MultigridSolver:
             device=self.device,
         )
         wp.capture_while(self._counters, self._iterate)
+
+    def _smooth(self, out: wp.array) -> None:
+        """One cycle for the residual."""
+        self._cycle.apply(self._rest, out)
+        if self._total is not None:
+            # Constants cost nothing and grow from cycle to cycle, until the rest of a direction is lost beside them.
+            self._sum.remove_mean(out, self._total)
 
     def _iterate(self) -> None:
         """One iteration."""
@@ -167,7 +185,7 @@ class MultigridSolver:
         wp.launch(kernels.choose_step, dim=1, inputs=inputs, outputs=state, device=device)
         inputs, outputs = [self._scalars, self._direction, self._image], [self._x, self._rest]
         wp.launch(kernels.advance, dim=size, inputs=inputs, outputs=outputs, device=device)
-        self._cycle.apply(self._rest, self._smoothed)
+        self._smooth(self._smoothed)
         inputs = [self._sum.products(self._rest, self._smoothed), self.most]
         wp.launch(kernels.choose_turn, dim=1, inputs=inputs, outputs=state, device=device)
         inputs = [self._scalars, self._smoothed]

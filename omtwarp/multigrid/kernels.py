@@ -11,9 +11,8 @@ wp.set_module_options({"enable_backward": False})
 
 # Blocks of coarse levels lose rank where an aggregate has too few vertices to turn: this part of the trace holds them.
 RANK_FLOOR = wp.constant(wp.float64(1e-12))
-# A pivot this small against its diagonal is rounding: its unknown is held at zero, and so is the constant of a
-# Laplacian, which has no place in the coarse solution.
-SMALLEST_PIVOT = wp.constant(wp.float64(1e-12))
+# A pivot this small against its diagonal is rounding, carried down the levels: its unknown is held at zero.
+SMALLEST_PIVOT = wp.constant(wp.float64(1e-9))
 
 
 @wp.kernel

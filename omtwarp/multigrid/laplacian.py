@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from omtwarp._warp import wp
 from omtwarp.geometry.edge_weight_kernels import edge_weight_kernel
 from omtwarp.mesh.surface import Surface
-from omtwarp.multigrid import iteration_kernels, kernels
+from omtwarp.multigrid import kernels
 from omtwarp.multigrid.conjugate_gradient import DeviceSum, MultigridSolver, Outcome
 from omtwarp.multigrid.hierarchy import STRONG, MeshHierarchy
 
@@ -87,7 +87,7 @@ class DeviceLaplacian:
         inputs = [hierarchy.levels[0].pattern.offsets, hierarchy.source, entries]
         wp.launch(kernels.laplacian_diagonal, dim=diagonal.size, inputs=inputs, outputs=[diagonal], device=device)
         wp.launch(kernels.negate, dim=entries.size, outputs=[entries], device=device)
-        solver = MultigridSolver(hierarchy, record=self._record)
+        solver = MultigridSolver(hierarchy, record=self._record, laplacian=True)
         solver.refresh(diagonal, entries)
         return solver
 
@@ -107,16 +107,9 @@ class DeviceLaplacian:
     def enqueue(self, right: wp.array, out: wp.array) -> None:
         """The same without a word to the host, and without levels of its own."""
         wp.copy(self._centred, right)
-        self._centre(self._centred)
+        self._sum.remove_mean(self._centred, self._total)
         self._solver.enqueue(self._centred, out, TOLERANCE)
-        self._centre(out)
-
-    def _centre(self, values: wp.array) -> None:
-        self._sum.total(values, self._total)
-        inputs, outputs = [self._total], [values]
-        wp.launch(
-            iteration_kernels.remove_mean, dim=values.size, inputs=inputs, outputs=outputs, device=self.device
-        )
+        self._sum.remove_mean(out, self._total)
 
 
 __all__ = ["DeviceLaplacian", "positioned_hierarchy", "release_hierarchy", "surface_hierarchy"]

@@ -55,7 +55,7 @@ class Terms:
         return self.angle + weight * self.area + needle_weight(weight) * self.needle
 
 
-# Up to so many faces the room of Hessians stays for the next ones; beyond, memory is dearer than time.
+# Up to so many faces the room of Hessians stays for the next ones on the CPU; beyond, memory is dearer than time.
 KEPT_FACES = 200_000
 
 
@@ -145,7 +145,7 @@ class DistortionEnergy:
         blocks = self._hessian
         if blocks is None:
             blocks = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
-            if self.surface.face_count <= KEPT_FACES:
+            if self.device.is_cpu and self.surface.face_count <= KEPT_FACES:
                 self._hessian = blocks
         numbers = [*self._pressures(terms, weight), wp.float64(caution), wp.float64(SPHERE_AREA)]
         self._of_triangles(
