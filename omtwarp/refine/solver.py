@@ -106,7 +106,7 @@ def refine_map(
         weight: λ, or ``area``, ``balanced`` or ``angle`` for the values in ``WEIGHTS``. With ``area``, λ is raised
             from there where the mean area distortion is above 2.002 or its 95th percentile above 2.01: threefold,
             twice, and twice more where that is seen to bring both below.
-        device: where the kernels run; the sparse systems are solved on the host.
+        device: where the kernels run; :func:`omtwarp.linear.on_device` says where the sparse systems are solved.
         iterations: most steps taken.
         tolerance: stop when the expected decrease of angle + λ area falls below this.
         progress: called with (text, step, most steps) after every step.
