@@ -43,7 +43,7 @@ class Schedule:
     factor: float
     steps: int
     thinnest: float
-    weight: float = 10.0
+    weight: float = 5.0
     largest: float = 1.0
     most: float = np.inf
 
@@ -51,8 +51,8 @@ class Schedule:
 SCHEDULES = (
     Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, most=30),
     Schedule(rings=3, factor=0.5, steps=3, thinnest=0.02, most=100),
-    Schedule(rings=5, factor=0.7, steps=4, thinnest=0.1),
-    Schedule(rings=9, factor=0.7, steps=6, thinnest=0.2),
+    Schedule(rings=5, factor=0.7, steps=4, thinnest=0.1, weight=10.0),
+    Schedule(rings=9, factor=0.7, steps=6, thinnest=0.2, weight=10.0),
     Schedule(rings=17, factor=0.7, steps=8, thinnest=0.3),
     Schedule(rings=10**9, factor=0.7, steps=10, thinnest=0.3),
 )

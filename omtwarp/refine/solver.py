@@ -34,6 +34,7 @@ CLOSE = 4.0
 
 SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 25  # of the step as a whole
+CORRECTED_HALVINGS = 2  # of a step by an older matrix: where that is not enough a fresh one is worth more
 MENDED = 3  # of them tried with repair of what they flip
 HOLDS = 30  # of the shares of corners of triangles in trouble
 LEAST_CAUTION = 0.03  # see triangle_hessian
@@ -194,7 +195,9 @@ class Refiner:
                 result.factorisations += 1
             direction = self._steps.direction(points, gradient)
             decrement = -direction.slope
-            moved = self._search(points, terms, direction, weight) if decrement > 0.0 else None
+            moved = None
+            if decrement > 0.0:
+                moved = self._search(points, terms, direction, weight, HALVINGS if renew else CORRECTED_HALVINGS)
             if moved is None:
                 if renew and caution == 1.0:
                     break
@@ -225,11 +228,11 @@ class Refiner:
         result.sphere = points.numpy().copy()
         return result
 
-    def _search(self, points, terms: Terms, direction: Direction, weight: float):
+    def _search(self, points, terms: Terms, direction: Direction, weight: float, halvings: int):
         """A step along the direction that lowers the energy and flips nothing: points, terms, length, vertices held."""
         before = terms.total(weight)
         length = 1.0 / max(1.0, 2.0 * direction.reach)  # no vertex may swing farther than half a radian
-        for attempt in range(HALVINGS):
+        for attempt in range(halvings):
             if attempt < MENDED:
                 moved, mended = self._mended(points, direction.vectors, terms.d_volume, length, weight)
                 if moved is not None:
