@@ -16,7 +16,7 @@ from PIL import Image
 
 from omtwarp.render import shaders
 from omtwarp.render.camera import Shot
-from omtwarp.render.colors import parse_color
+from omtwarp.render.colors import parse_color, srgb_to_linear
 from omtwarp.render.light import LIGHTS
 from omtwarp.render.pyrender_compat import INSTALL_GL, GLUnavailable, import_pyrender
 from omtwarp.render.scene import Part, RenderJob
@@ -31,6 +31,8 @@ SURFACELESS = "surfaceless"
 # Of the supersampled picture: each pixel takes 40 bytes with its multisample buffers. Larger pictures are drawn with
 # the hardware's four samples alone.
 MOST_PIXELS = 40_000_000
+
+LIGHT_OF_SRGB = np.round(65535.0 * srgb_to_linear(np.arange(256) / 255.0)).astype(np.uint16)
 
 
 class _Program(ShaderProgram):  # type: ignore[misc]
@@ -88,7 +90,10 @@ class _Renderer(Renderer):  # type: ignore[misc]
 
 
 class _Texture(pyrender.Texture):  # type: ignore[misc, name-defined]
-    """An sRGB texture: filtering then averages light, not its encoding, and the shader is spared the decoding."""
+    """A texture of light rather than of its sRGB encoding, so that filtering averages light.
+
+    With 16 bits per channel nothing is lost, and a driver on the CPU is spared decoding every sample of the filter.
+    """
 
     mipmaps = True
 
@@ -97,10 +102,8 @@ class _Texture(pyrender.Texture):  # type: ignore[misc, name-defined]
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
         GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
         height, width = self.source.shape[:2]
-        pixels = np.ascontiguousarray(self.source[::-1])
-        GL.glTexImage2D(
-            GL.GL_TEXTURE_2D, 0, GL.GL_SRGB8_ALPHA8, width, height, 0, GL.GL_RGB, GL.GL_UNSIGNED_BYTE, pixels
-        )
+        pixels = np.ascontiguousarray(LIGHT_OF_SRGB[self.source[::-1]])
+        GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGBA16, width, height, 0, GL.GL_RGB, GL.GL_UNSIGNED_SHORT, pixels)
         if self.mipmaps:
             GL.glGenerateMipmap(GL.GL_TEXTURE_2D)
         smaller = GL.GL_LINEAR_MIPMAP_LINEAR if self.mipmaps else GL.GL_LINEAR
