@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import platform
 import time
 from pathlib import Path
 from typing import Any
@@ -150,11 +149,10 @@ def reached(entry: dict[str, Any], level: float) -> str:
 
 
 def markdown(runs: list[dict[str, Any]]) -> str:
-    import warp as wp
+    from paper_tables import machine
 
     lines = [
-        f"Made by `examples/convergence.py` on {platform.machine()}, {platform.system()}, Python "
-        f"{platform.python_version()}, warp {wp.config.version}. Area distortion by area on the sphere.",
+        f"Made by `examples/convergence.py` on {machine()}. Area distortion by area on the sphere.",
         "",
         "| mesh | start | flow | iterations | cost | within 1 % of the final cost | within 1 % of the gain | area |",
         "|---|---|---|---|---|---|---|---|",
