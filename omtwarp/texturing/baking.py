@@ -25,6 +25,7 @@ from omtwarp.texturing.image import as_floats, read_image
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection
 from omtwarp.texturing.seams import Unwrapped, unwrap
+from omtwarp.threads import launch_parts
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]
@@ -64,11 +65,12 @@ class _PictureSource(_Source):
         self._picture: Any = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
 
     def values(self, directions: wp.array, out: wp.array) -> None:
-        wp.launch(
+        numbers = [self._kind, wp.float64(self._offset), wp.float64(self._gutter), self._picture]
+        launch_parts(
             kernels.sample_picture_kernel,
-            dim=len(directions),
-            inputs=[self._kind, wp.float64(self._offset), wp.float64(self._gutter), self._picture, directions, out],
-            device=directions.device,
+            len(directions),
+            lambda part: ([*numbers, directions[part], out[part]], []),
+            directions.device,
         )
 
 

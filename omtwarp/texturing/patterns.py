@@ -24,6 +24,7 @@ from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.coastlines import coastline_segments
 from omtwarp.texturing.cutting import normalised
 from omtwarp.texturing.projection import direction_from_angles, longitude_latitude
+from omtwarp.threads import launch_parts
 
 Floats = NDArray[np.float64]
 
@@ -53,7 +54,10 @@ class Pattern:
     def launch(self, directions: wp.array, out: wp.array) -> None:
         """Colour an array of directions (vec3d, shape [N]) into ``out`` (float64, shape [>= N, 3]) on their device."""
         device = directions.device
-        wp.launch(self._kernel, dim=len(directions), inputs=[directions, *self._inputs(device), out], device=device)
+        inputs = self._inputs(device)
+        launch_parts(
+            self._kernel, len(directions), lambda part: ([directions[part], *inputs, out[part]], []), device
+        )
 
     _kernel: Any
 
