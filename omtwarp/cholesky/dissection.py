@@ -33,7 +33,7 @@ class Dissection:
         owned: number of vertices it eliminates, shape [N].
         starts: where its rows begin, shape [N + 1].
         rows: places of the vertices of its rows, ascending, shape [R].
-        parent: the front that it is added to, -1 for the last, shape [N].
+        parent: the front that it is added to, -1 where there is none, shape [N].
         upward: which row of the parent every row is; -1 for rows it eliminates, shape [R].
         edge_front: front in which every edge enters, shape [E].
         edge_row: its row there, of the end eliminated later, shape [E].
@@ -110,7 +110,9 @@ def dissect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int = L
     of_row = keys // count
     rows = keys - of_row * count
     parent = np.full(len(nodes), -1, dtype=np.int64)
-    parent[nodes > 1] = rank(nodes[nodes > 1] // 2)
+    # Between pieces of a mesh that do not touch nothing separates, and no front is needed.
+    present = np.isin(nodes // 2, nodes)
+    parent[present] = rank(nodes[present] // 2)
     own = rows < (first + owned)[of_row]
     upward = np.full(len(rows), -1, dtype=np.int32)
     above = parent[of_row[~own]]

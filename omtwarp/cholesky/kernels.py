@@ -30,7 +30,8 @@ ASSEMBLE = """
             for (int u = 0; u < block; ++u)
                 into[(long long)v * size + u] = transposed ? value[block * v + u] : value[block * u + v];
     }
-    for (int c = children.data[f]; c < children.data[f + 1]; ++c) {
+    for (int k = family_starts.data[f]; k < family_starts.data[f + 1]; ++k) {
+        const int c = families.data[k];
         const int child_rows = starts.data[c + 1] - starts.data[c], child_size = block * child_rows;
         const int* __restrict__ to = upward.data + starts.data[c];
         const double* __restrict__ column = room.data + offsets.data[c];
@@ -85,7 +86,8 @@ def assemble_front(
     owned: wp.array[wp.int32],
     starts: wp.array[wp.int64],
     upward: wp.array[wp.int32],
-    children: wp.array[wp.int32],
+    family_starts: wp.array[wp.int32],
+    families: wp.array[wp.int32],
     order: wp.array[wp.int32],
     edge_starts: wp.array[wp.int32],
     edges: wp.array[wp.int32],
@@ -122,7 +124,8 @@ def factorise_fronts(
     owned: wp.array[wp.int32],
     starts: wp.array[wp.int64],
     upward: wp.array[wp.int32],
-    children: wp.array[wp.int32],
+    family_starts: wp.array[wp.int32],
+    families: wp.array[wp.int32],
     order: wp.array[wp.int32],
     edge_starts: wp.array[wp.int32],
     edges: wp.array[wp.int32],
@@ -149,8 +152,8 @@ def factorise_fronts(
     for k in range(fronts.shape[0]):
         f = fronts[k]
         assemble_front(
-            f, block, first, owned, starts, upward, children, order, edge_starts, edges, edge_rows, edge_columns,
-            turned, offsets, diagonal, off_diagonal, room,
+            f, block, first, owned, starts, upward, family_starts, families, order, edge_starts, edges, edge_rows,
+            edge_columns, turned, offsets, diagonal, off_diagonal, room,
         )  # fmt: skip
         if eliminate == 1:
             info = eliminate_front(f, block, owned, starts, offsets, factor_offsets, routines, room, factor)

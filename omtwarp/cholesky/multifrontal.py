@@ -76,8 +76,9 @@ class MultifrontalCholesky:
         branch = every.copy()
         for k in reversed(range(len(d.depths))):
             fronts = np.arange(d.depths[k].start, d.depths[k].stop)
-            below = k < top
-            branch[fronts] = branch[d.parent[fronts]] if below else fronts
+            if k < top:
+                parents = d.parent[fronts]
+                branch[fronts] = np.where(parents >= 0, branch[parents], fronts)
         inside = depth_of <= top
         work = np.bincount(branch[inside], costs[inside], minlength=len(costs))
         thread_of = np.zeros(len(costs), dtype=np.int64)
@@ -123,8 +124,8 @@ class MultifrontalCholesky:
         self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
         self._w_factor = wp.array(self._factor, device="cpu", copy=False)
         self._largest = self.block * int(d.sizes.max())
-        # Siblings stand together, families in the order of their parents, and the front without a parent last.
-        children = np.searchsorted(d.parent[:-1], np.arange(len(d.parent) + 1))
+        families = np.argsort(d.parent, kind="stable")
+        family_starts = np.searchsorted(d.parent[families], np.arange(len(d.parent) + 1))
         order = np.argsort(d.edge_front, kind="stable")
         edge_starts = np.searchsorted(d.edge_front[order], np.arange(len(d.owned) + 1))
         self._symbolic = [
@@ -133,7 +134,8 @@ class MultifrontalCholesky:
             self._owned,
             self._starts,
             keep(d.upward, wp.int32),
-            keep(children, wp.int32),
+            keep(family_starts, wp.int32),
+            keep(families, wp.int32),
             keep(d.order, wp.int32),
             keep(edge_starts, wp.int32),
             keep(order, wp.int32),

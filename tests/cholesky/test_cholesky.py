@@ -1,5 +1,7 @@
 """Sparse Cholesky on surfaces against SciPy's general solver, and the order of elimination against its definition."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.sparse as sparse
@@ -7,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.linalg import splu, spsolve
 
-from omtwarp.cholesky import MultifrontalCholesky, NotPositiveDefinite, dissect
+from omtwarp.cholesky import MultifrontalCholesky, NotPositiveDefinite, dissect, multifrontal
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.linear import LaplacianSolver, SurfaceLaplacianSolver
@@ -61,6 +63,32 @@ def test_solutions_are_those_of_a_general_solver(seed, count, block, leaf):
     truth = spsolve(block_matrix(surface, diagonal, off), right.reshape(-1, 3)).reshape(right.shape)
     np.testing.assert_allclose(factor.solve(right), truth, rtol=1e-9, atol=1e-11)
     np.testing.assert_allclose(factor.solve(right[:, :, 1]), truth[:, :, 1], rtol=1e-9, atol=1e-11)
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 10_000),
+    counts=st.lists(st.sampled_from([4, 5, 12, 40, 150]), min_size=1, max_size=7),
+    block=st.sampled_from([1, 2]),
+    leaf=st.sampled_from([2, 8, 24]),
+    threads=st.sampled_from([1, 3]),
+)
+def test_pieces_that_do_not_touch(seed, counts, block, leaf, threads):
+    """As the patches that are untangled: the tree of fronts then is a forest, with levels that need no front."""
+    rng = np.random.default_rng(seed)
+    pieces = [random_sphere(count, seed + k) for k, count in enumerate(counts)]
+    first = np.cumsum([0, *(piece.vertex_count for piece in pieces)])
+    points = np.concatenate([piece.vertices + rng.normal(scale=4.0, size=3) for piece in pieces])
+    edges = np.concatenate([piece.edges + start for piece, start in zip(pieces, first, strict=False)]).astype(np.int32)
+    union = SimpleNamespace(vertex_count=int(first[-1]), edges=edges)
+    diagonal, off = dominant_blocks(union, block, seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(multifrontal, "THREADED", 1.0)
+        factor = MultifrontalCholesky(dissect(points, edges, leaf), block, threads)
+        factor.factorise(diagonal, off)
+    right = rng.normal(size=(union.vertex_count, block))
+    truth = spsolve(block_matrix(union, diagonal, off), right.ravel()).reshape(right.shape)
+    np.testing.assert_allclose(factor.solve(right), truth, rtol=1e-9, atol=1e-11)
 
 
 @pytest.mark.parametrize("leaf", [1, 7, 48])
@@ -187,7 +215,7 @@ def test_corners_opposite_to_edges():
 
 def test_threads_that_share_a_front_find_the_same_factor(monkeypatch):
     """Panels and strips far smaller than the front, so that all kinds of them occur."""
-    from omtwarp.cholesky import lapack, multifrontal
+    from omtwarp.cholesky import lapack
 
     monkeypatch.setattr(lapack, "PANEL", 7)
     monkeypatch.setattr(lapack, "STRIP", 10)
