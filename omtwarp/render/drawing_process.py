@@ -7,6 +7,7 @@ Messages are pickles behind their length; both ends are the same program.
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import select
@@ -49,6 +50,7 @@ def _waiting(stream: BinaryIO) -> bool:
 
 def main() -> None:
     """Serve until standard input ends."""
+    gc.set_threshold(200_000)  # the imports leave little garbage, and looking for it takes time
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle; it closes the pipe
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a driver prints must not mix with the replies
