@@ -40,7 +40,10 @@ _PUBLIC = {
     "write_report": "omtwarp.reporting",
 }
 
+_MODULES = {"benchmark": "omtwarp.benchmark", "shapes": "omtwarp.mesh.shapes"}
+
 if TYPE_CHECKING:
+    from omtwarp import benchmark as benchmark
     from omtwarp.conformal import conformal_map as conformal_map
     from omtwarp.conformal import mobius_centring as mobius_centring
     from omtwarp.embedding.hierarchical import hierarchical_embedding as hierarchical_embedding
@@ -107,8 +110,8 @@ def __getattr__(name: str) -> Any:
             value = "0+unknown"
     elif name in _PUBLIC:
         value = getattr(importlib.import_module(_PUBLIC[name]), name)
-    elif name == "shapes":
-        value = importlib.import_module("omtwarp.mesh.shapes")
+    elif name in _MODULES:
+        value = importlib.import_module(_MODULES[name])
     else:
         raise AttributeError(f"module 'omtwarp' has no attribute '{name}'")
     globals()[name] = value

@@ -176,3 +176,9 @@ def test_site_builds_without_a_warning(tmp_path):
     for page in (tmp_path / "html").rglob("*.html"):
         fetched = re.findall(r'<(?:script|link|img|iframe)[^>]+(?:src|href)="(https?:[^"]+)"', page.read_text("utf-8"))
         assert not fetched, f"{page.name} fetches {fetched[0]}"
+
+
+def test_modules_named_with_the_package_need_no_import_of_their_own():
+    code = "import omtwarp; assert callable(omtwarp.benchmark.run) and callable(omtwarp.shapes.blob)"
+    done = quietly([sys.executable, "-c", code])
+    assert done.returncode == 0, done.stderr
