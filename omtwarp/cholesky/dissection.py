@@ -67,6 +67,11 @@ class Dissection:
         return np.diff(self.starts)
 
     @property
+    def front_depths(self) -> NDArray[np.int64]:
+        """Which of the depths every front is in, shape [N]."""
+        return np.repeat(np.arange(len(self.depths)), [depth.stop - depth.start for depth in self.depths])
+
+    @property
     def factor_entries(self) -> int:
         """Numbers kept of a factor with one unknown per vertex."""
         return int((self.owned * self.sizes).sum())

@@ -67,7 +67,7 @@ class MultifrontalCholesky:
         every = np.arange(len(costs), dtype=np.int32)
         if self.threads == 1 or self._operations < THREADED:
             return [every], []
-        depth_of = np.repeat(np.arange(len(d.depths)), [depth.stop - depth.start for depth in d.depths])
+        depth_of = d.front_depths
         enough = [k for k, depth in enumerate(d.depths) if depth.stop - depth.start >= BRANCHES * self.threads]
         if not enough:
             return [every], []
@@ -98,7 +98,7 @@ class MultifrontalCholesky:
         """
         d = self.dissection
         squares = self._sizes**2
-        depth_of = np.repeat(np.arange(len(d.depths)), [depth.stop - depth.start for depth in d.depths])
+        depth_of = d.front_depths
         offsets = np.zeros(len(squares), dtype=np.int64)
         length = 0
         for job in jobs:

@@ -175,11 +175,7 @@ def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], sche
     seed = np.zeros(int(faces.max()) + 1, dtype=bool)
     seed[faces[flipped].ravel()] = True
     free = grow(faces, seed, schedule.rings)
-    inside = faces[free[faces].any(axis=1)]
-    pairs = np.concatenate([inside[:, [0, 1]], inside[:, [1, 2]], inside[:, [2, 0]]])
-    pairs = pairs[free[pairs].all(axis=1)]
-    graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(free), len(free)))
-    _, component = connected_components(graph, directed=False)
+    component = _components(faces[free[faces].any(axis=1)], free)
     patch = component[faces[flipped][:, 0]]
     out = flipped.copy()
     out[flipped] = np.bincount(patch)[patch] <= schedule.most
@@ -197,6 +193,15 @@ def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArr
             break
         mask = wider
     return mask
+
+
+def _components(faces: NDArray[np.int32], free: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The piece that every freed vertex belongs to, linked by edges of the faces, shape [V]; others are alone."""
+    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    pairs = pairs[free[pairs].all(axis=1)]
+    graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(free), len(free)))
+    component: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+    return component
 
 
 class _Patches:
@@ -227,10 +232,7 @@ class _Patches:
     def _label(self):
         """Number the patches: connected components of the freed vertices."""
         faces, free = self.faces, self.free
-        pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-        pairs = pairs[free[pairs].all(axis=1)]
-        graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(free), len(free)))
-        _, component = connected_components(graph, directed=False)
+        component = _components(faces, free)
         labels = np.full(len(free), -1, dtype=np.intp)
         _, labels[free] = np.unique(component[free], return_inverse=True)
         self.vertex_patch = labels

@@ -279,6 +279,15 @@ def restrict(
     coarse[at] = total
 
 
+@wp.func
+def block_entry(at: int, b: int, c: int):
+    """Which block of b by c the number ``at`` belongs to, its row there, and its column."""
+    k = at // (b * c)
+    q = at - b * c * k
+    u = q // c
+    return k, u, q - c * u
+
+
 @wp.kernel
 def smooth_prolongation(
     offsets: wp.array[wp.int32],
@@ -297,10 +306,7 @@ def smooth_prolongation(
 ):
     """(I - damping D^-1 A) T, one thread per number."""
     at = wp.tid()
-    e = at // (b * c)
-    q = at - b * c * e
-    u = q // c
-    v = q - c * u
+    e, u, v = block_entry(at, b, c)
     i = rows[e]
     target = targets[e]
     total = wp.float64(0.0)
@@ -343,10 +349,7 @@ def multiply_by_prolongation(
 ):
     """A P, one thread per number."""
     at = wp.tid()
-    e = at // (b * c)
-    q = at - b * c * e
-    u = q // c
-    v = q - c * u
+    e, u, v = block_entry(at, b, c)
     i = rows[e]
     total = wp.float64(0.0)
     for k in range(offsets[i], offsets[i + 1]):
@@ -376,10 +379,7 @@ def coarse_matrix(
 ):
     """Pᵀ (A P), one thread per number."""
     at = wp.tid()
-    e = at // (c * c)
-    q = at - c * c * e
-    u = q // c
-    v = q - c * u
+    e, u, v = block_entry(at, c, c)
     total = wp.float64(0.0)
     for m in range(offsets[rows[e]], offsets[rows[e] + 1]):
         i = nodes[m]
@@ -402,10 +402,7 @@ def scatter_dense(
 ):
     """Compressed rows of c by c blocks in a dense matrix, and its diagonal beside it; every place is written once."""
     at = wp.tid()
-    e = at // (c * c)
-    q = at - c * c * e
-    u = q // c
-    v = q - c * u
+    e, u, v = block_entry(at, c, c)
     i = c * rows[e] + u
     j = c * columns[e] + v
     dense[i, j] = values[at]
@@ -459,8 +456,8 @@ def identity_blocks(
     blocks: wp.array[wp.float64],
 ):
     at = wp.tid()
-    q = at - b * b * (at // (b * b))
-    if q // b == q - b * (q // b):
+    _, u, v = block_entry(at, b, b)
+    if u == v:
         blocks[at] = ONE
     else:
         blocks[at] = ZERO

@@ -1,6 +1,7 @@
 """Kernels of Newton steps whose vectors and inner products stay on the device."""
 
 from omtwarp._warp import ONE, wp
+from omtwarp.refine.newton_kernels import edge_block, vertex_block
 from omtwarp.refine.triangle import first_tangent
 
 wp.set_module_options({"enable_backward": False})
@@ -131,35 +132,14 @@ def gather_rows(
     k = wp.tid()
     index = source[k] // 3
     kind = source[k] - 3 * index
-    s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    block = wp.vec4d()
     if kind == 0:
-        for m in range(offsets[index], offsets[index + 1]):
-            face = corners[m] // 3
-            at = 14 * (corners[m] - 3 * face)  # row and column 2 i of the 6x6 matrix
-            s0 += blocks[face, at]
-            s1 += blocks[face, at + 1]
-            s2 += blocks[face, at + 6]
-            s3 += blocks[face, at + 7]
+        block = vertex_block(index, offsets, corners, blocks)
     else:
         # Entries of kind 1 lie in the row of the edge's first end.
-        end = edges[index][kind - 1]
-        for m in range(2):
-            face = edge_corners[index][m] // 3
-            opposite = edge_corners[index][m] - 3 * face
-            i = (opposite + 1) % 3
-            j = (opposite + 2) % 3
-            if faces[face][i] != end:
-                i = (opposite + 2) % 3
-                j = (opposite + 1) % 3
-            at = 12 * i + 2 * j
-            s0 += blocks[face, at]
-            s1 += blocks[face, at + 1]
-            s2 += blocks[face, at + 6]
-            s3 += blocks[face, at + 7]
-    values[4 * k] = s0
-    values[4 * k + 1] = s1
-    values[4 * k + 2] = s2
-    values[4 * k + 3] = s3
+        block = edge_block(edges[index][kind - 1], edge_corners[index], faces, blocks)
+    for q in range(4):
+        values[4 * k + q] = block[q]
 
 
 @wp.kernel
