@@ -18,6 +18,8 @@ much next to the poles that a viewer which chooses mip maps by the larger stretc
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,7 +50,7 @@ def _triple(values: Floats) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-class Atlas:
+class Atlas(ABC):
     """What the three atlases have in common.
 
     Attributes:
@@ -75,19 +77,20 @@ class Atlas:
         return f"{type(self).__name__}({self.width}x{self.height})"
 
     @property
+    @abstractmethod
     def texel_angle(self) -> float:
         """Roughly the smallest angle, in radians, that the side of a texel covers."""
-        raise NotImplementedError
 
     @property
     def parameters(self) -> tuple[float, float]:
         """Longitude of the left border (equirectangular), and gutter in texels."""
         return 0.0, float(self.gutter)
 
+    @abstractmethod
     def charts(self, directions: Floats) -> NDArray[np.int32]:
         """Chart of every direction, shape [N]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
         """Image coordinates of the corners of triangles that lie in one chart each.
 
@@ -95,11 +98,10 @@ class Atlas:
             points: corners, of any length, shape [F, 3, 3].
             chart: shape [F].
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
         """Unit vectors of points of charts, shape [N, 3]; uv [N, 2], chart [N]."""
-        raise NotImplementedError
 
     def uv(self, directions: Floats) -> Floats:
         """Image coordinates of directions, each in the chart it falls in, shape [N, 2]."""

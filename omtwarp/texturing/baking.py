@@ -11,6 +11,7 @@ an atlas see past its borders, pictures for a mesh's own texture coordinates are
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -37,13 +38,14 @@ GROW = 1e-6  # texels by which a triangle may claim a centre outside it
 RING = 1.5  # texels around the charts in which the function itself is continued, so that filtering sees it there
 
 
-class _Source:
+class _Source(ABC):
     """Values of directions, on a device."""
 
     channels: int
 
+    @abstractmethod
     def values(self, directions: wp.array, out: wp.array) -> None:
-        raise NotImplementedError
+        """Write the values, float64 [N, channels], of directions, vec3d [N]."""
 
 
 class _PatternSource(_Source):
