@@ -349,10 +349,11 @@ def cost_curve(path: Path, meshes: Meshes, number: int) -> None:
     lost on the way shows as cost below the bound. On the right from that map with its parallels turned, which keeps
     areas and costs far more.
     """
-    from convergence import twisted
+    import convergence
 
     from omtwarp.embedding.predicates import count_flips
     from omtwarp.metrics.optimality import optimality
+    from omtwarp.transport.flow import MAXIMUM_ITERATIONS
 
     pyplot = plotting()
     name = meshes.name_for(number)
@@ -367,13 +368,14 @@ def cost_curve(path: Path, meshes: Meshes, number: int) -> None:
     bound = result.history[-1]["cost"] / (1.0 + report.gap)
     figure, axes = pyplot.subplots(1, 2, figsize=(11, 4), layout="constrained")
     # As strong a twist as the triangles around the poles bear.
-    turned = next(
-        (y for amount in (0.25, 0.12, 0.06, 0.03) if not count_flips(y := twisted(moser, amount), surface.faces)), moser
-    )
+    twists = (convergence.twisted(moser, amount) for amount in (0.25, 0.12, 0.06, 0.03))
+    turned = next((twist for twist in twists if not count_flips(twist, surface.faces)), moser)
     starts = (moser, "from Moser's map"), (turned, "from a twisted map")
     for side, (start, title) in zip(axes, starts, strict=True):
-        curves = costs(surface, result.conformal, start, device)
-        for (label, values), color in zip(curves.items(), ("#c2183a", "#2f5d73", "#d6a037"), strict=True):
+        for scheme, label in (("default", "default"), ("plain", "plain"), ("paper", "Algorithm 2")):
+            most = MAXIMUM_ITERATIONS["plain"]
+            flow = convergence.run(name, surface, result.conformal, start, title, scheme, most, device)
+            values, color = flow["costs"], convergence.COLORS[scheme]
             side.plot(values, label=f"{label} ({len(values) - 1})", color=color)
         side.axhline(bound, color="0.3", linewidth=0.8, linestyle="--", label="lower bound")
         side.set(xlabel="iteration", ylabel="cost M, squared distance", title=f"{name}, {title}")
@@ -382,25 +384,6 @@ def cost_curve(path: Path, meshes: Meshes, number: int) -> None:
     axes[1].set_xlim(left=0)
     figure.savefig(path, dpi=160)
     pyplot.close(figure)
-
-
-def costs(surface: omtwarp.Surface, conformal: np.ndarray, start: np.ndarray, device: str) -> dict[str, list[float]]:
-    """The cost at every iteration of each flow."""
-    from omtwarp.transport.flow import optimal_transport
-    from omtwarp.transport.paper import paper_flow
-    from omtwarp.transport.polish import polish_transport
-
-    flows = {
-        scheme: optimal_transport(surface, conformal, start, scheme=scheme, device=device)
-        for scheme in ("default", "plain")
-    }
-    out = {scheme: [entry["cost"] for entry in flow.history] for scheme, flow in flows.items()}
-    polished = polish_transport(surface, conformal, flows["default"].sphere, device=device)
-    out["default"] += [entry["cost"] for entry in polished.history[1:]]
-    paper = paper_flow(conformal, surface.faces, start, surface.face_areas, cost="squared", device=device)
-    # Algorithm 2 takes the cost at circumcentres, the others at centres: the same start, slightly different numbers.
-    ratio = out["plain"][0] / paper.history[0]["cost"]
-    return out | {"Algorithm 2": [ratio * entry["cost"] for entry in paper.history]}
 
 
 def plotting() -> Any:
