@@ -12,13 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.sparse as sparse
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import connected_components
 
 from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.untangle_kernels import move_in_tangent, untangle_newton, untangle_value
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.frames import triangle_frames
 from omtwarp.refine.newton import NewtonMatrix
@@ -127,15 +126,15 @@ def untangle(
             continue
         if progress is not None:
             progress(f"untangling {int(flipped.sum())} triangles", attempt, len(schedules))
-        patches = _Patches(surface, points, seeds, schedule, where)
-        points, done = patches.solve()
+        untangling = _Untangling(surface, points, seeds, schedule, where)
+        points, done = untangling.solve()
         flipped = flipped_faces(points, faces)
         rounds += done
         history.append(
             {
                 "rings": min(schedule.rings, surface.vertex_count),
-                "vertices": patches.size,
-                "patches": patches.count,
+                "vertices": untangling.whole.free,
+                "patches": untangling.whole.count,
                 "rounds": done,
                 "flips": int(flipped.sum()),
             }
@@ -163,9 +162,9 @@ def untangle_patches(
     Returns:
         The map, shape [V, 3], and the number of vertices freed.
     """
-    patches = _Patches(surface, sphere, seeds, schedule, device)
-    points, _ = patches.solve()
-    return points, patches.size
+    untangling = _Untangling(surface, sphere, seeds, schedule, device)
+    points, _ = untangling.solve()
+    return points, untangling.whole.free
 
 
 def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], schedule: Schedule) -> NDArray[np.bool_]:
@@ -174,40 +173,17 @@ def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], sche
         return flipped
     seed = np.zeros(int(faces.max()) + 1, dtype=bool)
     seed[faces[flipped].ravel()] = True
-    free = grow(faces, seed, schedule.rings)
-    component = _components(faces[free[faces].any(axis=1)], free)
-    patch = component[faces[flipped][:, 0]]
+    patches = Patches.of_vertices(faces, grow(faces, seed, schedule.rings))
+    patch = patches.face_patch[flipped[patches.triangles]]
     out = flipped.copy()
     out[flipped] = np.bincount(patch)[patch] <= schedule.most
     return out
 
 
-def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
-    """Vertices within ``rings`` edges of the seed vertices, as a mask of shape [V]."""
-    mask = seed.copy()
-    for _ in range(rings):
-        touched = mask[faces].any(axis=1)
-        wider = mask.copy()
-        wider[faces[touched].ravel()] = True
-        if wider.sum() == mask.sum():
-            break
-        mask = wider
-    return mask
+class _Untangling:
+    """Minimises over the patches around flipped triangles."""
 
-
-def _components(faces: NDArray[np.int32], free: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """The piece that every freed vertex belongs to, linked by edges of the faces, shape [V]; others are alone."""
-    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    pairs = pairs[free[pairs].all(axis=1)]
-    graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(free), len(free)))
-    component: NDArray[np.int32] = connected_components(graph, directed=False)[1]
-    return component
-
-
-class _Patches:
-    """The freed vertices around flipped triangles, the triangles that touch them, and the minimisation over them."""
-
-    def __init__(self, surface, sphere, flipped, schedule: Schedule, device):
+    def __init__(self, surface: Surface, sphere, flipped: NDArray[np.bool_], schedule: Schedule, device):
         self.device = device
         self.schedule = schedule
         self.surface = surface
@@ -215,41 +191,27 @@ class _Patches:
         self.result = sphere.copy()
         seed = np.zeros(surface.vertex_count, dtype=bool)
         seed[surface.faces[flipped].ravel()] = True
-        free = grow(surface.faces, seed, schedule.rings)
-        touched = free[surface.faces].any(axis=1)
-        self.vertices = np.unique(surface.faces[touched])
-        local = np.full(surface.vertex_count, -1, dtype=np.int32)
-        local[self.vertices] = np.arange(len(self.vertices), dtype=np.int32)
-        self.faces = np.ascontiguousarray(local[surface.faces[touched]])
-        self.free = free[self.vertices]
-        self.size = int(self.free.sum())
-        self.areas = np.ascontiguousarray(surface.face_areas[touched])
-        self.frames = triangle_frames(surface, schedule.thinnest, surface.faces[touched])
-        self._label()
-        self._pattern()
-        self._upload()
+        self.whole = Patches.of_vertices(surface.faces, grow(surface.faces, seed, schedule.rings))
+        self.frames = triangle_frames(surface, schedule.thinnest, surface.faces[self.whole.triangles])
+        self._take(self.whole)
 
-    def _label(self):
-        """Number the patches: connected components of the freed vertices."""
-        faces, free = self.faces, self.free
-        component = _components(faces, free)
-        labels = np.full(len(free), -1, dtype=np.intp)
-        _, labels[free] = np.unique(component[free], return_inverse=True)
-        self.vertex_patch = labels
-        self.face_patch = labels[faces].max(axis=1)  # the freed corners of a triangle all lie in one patch
-        self.count = self.remaining = int(labels.max()) + 1
-
-    def _pattern(self):
-        """The sparse matrix of the freed vertices, and where the entries of triangles go in their gradient."""
-        self.unknowns = int(self.free.sum())
-        points = self.surface.scaled_vertices[self.vertices]
-        self.matrix = NewtonMatrix.of_patches(self.faces, self.free, points, DIAGONAL_GROWTH)
-        unknown = np.full(len(self.free), -1, dtype=np.int64)
-        unknown[self.free] = np.arange(self.unknowns)
-        corner = np.repeat(unknown[self.faces], 2, axis=1)
-        index = np.where(corner >= 0, 2 * corner + np.array([0, 1] * 3), -1)
-        self.gradient_kept = np.flatnonzero(index.ravel() >= 0)
-        self.gradient_slot = index.ravel()[self.gradient_kept]
+    def _take(self, patches: Patches) -> None:
+        """Work on these patches: their matrix, where triangles enter their gradient, and room on the device."""
+        self.patches = patches
+        points = self.surface.scaled_vertices[patches.vertices[: patches.free]]
+        self.matrix = NewtonMatrix.of_patches(patches, points, DIAGONAL_GROWTH)
+        corner = np.repeat(patches.faces, 2, axis=1)
+        index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
+        self.gradient_kept = np.flatnonzero(index >= 0)
+        self.gradient_slot = index[self.gradient_kept]
+        count, device = len(patches.faces), self.device
+        self.d_faces = wp.array(patches.faces, dtype=wp.vec3i, device=device)
+        self.d_frames = wp.array(self.frames, dtype=wp.vec3d, device=device)
+        self.d_areas = wp.array(self.surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
+        self.d_value = wp.empty(count, dtype=wp.float64, device=device)
+        self.d_ratio = wp.empty(count, dtype=wp.float64, device=device)
+        self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
+        self.d_hessian = wp.empty((count, 36), dtype=wp.float64, device=device)
 
     def _narrow(self, active: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Go on with the active patches alone; their points.
@@ -257,81 +219,63 @@ class _Patches:
         Patches share nothing, so that those which are done need not be carried along.
         """
         self._keep(points)
-        kept = active[self.face_patch]
-        used, corners = np.unique(self.faces[kept], return_inverse=True)
-        self.faces = np.ascontiguousarray(corners.reshape(-1, 3).astype(np.int32))
-        self.vertices, self.free = self.vertices[used], self.free[used]
-        self.areas = np.ascontiguousarray(self.areas[kept])
-        self.frames = np.ascontiguousarray(self.frames[kept])
-        number = np.cumsum(active) - 1
-        self.face_patch = number[self.face_patch[kept]]
-        labels = self.vertex_patch[used]
-        self.vertex_patch = np.where(labels >= 0, number[labels], -1)
-        self.remaining = int(active.sum())
-        self._pattern()
-        self._upload()
-        return points[used]
+        self.frames = np.ascontiguousarray(self.frames[active[self.patches.face_patch]])
+        patches, places = self.patches.only(active)
+        self._take(patches)
+        return points[places]
 
     def _keep(self, points: NDArray[np.float64]) -> None:
-        self.result[self.vertices[self.free]] = points[self.free]
-
-    def _upload(self):
-        count, device = len(self.faces), self.device
-        self.d_faces = wp.array(self.faces, dtype=wp.vec3i, device=device)
-        self.d_frames = wp.array(self.frames, dtype=wp.vec3d, device=device)
-        self.d_areas = wp.array(self.areas, dtype=wp.float64, device=device)
-        self.d_value = wp.empty(count, dtype=wp.float64, device=device)
-        self.d_ratio = wp.empty(count, dtype=wp.float64, device=device)
-        self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
-        self.d_hessian = wp.empty((count, 36), dtype=wp.float64, device=device)
-        self.d_moved = wp.empty(len(self.vertices), dtype=wp.vec3d, device=device)
+        free = self.patches.free
+        self.result[self.patches.vertices[:free]] = points[:free]
 
     def solve(self) -> tuple[NDArray[np.float64], int]:
         """Lower ε until no patch has a flipped triangle, or it is at its smallest; the map and the number of rounds."""
-        whole = self.vertices[self.faces], self.face_patch, self.vertices, self.vertex_patch
-        points = wp.array(self.sphere[self.vertices], dtype=wp.vec3d, device=self.device)
-        epsilon = np.full(self.count, self.schedule.largest)
-        active = np.ones(self.count, dtype=bool)
+        points = wp.array(self.sphere[self.patches.vertices], dtype=wp.vec3d, device=self.device)
+        epsilon = np.full(self.whole.count, self.schedule.largest)
+        active = np.ones(self.whole.count, dtype=bool)
         rounds = 0
         while True:
             rounds += 1
             for _ in range(self.schedule.steps):
                 points = self._newton_step(points, epsilon, active)
-            flipped = flipped_faces(points.numpy(), self.faces)
-            tangled = np.bincount(self.face_patch[flipped], minlength=self.remaining) > 0
+            flipped = flipped_faces(points.numpy(), self.patches.faces)
+            tangled = np.bincount(self.patches.face_patch[flipped], minlength=self.patches.count) > 0
             active &= tangled & (epsilon > SMALLEST_EPSILON)
             if not active.any():
                 break
             epsilon[active] = np.maximum(epsilon[active] * self.schedule.factor, SMALLEST_EPSILON)
-            if active[self.face_patch].mean() < NARROWING:
+            if active[self.patches.face_patch].mean() < NARROWING:
                 points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
                 epsilon, active = epsilon[active], active[active]
         self._keep(points.numpy())
-        self._take_back(*whole)
+        self._take_back()
         return self.result, rounds
 
-    def _take_back(self, faces, face_patch, vertices, vertex_patch) -> None:
+    def _take_back(self) -> None:
         """Leave patches as they were that ended with no fewer flips: the next attempt frees more around them.
 
         A patch too small for its triangles can end far more tangled than it was.
         """
+        whole = self.whole
+        faces = self.surface.faces[whole.triangles]
         before, after = (
-            np.bincount(face_patch[flipped_faces(sphere, faces)], minlength=self.count)
+            np.bincount(whole.face_patch[flipped_faces(sphere, faces)], minlength=whole.count)
             for sphere in (self.sphere, self.result)
         )
-        back = vertices[(vertex_patch >= 0) & ((after > 0) & (after >= before))[vertex_patch]]
+        back = whole.vertices[: whole.free][((after > 0) & (after >= before))[whole.vertex_patch]]
         self.result[back] = self.sphere[back]
 
     def _newton_step(self, points, epsilon, active):
-        face_epsilon = wp.array(epsilon[self.face_patch], dtype=wp.float64, device=self.device)
+        patches = self.patches
+        face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device)
         energy = self._energy(points, face_epsilon)
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(
-            untangle_newton, dim=len(self.faces), inputs=inputs, outputs=[self.d_gradient, self.d_hessian],
+            untangle_newton, dim=len(patches.faces), inputs=inputs, outputs=[self.d_gradient, self.d_hessian],
             device=self.device,
         )
         gradient = np.bincount(
-            self.gradient_slot, self.d_gradient.numpy().ravel()[self.gradient_kept], minlength=2 * self.unknowns
+            self.gradient_slot, self.d_gradient.numpy().ravel()[self.gradient_kept], minlength=2 * patches.free
         ).reshape(-1, 2)
         try:
             self.matrix.factorise(self.d_hessian.numpy())
@@ -341,40 +285,36 @@ class _Patches:
         if not np.isfinite(direction).all():
             with np.errstate(all="ignore"):
                 direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
-        patch = self.vertex_patch[self.free]
-        slope = np.bincount(patch, (direction * gradient).sum(axis=1), minlength=self.remaining)
+        patch = patches.vertex_patch
+        slope = np.bincount(patch, (direction * gradient).sum(axis=1), minlength=patches.count)
         length = np.where(active & (slope < 0.0), 1.0, 0.0)
         # No vertex moves farther than a radian: beyond that its tangent plane says nothing about the sphere.
-        reach = np.zeros(self.remaining)
+        reach = np.zeros(patches.count)
         np.maximum.at(reach, patch, np.linalg.norm(direction, axis=1))
         length /= np.maximum(reach, 1.0)
-        step = np.zeros((len(self.vertices), 2))
         for _ in range(HALVINGS):
-            step[self.free] = direction * length[patch][:, None]
-            moved = wp.empty_like(points)
-            wp.launch(
-                move_in_tangent, dim=len(self.vertices), device=self.device,
-                inputs=[points, wp.array(step, dtype=wp.float64, device=self.device)], outputs=[moved],
-            )
+            moved = self._moved(points, direction * length[patch][:, None])
             worse = ~(self._energy(moved, face_epsilon) <= energy + SUFFICIENT * length * slope) & (length > 0.0)
             if not worse.any():
                 return moved
             length[worse] *= 0.5
         length[worse] = 0.0
-        step[self.free] = direction * length[patch][:, None]
-        moved = wp.empty_like(points)
-        wp.launch(
-            move_in_tangent, dim=len(self.vertices), device=self.device,
-            inputs=[points, wp.array(step, dtype=wp.float64, device=self.device)], outputs=[moved],
-        )
+        return self._moved(points, direction * length[patch][:, None])
+
+    def _moved(self, points, step: NDArray[np.float64]):
+        """The points after the freed ones have gone by coordinates [free, 2] in their tangent planes."""
+        moved = wp.clone(points)
+        inputs = [points, wp.array(step, dtype=wp.float64, device=self.device)]
+        wp.launch(move_in_tangent, dim=self.patches.free, inputs=inputs, outputs=[moved], device=self.device)
         return moved
 
     def _energy(self, points, face_epsilon) -> NDArray[np.float64]:
         """Energy of every patch."""
+        patches = self.patches
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(
-            untangle_value, dim=len(self.faces), inputs=inputs, outputs=[self.d_value, self.d_ratio],
+            untangle_value, dim=len(patches.faces), inputs=inputs, outputs=[self.d_value, self.d_ratio],
             device=self.device,
         )
-        energies = np.bincount(self.face_patch, self.d_value.numpy(), minlength=self.remaining)
+        energies = np.bincount(patches.face_patch, self.d_value.numpy(), minlength=patches.count)
         return energies.astype(np.float64, copy=False)

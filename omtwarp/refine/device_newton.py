@@ -42,7 +42,7 @@ class DeviceNewtonMatrix:
         self._solver: MultigridSolver | None = None
         self._factor: MultifrontalCholesky | None = None
 
-    def refresh(self, points: wp.array, hessian: Callable[[], wp.array]) -> None:
+    def assemble(self, points: wp.array, hessian: Callable[[], wp.array]) -> None:
         """Take the values at a map.
 
         Args:
@@ -64,9 +64,20 @@ class DeviceNewtonMatrix:
         self._sum.total(trace, self._trace)
         inputs = [own, self._trace, wp.float64(REGULARISATION)]
         wp.launch(add_to_diagonal, dim=count, inputs=inputs, outputs=[values], device=device)
-        wp.launch(rotation_blocks, dim=count, inputs=[points], outputs=[self._rotations], device=device)
-        solver.refresh_levels(self._rotations)
         self._factor = None
+
+    @property
+    def diagonal_blocks(self) -> tuple[wp.array, wp.array]:
+        """Where the blocks of the vertices are, shape [V], among all that were assembled last, shape [4 N]."""
+        assert self._solver is not None
+        return self._solver.matrix.level.diagonal, self._solver.matrix.values
+
+    def make_levels(self, points: wp.array) -> None:
+        """Make the coarser levels' matrices for what was assembled last, at the map ``points``."""
+        assert self._solver is not None
+        count = self._surface.vertex_count
+        wp.launch(rotation_blocks, dim=count, inputs=[points], outputs=[self._rotations], device=self._device)
+        self._solver.refresh_levels(self._rotations)
 
     def solve(self, coordinates: wp.array) -> None:
         """Solve for tangent coordinates, shape [V, 2], in place.

@@ -119,7 +119,7 @@ class DistortionEnergy:
 
     def gradient(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
         """Gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
-        pressures = self._pressures(terms, weight)
+        pressures = self.pressures(terms, weight)
         gradient = wp.empty(self.surface.vertex_count, dtype=wp.vec3d, device=self.device)
         corners = self._corner_gradient
         if corners is None:
@@ -147,7 +147,7 @@ class DistortionEnergy:
             blocks = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
             if self.device.is_cpu and self.surface.face_count <= KEPT_FACES:
                 self._hessian = blocks
-        numbers = [*self._pressures(terms, weight), wp.float64(caution), wp.float64(SPHERE_AREA)]
+        numbers = [*self.pressures(terms, weight), wp.float64(caution), wp.float64(SPHERE_AREA)]
         self._of_triangles(
             triangle_hessian,
             lambda part: (
@@ -160,7 +160,7 @@ class DistortionEnergy:
     def _of_triangles(self, kernel: Any, arguments: Callable[[slice], tuple[list[Any], list[Any]]]) -> None:
         launch_parts(kernel, self.surface.face_count, arguments, self.device)
 
-    def _pressures(self, terms: Terms, weight: float) -> tuple[wp.float64, wp.float64, wp.float64]:
+    def pressures(self, terms: Terms, weight: float) -> tuple[wp.float64, wp.float64, wp.float64]:
         """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""
         # Σ A (scale D + 1 / (scale D)) = 4π + (Σ A D) (Σ A / D) / 4π: each factor is the other sum over 4π.
         return (

@@ -310,3 +310,30 @@ def from_tangent(
     y = sphere[i]
     t = first_tangent(y)
     vectors[i] = coordinates[i, 0] * t + coordinates[i, 1] * wp.cross(y, t)
+
+
+@wp.kernel
+def newton_decrements(
+    sphere: wp.array(dtype=wp.vec3d),
+    gradient: wp.array(dtype=wp.vec3d),
+    places: wp.array(dtype=wp.int32),
+    blocks: wp.array(dtype=wp.float64),
+    decrement: wp.array(dtype=wp.float64),
+):
+    """gᵀ B⁻¹ g of every vertex, with B its own block, at a place among all blocks: twice what it gains alone.
+
+    0 where the block has no inverse.
+    """
+    i = wp.tid()
+    y = sphere[i]
+    t = first_tangent(y)
+    x0 = wp.dot(t, gradient[i])
+    x1 = wp.dot(wp.cross(y, t), gradient[i])
+    at = 4 * places[i]
+    a = blocks[at]
+    b = blocks[at + 1]
+    c = blocks[at + 3]
+    determinant = a * c - b * b
+    decrement[i] = ZERO
+    if determinant > ZERO:
+        decrement[i] = (c * x0 * x0 - TWO * b * x0 * x1 + a * x1 * x1) / determinant

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from omtwarp._warp import wp
 from omtwarp.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import KEPT_FACES
 from omtwarp.refine.newton_kernels import gather_edge_blocks, gather_vertex_blocks
@@ -47,7 +48,7 @@ class NewtonMatrix:
     ):
         self._shift, self._growth = shift, growth
         self._factor = MultifrontalCholesky(dissection, block=2, keep=len(faces) <= KEPT_FACES)
-        self._rows = [wp.array(array, dtype=wp.int32, device="cpu") for array in vertex_corners]
+        self._rows: list[Any] = [wp.array(array, dtype=wp.int32, device="cpu") for array in vertex_corners]
         self._sides = [
             wp.array(edges, dtype=wp.vec2i, device="cpu"),
             wp.array(faces, dtype=wp.vec3i, device="cpu"),
@@ -64,21 +65,16 @@ class NewtonMatrix:
         )
 
     @classmethod
-    def of_patches(
-        cls, faces: NDArray[np.int32], free: NDArray[np.bool_], points: NDArray[np.float64], growth: float
-    ) -> NewtonMatrix:
-        """The matrix over some vertices of a piece of a surface; all triangles around them belong to the piece.
+    def of_patches(cls, patches: Patches, points: NDArray[np.float64], growth: float) -> NewtonMatrix:
+        """The matrix over the freed vertices of patches.
 
         Args:
-            faces: the piece's triangles, shape [F, 3].
-            free: which vertices are unknown, shape [V].
-            points: positions, shape [V, 3].
+            patches: V of their vertices are freed.
+            points: positions of those on the surface, shape [V, 3].
             growth: see the class.
         """
-        count = int(free.sum())
-        unknown = np.full(len(free), -1, dtype=np.int32)
-        unknown[free] = np.arange(count, dtype=np.int32)
-        own = np.ascontiguousarray(unknown[faces])
+        count = patches.free
+        own = np.where(patches.faces < count, patches.faces, -1)
         flat = own.ravel()
         corners = np.argsort(flat, kind="stable").astype(np.int32)[int((flat < 0).sum()) :]
         offsets = np.zeros(count + 1, dtype=np.int32)
@@ -89,7 +85,7 @@ class NewtonMatrix:
         order = np.argsort(low.astype(np.int64) * count + high, kind="stable")
         edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
         edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
-        return cls(own, edges, edge_corners, (offsets, corners), dissect(points[free], edges), 0.0, growth)
+        return cls(own, edges, edge_corners, (offsets, corners), dissect(points, edges), 0.0, growth)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 36]."""
@@ -106,19 +102,31 @@ class NewtonMatrix:
         launch_parts(gather_edge_blocks, self._off_diagonal.shape[0], of_edges, "cpu")
         return self._diagonal.numpy().reshape(-1, 2, 2), self._off_diagonal.numpy().reshape(-1, 2, 2)
 
-    def factorise(self, blocks: NDArray[np.float64]) -> None:
-        """Assemble and factorise.
+    def factorise(self, blocks: NDArray[np.float64] | None = None) -> None:
+        """Factorise, what blocks of triangles make or else what was assembled last.
 
         Raises:
             OmtwarpError: the blocks are not finite, or far from semidefinite.
         """
-        diagonal, off_diagonal = self.assemble(blocks)
+        if blocks is not None:
+            self.assemble(blocks)
         del blocks  # as large as the factor's own room
+        diagonal, off_diagonal = (array.numpy().reshape(-1, 2, 2) for array in (self._diagonal, self._off_diagonal))
         factorise_stiffened(self._factor, diagonal, off_diagonal, self._shift, self._growth)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for tangent coordinates, shape [V, 2]."""
         return self._factor.solve(right)
+
+    @property
+    def vertex_corners(self) -> list[wp.array]:
+        """Corners of triangles around every unknown vertex as compressed rows: offsets and corners, on the host."""
+        return self._rows
+
+    @property
+    def diagonal_blocks(self) -> wp.array:
+        """The blocks of the vertices, shape [V, 4], on the host."""
+        return self._diagonal
 
     @property
     def diagonal(self) -> NDArray[np.float64]:

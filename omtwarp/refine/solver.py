@@ -21,6 +21,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import hold_back, retract, triangle_trouble
+from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.threads import blas_threads
 
@@ -56,7 +57,8 @@ class RefineResult:
         weight: λ, the weight of area against angle that was minimised.
         history: one record per iteration: ``energy`` (angle + λ area, less 2 + 2λ), ``area`` and ``angle`` (means
             weighted by original area), ``decrement``, ``length`` of the step, vertices ``mended`` (untangled after
-            the step, or held back), whether the matrix was ``factorised``. The first record is the start.
+            the step, or held back), vertices ``relaxed`` by steps of their own after it, whether the matrix was
+            ``factorised``. The first record is the start.
         converged: whether the tolerance was reached.
         factorisations: how many sparse matrices were factorised.
     """
@@ -186,12 +188,17 @@ class Refiner:
         terms = energy.terms(points)
         gradient = energy.gradient(points, terms, weight)
         result = RefineResult(sphere, weight)
-        result.history.append(_record(terms, weight, 0.0, 0.0, 0, False))
+        result.history.append(_record(terms, weight, 0.0, 0.0, 0, 0, False))
         caution, renew = 1.0, True
         last_gain = 0.0
+        self._steps.assemble(points, terms, weight, caution)
+        gain = terms.total(weight)  # at most
+        points, terms, gradient, relaxed = self._relaxed(points, terms, gradient, weight, caution, gain, tolerance)
         for step in range(iterations):
             if renew:
-                self._steps.renew(points, terms, weight, caution)
+                if step > 0 or relaxed:
+                    self._steps.assemble(points, terms, weight, caution)
+                self._steps.factorise()
                 result.factorisations += 1
             direction = self._steps.direction(points, gradient)
             decrement = -direction.slope
@@ -210,10 +217,15 @@ class Refiner:
             gain = terms.total(weight) - new_terms.total(weight)
             self._steps.learn(points, gradient, new_points, new_gradient)
             points, terms, gradient = new_points, new_terms, new_gradient
-            result.history.append(_record(terms, weight, decrement, length, mended, fresh))
+            ended = decrement < 2.0 * tolerance and length >= (0.5 if fresh else 1.0)
+            if not ended:
+                points, terms, gradient, relaxed = self._relaxed(
+                    points, terms, gradient, weight, caution, decrement, tolerance
+                )
+            result.history.append(_record(terms, weight, decrement, length, mended, relaxed, fresh))
             if progress is not None:
                 progress(f"refining: area {terms.area + 2:.4f}, angle {terms.angle + 2:.4f}", step + 1, iterations)
-            if decrement < 2.0 * tolerance and length >= (0.5 if fresh else 1.0):
+            if ended:
                 result.converged = True
                 break
             trust = 2.0 * gain / decrement
@@ -224,9 +236,19 @@ class Refiner:
                     caution = min(1.0, 3.0 * caution)
             if fresh:
                 last_gain = gain
-            renew = mended > 0 or gain < WORTH * last_gain or (fresh and length < 1.0)
+            renew = mended > 0 or relaxed > 0 or gain < WORTH * last_gain or (fresh and length < 1.0)
         result.sphere = points.numpy().copy()
         return result
+
+    def _relaxed(self, points, terms: Terms, gradient, weight: float, caution: float, gain: float, tolerance: float):
+        """Points, terms and gradient after the stiffest vertices have had steps of their own, and how many had."""
+        decrements = self._steps.decrements(gradient)
+        if decrements.sum() > tolerance:
+            moved = relax(self.energy, points, terms, weight, caution, stiff_vertices(decrements, gain))
+            if moved is not None:
+                points, terms, count = moved
+                return points, terms, self.energy.gradient(points, terms, weight), count
+        return points, terms, gradient, 0
 
     def _search(self, points, terms: Terms, direction: Direction, weight: float, halvings: int):
         """A step along the direction that lowers the energy and flips nothing: points, terms, length, vertices held."""
@@ -302,7 +324,9 @@ class Refiner:
         return int(count.numpy()[0])
 
 
-def _record(terms: Terms, weight: float, decrement: float, length: float, mended: int, fresh: bool) -> dict[str, Any]:
+def _record(
+    terms: Terms, weight: float, decrement: float, length: float, mended: int, relaxed: int, fresh: bool
+) -> dict[str, Any]:
     return {
         "energy": terms.total(weight),
         "area": terms.area + 2.0,
@@ -310,5 +334,6 @@ def _record(terms: Terms, weight: float, decrement: float, length: float, mended
         "decrement": decrement,
         "length": length,
         "mended": mended,
+        "relaxed": relaxed,
         "factorised": fresh,
     }

@@ -18,7 +18,7 @@ from omtwarp.linear import on_device
 from omtwarp.multigrid import DeviceSum
 from omtwarp.refine.device_newton import DeviceNewtonMatrix
 from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.refine.kernels import from_tangent, to_tangent
+from omtwarp.refine.kernels import from_tangent, newton_decrements, to_tangent
 from omtwarp.refine.newton import NewtonMatrix
 from omtwarp.refine.step_kernels import add_share, differences, downhill, largest_of_strides, subtract_share
 
@@ -46,8 +46,14 @@ class Direction:
 class Steps(Protocol):
     """What finds directions; points and gradients are vec3d arrays of shape [V] on the device."""
 
-    def renew(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
+    def assemble(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
         """Make the Newton matrix of a map, and forget all pairs."""
+
+    def factorise(self) -> None:
+        """Make ready for directions with the matrix assembled last."""
+
+    def decrements(self, gradient: wp.array) -> NDArray[np.float64]:
+        """Twice what every vertex is expected to gain alone, by the matrix assembled last, shape [V]."""
 
     def direction(self, points: wp.array, gradient: wp.array) -> Direction:
         """The direction at a map."""
@@ -67,12 +73,23 @@ class HostSteps:
         self._energy, self._device = energy, energy.device
         self._count = energy.surface.vertex_count
         self._matrix = NewtonMatrix.of_surface(energy.surface)
+        self._blocks = self._matrix.diagonal_blocks.flatten()
+        self._places = wp.array(np.arange(self._count, dtype=np.int32), device="cpu")
+        self._decrements = wp.empty(self._count, dtype=wp.float64, device="cpu")
         self._memory: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
 
-    def renew(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
-        self._matrix.factorise(self._energy.hessian(points, terms, weight, caution).numpy())
+    def assemble(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
+        self._matrix.assemble(self._energy.hessian(points, terms, weight, caution).numpy())
         self._base = points
         self._memory.clear()
+
+    def factorise(self) -> None:
+        self._matrix.factorise()
+
+    def decrements(self, gradient: wp.array) -> NDArray[np.float64]:
+        inputs = [*(array.to("cpu") for array in (self._base, gradient)), self._places, self._blocks]
+        wp.launch(newton_decrements, dim=self._count, inputs=inputs, outputs=[self._decrements], device="cpu")
+        return self._decrements.numpy()
 
     def direction(self, points: wp.array, gradient: wp.array) -> Direction:
         slopes = gradient.numpy()
@@ -139,11 +156,18 @@ class DeviceSteps:
         self._memory: list[tuple[Any, Any, Any]] = []
         self._spare: tuple[Any, Any, Any] | None = None
 
-    def renew(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
+    def assemble(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
         self._memory.clear()  # first: Hessians take as much room
         self._spare = None
-        self._matrix.refresh(points, lambda: self._energy.hessian(points, terms, weight, caution))
+        self._matrix.assemble(points, lambda: self._energy.hessian(points, terms, weight, caution))
         self._base = points
+
+    def factorise(self) -> None:
+        self._matrix.make_levels(self._base)
+
+    def decrements(self, gradient: wp.array) -> NDArray[np.float64]:
+        self._launch(newton_decrements, [self._base, gradient, *self._matrix.diagonal_blocks], [self._along])
+        return self._along.numpy()
 
     def direction(self, points: wp.array, gradient: wp.array) -> Direction:
         self._correct(gradient)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.untangle import SCHEDULES, flipped_faces, grow, untangle
+from omtwarp.embedding.untangle import SCHEDULES, flipped_faces, untangle
 from omtwarp.embedding.untangle_kernels import untangle_newton, untangle_value
 from omtwarp.mesh.shapes import blob, icosphere, noisy
 from omtwarp.refine.frames import triangle_frames
@@ -90,16 +90,6 @@ def test_failure_is_told():
     result = untangle(surface, start, device="cpu", schedules=())
     assert result.flips_after == result.flips_before > 0
     assert SCHEDULES[-1].rings > surface.vertex_count
-
-
-def test_grow_counts_rings():
-    """One ring of a vertex of valence 5 or 6 is its neighbours."""
-    surface = icosphere(4)
-    seed = np.zeros(surface.vertex_count, dtype=bool)
-    seed[0] = True
-    edges = surface.edges[(surface.edges == 0).any(axis=1)]
-    assert set(np.flatnonzero(grow(surface.faces, seed, 1))) == set(edges.ravel())
-    assert grow(surface.faces, seed, 100).all()
 
 
 @pytest.mark.parametrize("epsilon", [1.0, 0.1, 0.003])

@@ -47,7 +47,10 @@ def test_directions_and_corrections_agree(start, device, monkeypatch):
     gradient = energy.gradient(points, terms, 20.0)
     finders = HostSteps(energy), DeviceSteps(energy)
     for finder in finders:
-        finder.renew(points, terms, 20.0, 1.0)
+        finder.assemble(points, terms, 20.0, 1.0)
+        finder.factorise()
+    decrements = [finder.decrements(gradient) for finder in finders]
+    np.testing.assert_allclose(decrements[1], decrements[0], rtol=1e-7)
     rng = np.random.default_rng(0)
     share = wp.array(rng.uniform(size=surface.vertex_count), dtype=wp.float64, device=device)
     for k in range(6):
@@ -90,14 +93,17 @@ def test_a_matrix_that_multigrid_gives_up_is_factorised(start, device, monkeypat
     terms = energy.terms(points)
     gradient = energy.gradient(points, terms, 20.0)
     finder = DeviceSteps(energy)
-    finder.renew(points, terms, 20.0, 1.0)
+    finder.assemble(points, terms, 20.0, 1.0)
+    finder.factorise()
     usual = finder.direction(points, gradient)
     monkeypatch.setattr(MultigridSolver, "solve", lambda self, right, out, tolerance: Outcome(500, False))
-    finder.renew(points, terms, 20.0, 1.0)
+    finder.assemble(points, terms, 20.0, 1.0)
+    finder.factorise()
     other = finder.direction(points, gradient)
     np.testing.assert_allclose(other.vectors.numpy(), usual.vectors.numpy(), atol=1e-7 * usual.reach)
     negative = wp.array(-energy.hessian(points, terms, 20.0, 1.0).numpy(), dtype=wp.float64, device=device)
-    finder._matrix.refresh(points, lambda: negative)
+    finder._matrix.assemble(points, lambda: negative)
+    finder.factorise()
     with pytest.raises(OmtwarpError, match="not finite"):
         finder.direction(points, gradient)
 

@@ -1,0 +1,102 @@
+"""Pieces of a surface whose vertices may move while all others stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+
+def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
+    """Vertices within ``rings`` edges of the seed vertices, as a mask of shape [V]."""
+    mask = seed.copy()
+    for _ in range(rings):
+        touched = mask[faces].any(axis=1)
+        wider = mask.copy()
+        wider[faces[touched].ravel()] = True
+        if wider.sum() == mask.sum():
+            break
+        mask = wider
+    return mask
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """The freed vertices of a surface, in pieces that share no edge, and the triangles around them.
+
+    Attributes:
+        vertices: of the surface, the freed ones first, then those that stay beside them, shape [P].
+        free: how many of them are freed.
+        triangles: of the surface, those with a freed corner, shape [T].
+        faces: their corners by place in ``vertices``, int32, shape [T, 3].
+        vertex_patch: the piece of every freed vertex, shape [free].
+        face_patch: the piece of every triangle, shape [T]: its freed corners all lie in one.
+        count: number of pieces.
+    """
+
+    vertices: NDArray[np.intp]
+    free: int
+    triangles: NDArray[np.intp]
+    faces: NDArray[np.int32]
+    vertex_patch: NDArray[np.intp]
+    face_patch: NDArray[np.intp]
+    count: int
+
+    @classmethod
+    def of_vertices(cls, faces: NDArray[np.int32], freed: NDArray[np.bool_]) -> Patches:
+        """The patches of all freed vertices.
+
+        Args:
+            faces: of the surface, shape [F, 3].
+            freed: which of its vertices, shape [V]; at least one.
+        """
+        triangles = np.flatnonzero(freed[faces].any(axis=1))
+        corners = faces[triangles]
+        beside = np.zeros(len(freed), dtype=bool)
+        beside[corners.ravel()] = True
+        beside &= ~freed
+        inside = np.flatnonzero(freed)
+        vertices = np.concatenate([inside, np.flatnonzero(beside)])
+        local = np.full(len(freed), -1, dtype=np.int32)
+        local[vertices] = np.arange(len(vertices), dtype=np.int32)
+        own = np.ascontiguousarray(local[corners])
+        free = len(inside)
+        pairs = np.concatenate([own[:, [0, 1]], own[:, [1, 2]], own[:, [2, 0]]])
+        pairs = pairs[(pairs < free).all(axis=1)]
+        graph = sparse.coo_matrix((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(free, free))
+        count, label = connected_components(graph, directed=False)
+        of_corner = np.full(len(vertices), -1, dtype=np.intp)
+        of_corner[:free] = label
+        return cls(vertices, free, triangles, own, of_corner[:free], of_corner[own].max(axis=1), int(count))
+
+    def only(self, kept: NDArray[np.bool_]) -> tuple[Patches, NDArray[np.intp]]:
+        """Some of the patches, and the places of their vertices among these patches'.
+
+        Args:
+            kept: which, shape [count].
+        """
+        triangles = kept[self.face_patch]
+        corners = self.faces[triangles]
+        beside = np.zeros(len(self.vertices), dtype=bool)
+        beside[corners.ravel()] = True
+        beside[: self.free] = False
+        inside = np.flatnonzero(kept[self.vertex_patch])
+        places = np.concatenate([inside, np.flatnonzero(beside)])
+        local = np.full(len(self.vertices), -1, dtype=np.int32)
+        local[places] = np.arange(len(places), dtype=np.int32)
+        number = np.cumsum(kept) - 1
+        return Patches(
+            self.vertices[places],
+            len(inside),
+            self.triangles[triangles],
+            np.ascontiguousarray(local[corners]),
+            number[self.vertex_patch[inside]],
+            number[self.face_patch[triangles]],
+            int(kept.sum()),
+        ), places
+
+
+__all__ = ["Patches", "grow"]
