@@ -57,11 +57,15 @@ class SphereSampler:
             given = {} if dtype is None else {"dtype": dtype}
             return wp.array(np.ascontiguousarray(array), device=self.device, **given)
 
-        self._nodes = send(hierarchy.vertices[: self.node_count], wp.vec3d)
+        nodes = hierarchy.vertices[: self.node_count]
+        self._nodes = send(nodes, wp.vec3d)
         self._all_faces, self._starts = send(np.concatenate(levels)), send(starts)
         self._faces = send(levels[-1])
         rows = transposed_rows(levels[-1], self.node_count)
         self._corner_rows = [send(rows[0]), send(rows[1])]
+        first, second, third = (nodes[levels[-1][:, k]] for k in range(3))
+        weights = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+        self._weights = send(np.bincount(levels[-1].ravel(), np.repeat(weights, 3), minlength=self.node_count))
         self._edge_rows: list[list[Any]] | None = None
         self._level_sums: list[Any] = []
         self._level_masses: list[Any] = []
@@ -84,6 +88,18 @@ class SphereSampler:
         from omtwarp._warp import wp
 
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _launch_parts(
+        self, kernel: Any, size: int, rows: list[Any], sliced: list[Any], whole: list[Any], out: Any
+    ) -> None:
+        """Launch on all cores a kernel of compressed rows (or none), arrays with an element per thread, and others."""
+        from omtwarp.threads import launch_parts
+
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            own = [rows[0][part.start : part.stop + 1], rows[1]] if rows else []
+            return [*own, *(array[part] for array in sliced), *whole], [out[part]]
+
+        launch_parts(kernel, size, arguments, self.device)
 
     def _take(self, array: Any, dtype: Any) -> tuple[Any, bool]:
         from omtwarp._warp import wp
@@ -147,10 +163,9 @@ class SphereSampler:
 
         source, from_numpy = self._take(at_points, wp.float64)
         out = self._room(out, self.node_count, wp.float64)
-        inputs = [self._point_rows, self._order, self.coordinates, source]
-        self._launch(kernels.gather_scalars_to_faces_kernel, self.face_count, inputs, [self._face_vectors])
-        inputs = [*self._corner_rows, self._face_vectors]
-        self._launch(kernels.gather_corners_to_nodes_kernel, self.node_count, inputs, [out])
+        rows, whole = [self._point_rows, self._order], [self.coordinates, source]
+        self._launch_parts(kernels.gather_scalars_to_faces_kernel, self.face_count, rows, [], whole, self._face_vectors)
+        self._gather_corners(out)
         return out.numpy() if from_numpy else out
 
     def set_masses(self, masses: Any) -> None:
@@ -230,11 +245,23 @@ class SphereSampler:
             inputs = [self.points, self._faces, self.point_faces, self.coordinates, self._node_vectors]
             self._launch(kernels.point_node_gradient_kernel, self.point_count, inputs, [out])
         else:
-            inputs = [self._nodes, self._faces, source]
-            self._launch(kernels.face_gradient_kernel, self.face_count, inputs, [self._face_vectors])
+            self._face_gradients(source, weighted=False)
             inputs = [self.points, self.point_faces, self._face_vectors]
             self._launch(kernels.point_face_gradient_kernel, self.point_count, inputs, [out])
         return out.numpy() if from_numpy else out
+
+    def _face_gradients(self, values: Any, weighted: bool) -> None:
+        from omtwarp.wavelets.sampling_kernels import face_gradient_kernel
+
+        whole = [self._nodes, values, weighted]
+        self._launch_parts(face_gradient_kernel, self.face_count, [], [self._faces], whole, self._face_vectors)
+
+    def _gather_corners(self, out: Any) -> None:
+        """Sum at every node what the three numbers of every triangle have for it."""
+        from omtwarp.wavelets.sampling_kernels import gather_corners_to_nodes_kernel
+
+        rows, whole = self._corner_rows, [self._face_vectors]
+        self._launch_parts(gather_corners_to_nodes_kernel, self.node_count, rows, [], whole, out)
 
     def node_gradient(self, values: Any) -> Any:
         """Area-weighted means of the gradients around each node, Warp vec3d [N]: what ``smooth`` interpolates.
@@ -245,10 +272,10 @@ class SphereSampler:
         from omtwarp.wavelets import sampling_kernels as kernels
 
         source, _ = self._take(values, wp.float64)
-        mesh = [self._nodes, self._faces]
-        self._launch(kernels.face_gradient_kernel, self.face_count, [*mesh, source], [self._face_vectors])
-        inputs = [*mesh, *self._corner_rows, self._face_vectors]
-        self._launch(kernels.node_gradient_kernel, self.node_count, inputs, [self._node_vectors])
+        self._face_gradients(source, weighted=True)
+        rows, sliced = self._corner_rows, [self._nodes, self._weights]
+        gathered, out = [self._face_vectors], self._node_vectors
+        self._launch_parts(kernels.node_gradient_kernel, self.node_count, rows, sliced, gathered, out)
         return self._node_vectors
 
     def gradient_adjoint(self, field: Any, out: Any = None, *, smooth: bool = False) -> Any:
@@ -262,20 +289,20 @@ class SphereSampler:
 
         source, from_numpy = self._take(field, wp.vec3d)
         out = self._room(out, self.node_count, wp.float64)
-        mesh = [self._nodes, self._faces]
+        rows, faces, nodes = [self._point_rows, self._order], [self._faces], self._nodes
         if smooth:
-            inputs = [self.points, self._point_rows, self._order, self.coordinates, source]
-            self._launch(kernels.gather_corner_vectors_kernel, self.face_count, inputs, [self._corner_vectors])
-            inputs = [*mesh, *self._corner_rows, self._corner_vectors]
-            self._launch(kernels.node_vector_kernel, self.node_count, inputs, [self._node_vectors])
-            self._launch(
-                kernels.spread_to_faces_kernel, self.face_count, [*mesh, self._node_vectors], [self._face_vectors]
+            whole, corners = [self.points, self.coordinates, source], self._corner_vectors
+            self._launch_parts(kernels.gather_corner_vectors_kernel, self.face_count, rows, [], whole, corners)
+            own, vectors = [nodes, self._weights], self._node_vectors
+            self._launch_parts(
+                kernels.node_vector_kernel, self.node_count, self._corner_rows, own, [corners], vectors
             )
+            whole, kernel = [nodes, vectors], kernels.spread_to_faces_kernel
+            self._launch_parts(kernel, self.face_count, [], faces, whole, self._face_vectors)
         else:
-            inputs = [self.points, self._point_rows, self._order, source]
-            self._launch(kernels.gather_vectors_to_faces_kernel, self.face_count, inputs, [self._face_vectors])
-        inputs = [*mesh, *self._corner_rows, self._face_vectors]
-        self._launch(kernels.gradient_adjoint_kernel, self.node_count, inputs, [out])
+            whole, kernel = [nodes, self.points, source], kernels.gather_vectors_to_faces_kernel
+            self._launch_parts(kernel, self.face_count, rows, faces, whole, self._face_vectors)
+        self._gather_corners(out)
         return out.numpy() if from_numpy else out
 
 

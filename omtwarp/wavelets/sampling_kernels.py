@@ -153,20 +153,40 @@ def gather_corners_to_nodes_kernel(
     at_nodes[k] = total
 
 
+@wp.func
+def face_weight(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32) -> wp.float64:
+    a = nodes[faces[f, 0]]
+    return wp.length(wp.cross(nodes[faces[f, 1]] - a, nodes[faces[f, 2]] - a))
+
+
+@wp.func
+def corner_products(
+    nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32, v: wp.vec3d
+) -> wp.vec3d:
+    """Inner products of a vector with the gradients of the three corners' hat functions."""
+    a, b, c = nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]]
+    n = wp.cross(b - a, c - a)
+    turned = wp.cross(v, n) / wp.max(wp.dot(n, n), TINY)  # v · (n × e) is (v × n) · e
+    return wp.vec3d(wp.dot(turned, c - b), wp.dot(turned, a - c), wp.dot(turned, b - a))
+
+
 @wp.kernel
 def face_gradient_kernel(
-    nodes: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
+    nodes: wp.array[wp.vec3d],
     values: wp.array[wp.float64],
+    weighted: bool,
     # Data out:
     face_gradients: wp.array[wp.vec3d],
 ):
+    """The gradient in each triangle, times its area if ``weighted``."""
     f = wp.tid()
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
     a, b, c = nodes[i], nodes[j], nodes[k]
-    face_gradients[f] = (values[j] - values[i]) * hat_gradient(b, c, a) + (values[k] - values[i]) * hat_gradient(
-        c, a, b
-    )
+    gradient = (values[j] - values[i]) * hat_gradient(b, c, a) + (values[k] - values[i]) * hat_gradient(c, a, b)
+    if weighted:
+        gradient *= face_weight(nodes, faces, f)
+    face_gradients[f] = gradient
 
 
 @wp.kernel
@@ -181,32 +201,22 @@ def point_face_gradient_kernel(
     at_points[i] = tangential(face_gradients[point_faces[i]], points[i])
 
 
-@wp.func
-def face_weight(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32) -> wp.float64:
-    a = nodes[faces[f, 0]]
-    return wp.length(wp.cross(nodes[faces[f, 1]] - a, nodes[faces[f, 2]] - a))
-
-
 @wp.kernel
 def node_gradient_kernel(
-    nodes: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
+    nodes: wp.array[wp.vec3d],
+    weights: wp.array[wp.float64],
     face_gradients: wp.array[wp.vec3d],
     # Data out:
     node_gradients: wp.array[wp.vec3d],
 ):
-    """Area-weighted mean of the gradients around each node, in its tangent plane."""
+    """Mean of the weighted gradients around each node, in its tangent plane."""
     k = wp.tid()
     total = wp.vec3d(ZERO, ZERO, ZERO)
-    weights = wp.float64(0.0)
     for n in range(corner_offsets[k], corner_offsets[k + 1]):
-        f = corners[n] // 3
-        weight = face_weight(nodes, faces, f)
-        total += weight * face_gradients[f]
-        weights += weight
-    node_gradients[k] = tangential(total / weights, nodes[k])
+        total += face_gradients[corners[n] // 3]
+    node_gradients[k] = tangential(total / weights[k], nodes[k])
 
 
 @wp.kernel
@@ -227,26 +237,28 @@ def point_node_gradient_kernel(
 
 @wp.kernel
 def gather_vectors_to_faces_kernel(
-    points: wp.array[wp.vec3d],
     row_offsets: wp.array[wp.int32],
     order: wp.array[wp.int32],
+    faces: wp.array2d[wp.int32],
+    nodes: wp.array[wp.vec3d],
+    points: wp.array[wp.vec3d],
     field: wp.array[wp.vec3d],
     # Data out:
-    face_sums: wp.array[wp.vec3d],
+    face_products: wp.array[wp.vec3d],
 ):
     f = wp.tid()
     total = wp.vec3d(ZERO, ZERO, ZERO)
     for n in range(row_offsets[f], row_offsets[f + 1]):
         i = order[n]
         total += tangential(field[i], points[i])
-    face_sums[f] = total
+    face_products[f] = corner_products(nodes, faces, f, total)
 
 
 @wp.kernel
 def gather_corner_vectors_kernel(
-    points: wp.array[wp.vec3d],
     row_offsets: wp.array[wp.int32],
     order: wp.array[wp.int32],
+    points: wp.array[wp.vec3d],
     coordinates: wp.array[wp.vec3d],
     field: wp.array[wp.vec3d],
     # Data out:
@@ -269,56 +281,33 @@ def gather_corner_vectors_kernel(
 
 @wp.kernel
 def node_vector_kernel(
-    nodes: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
+    nodes: wp.array[wp.vec3d],
+    weights: wp.array[wp.float64],
     corner_vectors: wp.array2d[wp.vec3d],
     # Data out:
     node_vectors: wp.array[wp.vec3d],
 ):
     k = wp.tid()
     total = wp.vec3d(ZERO, ZERO, ZERO)
-    weights = wp.float64(0.0)
     for n in range(corner_offsets[k], corner_offsets[k + 1]):
         f = corners[n] // 3
         total += corner_vectors[f, corners[n] - 3 * f]
-        weights += face_weight(nodes, faces, f)
-    node_vectors[k] = tangential(total, nodes[k]) / weights
+    node_vectors[k] = tangential(total, nodes[k]) / weights[k]
 
 
 @wp.kernel
 def spread_to_faces_kernel(
-    nodes: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
+    nodes: wp.array[wp.vec3d],
     node_vectors: wp.array[wp.vec3d],
     # Data out:
-    face_sums: wp.array[wp.vec3d],
+    face_products: wp.array[wp.vec3d],
 ):
     f = wp.tid()
     total = node_vectors[faces[f, 0]] + node_vectors[faces[f, 1]] + node_vectors[faces[f, 2]]
-    face_sums[f] = face_weight(nodes, faces, f) * total
-
-
-@wp.kernel
-def gradient_adjoint_kernel(
-    nodes: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    corner_offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    face_sums: wp.array[wp.vec3d],
-    # Data out:
-    at_nodes: wp.array[wp.float64],
-):
-    k = wp.tid()
-    total = wp.float64(0.0)
-    a = nodes[k]
-    for n in range(corner_offsets[k], corner_offsets[k + 1]):
-        f = corners[n] // 3
-        s = corners[n] - 3 * f
-        b, c = nodes[faces[f, (s + 1) % 3]], nodes[faces[f, (s + 2) % 3]]
-        total += wp.dot(hat_gradient(a, b, c), face_sums[f])
-    at_nodes[k] = total
+    face_products[f] = corner_products(nodes, faces, f, face_weight(nodes, faces, f) * total)
 
 
 @wp.kernel
