@@ -15,10 +15,10 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser.kernels import integrate_particles, vertex_field
 from omtwarp.threads import blas_threads, launch_parts
 
-# In s = -log(1 - t) the remaining motion falls as e^-s: at s = 18 it is 1e-8 of ∇Θ.
-FINAL_TIME = 18.0
+# In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
+FINAL_TIME = 14.0
 LARGEST_STEP = 0.25  # at the start; it grows with s
-COURANT = 0.5
+COURANT = 1.0  # halving it changes the area distortion that the flow leaves on scans in the fifth digit
 
 
 @dataclass(frozen=True)

@@ -150,10 +150,10 @@ def integrate_particles(
         step = wp.min(wp.max(step, wp.float64(1e-3)), final - s)
         half = HALF * step
         middle = wp.exp(s + half) - ONE
-        k2, _f2 = velocity_at(wp.normalize(p + half * k1), middle, f, points, faces, neighbours, field, mu)
-        k3, _f3 = velocity_at(wp.normalize(p + half * k2), middle, f, points, faces, neighbours, field, mu)
+        k2, f2 = velocity_at(wp.normalize(p + half * k1), middle, f, points, faces, neighbours, field, mu)
+        k3, f3 = velocity_at(wp.normalize(p + half * k2), middle, f2, points, faces, neighbours, field, mu)
         end = wp.exp(s + step) - ONE
-        k4, _f4 = velocity_at(wp.normalize(p + step * k3), end, f, points, faces, neighbours, field, mu)
+        k4, _f4 = velocity_at(wp.normalize(p + step * k3), end, f3, points, faces, neighbours, field, mu)
         p = wp.normalize(p + step * SIXTH * (k1 + TWO * k2 + TWO * k3 + k4))
         s += step
         count += 1
