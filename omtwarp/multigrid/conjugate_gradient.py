@@ -15,6 +15,7 @@ from omtwarp.graphs import Graph
 from omtwarp.multigrid import iteration_kernels as kernels
 from omtwarp.multigrid.cycle import VCycle
 from omtwarp.multigrid.hierarchy import SCALAR_DAMPING, MeshHierarchy
+from omtwarp.sums import DeviceSum
 
 # Blocks of the Newton matrix couple more than the entries of a Laplacian: D^-1 A has eigenvalues near 3.
 BLOCK_DAMPING = 0.5
@@ -32,45 +33,6 @@ class Outcome:
 
     iterations: int
     converged: bool
-
-
-class DeviceSum:
-    """Sums over float64 arrays in an order that depends on their length alone, without leaving the device.
-
-    Args:
-        device: a Warp device.
-    """
-
-    def __init__(self, device: wp.Device):
-        self.device = device
-        self._partial = wp.empty(kernels.FIRST, dtype=wp.float64, device=device)
-        self._fewer = wp.empty(kernels.SECOND, dtype=wp.float64, device=device)
-
-    def products(self, a: wp.array, b: wp.array) -> wp.array:
-        """All but the last additions of a · b: what the kernels that need the sum finish themselves."""
-        inputs, outputs = [a, b], [self._partial]
-        wp.launch(kernels.sum_products, dim=kernels.FIRST, inputs=inputs, outputs=outputs, device=self.device)
-        return self._again()
-
-    def dot(self, a: wp.array, b: wp.array, out: wp.array) -> None:
-        """a · b as the first element of ``out``."""
-        inputs = [self.products(a, b)]
-        wp.launch(kernels.finish_sum, dim=1, inputs=inputs, outputs=[out], device=self.device)
-
-    def total(self, a: wp.array, out: wp.array) -> None:
-        """The sum of all elements as the first element of ``out``."""
-        wp.launch(kernels.sum_values, dim=kernels.FIRST, inputs=[a], outputs=[self._partial], device=self.device)
-        wp.launch(kernels.finish_sum, dim=1, inputs=[self._again()], outputs=[out], device=self.device)
-
-    def remove_mean(self, a: wp.array, room: wp.array) -> None:
-        """Take the mean off every element; ``room`` is for one number."""
-        self.total(a, room)
-        wp.launch(kernels.remove_mean, dim=a.size, inputs=[room], outputs=[a], device=self.device)
-
-    def _again(self) -> wp.array:
-        inputs, outputs = [self._partial], [self._fewer]
-        wp.launch(kernels.sum_again, dim=kernels.SECOND, inputs=inputs, outputs=outputs, device=self.device)
-        return self._fewer
 
 
 class MultigridSolver:
@@ -111,7 +73,7 @@ class MultigridSolver:
         self._scalars = wp.zeros(4, dtype=wp.float64, device=device)
         self._counters = wp.zeros(3, dtype=wp.int32, device=device)
         self._tolerance = wp.zeros(1, dtype=wp.float64, device=device)
-        self._sum = DeviceSum(device)
+        self._sum = DeviceSum(device, count * block)
         self._total = wp.empty(1, dtype=wp.float64, device=device) if laplacian else None
         self._loop = Graph(self._run, device, record)
 

@@ -1,16 +1,9 @@
-"""Kernels of conjugate gradients whose scalars stay on the device, and of sums in a fixed order.
-
-A sum is taken in three launches: ``FIRST`` threads add every FIRST-th number, ``SECOND`` threads every SECOND-th of
-their sums, and one thread the rest. The order depends on the length alone: it is the same on every device.
-"""
+"""Kernels of conjugate gradients whose scalars stay on the device; they finish the sums that they need."""
 
 from omtwarp._warp import ZERO, wp
+from omtwarp.sum_kernels import column_sum
 
 wp.set_module_options({"enable_backward": False})
-
-# Odd, so that neighbouring terms of one sum do not fall into the same set of a cache.
-FIRST = wp.constant(4095)
-SECOND = wp.constant(65)
 
 # Places of the scalars of an iteration.
 ENERGY = wp.constant(0)  # r · z
@@ -24,72 +17,15 @@ BROKEN = wp.constant(2)
 
 
 @wp.kernel
-def sum_products(
-    a: wp.array[wp.float64],
-    b: wp.array[wp.float64],
-    # Data out:
-    partial: wp.array[wp.float64],
-):
-    t = wp.tid()
-    total = wp.float64(0.0)
-    for i in range(t, a.shape[0], FIRST):
-        total += a[i] * b[i]
-    partial[t] = total
-
-
-@wp.kernel
-def sum_values(
-    a: wp.array[wp.float64],
-    # Data out:
-    partial: wp.array[wp.float64],
-):
-    t = wp.tid()
-    total = wp.float64(0.0)
-    for i in range(t, a.shape[0], FIRST):
-        total += a[i]
-    partial[t] = total
-
-
-@wp.kernel
-def sum_again(
-    partial: wp.array[wp.float64],
-    # Data out:
-    fewer: wp.array[wp.float64],
-):
-    t = wp.tid()
-    total = wp.float64(0.0)
-    for i in range(t, FIRST, SECOND):
-        total += partial[i]
-    fewer[t] = total
-
-
-@wp.func
-def last_sum(fewer: wp.array[wp.float64]) -> wp.float64:
-    total = wp.float64(0.0)
-    for i in range(SECOND):
-        total += fewer[i]
-    return total
-
-
-@wp.kernel
-def finish_sum(
-    fewer: wp.array[wp.float64],
-    # Data out:
-    total: wp.array[wp.float64],
-):
-    total[0] = last_sum(fewer)
-
-
-@wp.kernel
 def begin(
-    fewer: wp.array[wp.float64],
+    products: wp.array2d[wp.float64],
     tolerance: wp.array[wp.float64],
     # Data out:
     scalars: wp.array[wp.float64],
     counters: wp.array[wp.int32],
 ):
     """Take r · z of the start, and stop at once where it is nothing."""
-    energy = last_sum(fewer)
+    energy = column_sum(products, 0)
     scalars[ENERGY] = energy
     scalars[TARGET] = tolerance[0] * tolerance[0] * energy
     counters[ACTIVE] = wp.int32(0)
@@ -103,13 +39,13 @@ def begin(
 
 @wp.kernel
 def choose_step(
-    fewer: wp.array[wp.float64],
+    products: wp.array2d[wp.float64],
     # Data in and out:
     scalars: wp.array[wp.float64],
     counters: wp.array[wp.int32],
 ):
     """The step to the minimum along the direction, from p · A p; none where the matrix is not positive along it."""
-    curvature = last_sum(fewer)
+    curvature = column_sum(products, 0)
     scalars[STEP] = ZERO
     if counters[ACTIVE] > 0:
         if curvature > ZERO and curvature < wp.float64(1e300):
@@ -135,14 +71,14 @@ def advance(
 
 @wp.kernel
 def choose_turn(
-    fewer: wp.array[wp.float64],
+    products: wp.array2d[wp.float64],
     most: int,
     # Data in and out:
     scalars: wp.array[wp.float64],
     counters: wp.array[wp.int32],
 ):
     """How much of the last direction the next one keeps, from the new r · z; and whether there is a next one."""
-    energy = last_sum(fewer)
+    energy = column_sum(products, 0)
     scalars[TURN] = ZERO
     if counters[ACTIVE] > 0:
         scalars[TURN] = energy / scalars[ENERGY]
@@ -168,13 +104,3 @@ def turn(
 ):
     i = wp.tid()
     direction[i] = smoothed[i] + scalars[TURN] * direction[i]
-
-
-@wp.kernel
-def remove_mean(
-    total: wp.array[wp.float64],
-    # Data in and out:
-    values: wp.array[wp.float64],
-):
-    i = wp.tid()
-    values[i] = values[i] - total[0] / wp.float64(values.shape[0])

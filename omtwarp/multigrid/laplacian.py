@@ -12,8 +12,9 @@ from omtwarp._warp import wp
 from omtwarp.geometry.edge_weight_kernels import edge_weight_kernel
 from omtwarp.mesh.surface import Surface
 from omtwarp.multigrid import kernels
-from omtwarp.multigrid.conjugate_gradient import DeviceSum, MultigridSolver, Outcome
+from omtwarp.multigrid.conjugate_gradient import MultigridSolver, Outcome
 from omtwarp.multigrid.hierarchy import STRONG, MeshHierarchy
+from omtwarp.sums import DeviceSum
 
 # Of the energy's norm: two digits above rounding. Harmonic functions are nearly constant on limbs, where what matters
 # are the differences.
@@ -71,7 +72,8 @@ class DeviceLaplacian:
     def __init__(self, surface: Surface, points: wp.array, record: bool | None = None):
         self.device = points.device
         self._surface, self._points, self._record = surface, points, record
-        self._sum, self._total = DeviceSum(self.device), wp.empty(1, dtype=wp.float64, device=self.device)
+        self._sum = DeviceSum(self.device, surface.vertex_count)
+        self._total = wp.empty(1, dtype=wp.float64, device=self.device)
         self._centred: Any = wp.empty(surface.vertex_count, dtype=wp.float64, device=self.device)
         self._own_levels = False
         self._solver = self._solver_on(surface_hierarchy(surface, self.device))

@@ -6,8 +6,8 @@ from typing import Any
 
 from omtwarp._warp import wp
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.sums import RowSums
 from omtwarp.transport.kernels import capped_area_error
-from omtwarp.transport.sums import RowSums
 
 # A triangle's area error D + 1/D - 2 counts at most this much: a few hopeless triangles decide nothing.
 LARGEST_ERROR = 0.1

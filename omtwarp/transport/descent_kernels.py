@@ -1,13 +1,9 @@
-"""Kernels of a descent that decides on the device: sums in a fixed order, directions, and what to make of a step."""
+"""Kernels of a descent that decides on the device: inner products, directions, and what to make of a step."""
 
 from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+from omtwarp.sum_kernels import GROUP, LANES, column_sum, first_row
 
 wp.set_module_options({"enable_backward": False})
-
-# A thread sums GROUP rows, LANES apart: threads side by side read side by side on CUDA, and what the next thread of a
-# CPU reads is still in its cache.
-GROUP = wp.constant(64)
-LANES = wp.constant(32)
 
 SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))
 AREA_HALVINGS = wp.constant(3)
@@ -47,36 +43,6 @@ class FlowState:
     accepted: wp.int32
     finished: wp.int32
     converged: wp.int32
-
-
-@wp.func
-def first_row(thread: int):
-    return (thread // LANES) * (LANES * GROUP) + thread % LANES
-
-
-@wp.func
-def column_sum(rows: wp.array2d[wp.float64], column: int):
-    total = wp.float64(0.0)
-    for i in range(rows.shape[0]):
-        total += rows[i, column]
-    return total
-
-
-@wp.kernel
-def sum_rows(
-    rows: wp.array2d[wp.float64],
-    # Data out:
-    sums: wp.array2d[wp.float64],
-):
-    """Sums of GROUP rows each, column by column."""
-    thread, column = wp.tid()
-    total = wp.float64(0.0)
-    i = first_row(thread)
-    for _ in range(GROUP):
-        if i < rows.shape[0]:
-            total += rows[i, column]
-        i += LANES
-    sums[thread, column] = total
 
 
 @wp.kernel

@@ -21,6 +21,7 @@ from omtwarp.embedding.guard import StepGuard
 from omtwarp.errors import OmtwarpError
 from omtwarp.graphs import Graph
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.sums import RowSums, partial_count
 from omtwarp.threads import blas_threads, launch_parts
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
@@ -39,7 +40,6 @@ from omtwarp.transport.kernels import (
     face_centres,
     longest_edges,
 )
-from omtwarp.transport.sums import RowSums, partial_count
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 from omtwarp.wavelets.filter import WaveletFilter
 

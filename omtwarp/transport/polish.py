@@ -23,6 +23,7 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.linear import SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.sums import RowSums
 from omtwarp.threads import blas_threads
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, TransportMap
@@ -32,7 +33,6 @@ from omtwarp.transport.polish_kernels import (
     move_by_potentials,
     weak_curl_and_area,
 )
-from omtwarp.transport.sums import RowSums
 
 ROUNDS = 18
 # The part of the way that a round goes: where the map contracts strongly a full step overshoots. A round that does not

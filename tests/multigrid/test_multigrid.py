@@ -17,7 +17,7 @@ from omtwarp.embedding.untangle import untangle
 from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.mesh.shapes import blob, ellipsoid, icosphere, needle, noisy, random_sphere, uv_sphere
 from omtwarp.mesh.surface import Surface
-from omtwarp.multigrid import DeviceSum, MeshHierarchy, MultigridSolver
+from omtwarp.multigrid import MeshHierarchy, MultigridSolver
 from omtwarp.multigrid.hierarchy import COARSEST, aggregate, colour
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.newton import NewtonMatrix
@@ -304,15 +304,3 @@ def test_groups_and_colours_of_small_graphs():
     assert aggregate(star, 0.1)[1] == 1
     assert [len(nodes) for nodes in colour(star)] == [1, 5]
     assert aggregate(sparse.identity(4).tocsr(), 0.1)[1] == 4
-
-
-@pytest.mark.parametrize("count", [1, 64, 4095, 4096, 20_000])
-def test_sums(device, count):
-    rng = np.random.default_rng(count)
-    a, b = rng.normal(size=(2, count))
-    adder, out = DeviceSum(wp.get_device(device)), wp.empty(1, dtype=wp.float64, device=device)
-    one, other = (wp.array(v, dtype=wp.float64, device=device) for v in (a, b))
-    adder.dot(one, other, out)
-    assert out.numpy()[0] == pytest.approx(a @ b, abs=1e-12 * np.abs(a * b).sum())
-    adder.total(one, out)
-    assert out.numpy()[0] == pytest.approx(a.sum(), abs=1e-12 * np.abs(a).sum())

@@ -6,15 +6,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from sphere_truths import pushed_north, turned, twisted
 
 from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.transport.flow import COSTS, SCHEMES, _Flow, optimal_transport
-from omtwarp.transport.sums import FEW, RowSums
 
 
 def flow_of_a_twist(device: str, cost: str = "squared", scheme: str = "default") -> _Flow:
@@ -149,26 +146,6 @@ def test_every_kernel_of_an_iteration_agrees_with_the_cpu(device, cost):
         flow.guard.hold(flow.points, flow.trial)
     compare("trial")
     assert other.guard.held.numpy()[0] == cpu.guard.held.numpy()[0]
-
-
-@given(rows=st.integers(1, 40_000), columns=st.integers(1, 4), seed=st.integers(0, 1000))
-def test_sums_of_rows(rows, columns, seed):
-    values = np.random.default_rng(seed).normal(size=(rows, columns))
-    parts = RowSums(rows, columns, "cpu")(wp.array(values, dtype=wp.float64, device="cpu")).numpy()
-    assert len(parts) <= FEW
-    np.testing.assert_allclose(parts.sum(axis=0), values.sum(axis=0), rtol=0, atol=1e-12 * np.sqrt(rows))
-    whole = wp.array(np.arange(float(rows * columns)).reshape(rows, columns), dtype=wp.float64, device="cpu")
-    total = RowSums(rows, columns, "cpu")(whole).numpy().sum(axis=0)
-    np.testing.assert_array_equal(total, whole.numpy().sum(axis=0))  # whole numbers: exact, every row once
-
-
-def test_sums_agree_between_devices(device):
-    values = np.random.default_rng(0).normal(size=(300_000, 2))
-    one, two = (
-        RowSums(len(values), 2, where)(wp.array(values, dtype=wp.float64, device=where)).numpy()
-        for where in ("cpu", device)
-    )
-    np.testing.assert_array_equal(one, two)  # additions alone, in the same order
 
 
 def test_the_guard_gives_up_after_its_last_round(device):
