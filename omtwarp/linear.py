@@ -7,7 +7,7 @@ and multigrid on the device (:mod:`omtwarp.multigrid`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 from omtwarp._warp import resolve_device, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
+from omtwarp.sums import DeviceSum, HostSum
 
 if TYPE_CHECKING:
     from omtwarp.multigrid import DeviceLaplacian
@@ -42,6 +43,11 @@ def on_device(device: wp.Device, vertices: int) -> bool:
     if wanted not in SOLVERS:
         raise OmtwarpError(f"unknown OMTWARP_SOLVER '{wanted}': use {', '.join(SOLVERS)}")
     return wanted == "device" or (wanted == "auto" and device.is_cuda and vertices > DEVICE_VERTICES)
+
+
+def sums_for(device: wp.Device, vertices: int) -> DeviceSum | HostSum:
+    """What adds for systems on a surface: the device where they are solved there, or where the host cannot read."""
+    return DeviceSum(device) if device.is_cuda or on_device(device, vertices) else HostSum()
 
 
 class PoissonSolver(Protocol):
@@ -119,42 +125,80 @@ class SurfaceLaplacianSolver:
 
     Args:
         surface: a closed surface, V vertices.
-        points: positions, shape [V, 3].
+        points: positions, shape [V, 3]; or a Warp array of vec3d on the device, which may change afterwards.
         pinned: the vertex held at zero while solving on the host.
         device: where the stage that asks runs.
     """
 
     def __init__(
-        self, surface: Surface, points: NDArray[np.float64], pinned: int = 0, device: str | wp.Device | None = "cpu"
+        self,
+        surface: Surface,
+        points: NDArray[np.float64] | wp.array,
+        pinned: int = 0,
+        device: str | wp.Device | None = "cpu",
     ):
         where = resolve_device(device)
+        self._pinned = pinned
         self._iterative: DeviceLaplacian | None = None
         self._direct: PoissonSolver | None = None
-        self._make = lambda: _SurfaceFactorization(surface, points, pinned)
         if on_device(where, surface.vertex_count):
             from omtwarp.multigrid import DeviceLaplacian
 
-            uploaded = wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device=where)
-            self._iterative = DeviceLaplacian(surface, uploaded)
+            if isinstance(points, wp.array):
+                own = wp.clone(points, device=where)
+            else:
+                own = wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device=where)
+            self._iterative = DeviceLaplacian(surface, own)
         else:
-            self._direct = self._make()
+            on_host = points.numpy() if isinstance(points, wp.array) else points
+            self._direct = _SurfaceFactorization(surface, on_host, pinned)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
+        if self._iterative is None:
+            assert self._direct is not None
+            return self._direct.solve(right)
+        device = self._iterative.device
+        columns = np.ascontiguousarray(right.reshape(len(right), -1).T, dtype=np.float64)
+        given = [wp.array(column, dtype=wp.float64, device=device) for column in columns]
+        return np.stack([solved.numpy() for solved in self.solve_arrays(given)], axis=1).reshape(right.shape)
+
+    def solve_arrays(self, rights: Sequence[wp.array]) -> list[wp.array]:
+        """Solve for right-hand sides that are Warp arrays, float64, shape [V]; solutions are where they are."""
         if self._iterative is not None:
-            out = np.empty((len(right), right.size // len(right)))
-            for k, column in enumerate(right.reshape(out.shape).T):
-                given = wp.array(np.ascontiguousarray(column), dtype=wp.float64, device=self._iterative.device)
-                solved = wp.empty_like(given)
+            solutions = []
+            for right in rights:
+                given = right.to(self._iterative.device)
+                solved = wp.empty(right.size, dtype=wp.float64, device=given.device)
                 if not self._iterative.solve(given, solved).converged:
+                    points = self._iterative.points.numpy()
+                    self._direct = _SurfaceFactorization(self._iterative.surface, points, self._pinned)
                     self._iterative = None
                     break
-                out[:, k] = solved.numpy()
+                solutions.append(solved.to(right.device))
             else:
-                return out.reshape(right.shape)
-        if self._direct is None:
-            self._direct = self._make()
-        return self._direct.solve(right)
+                return solutions
+        assert self._direct is not None
+        return _solve_on_host(self._direct, rights)
+
+
+def solve_arrays(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp.array]:
+    """Solve for right-hand sides that are Warp arrays, float64, shape [V], with any solver.
+
+    They leave the device where the solver is on the host, and only there; solutions are on the device again.
+    """
+    if isinstance(solver, SurfaceLaplacianSolver):
+        return solver.solve_arrays(rights)
+    return _solve_on_host(solver, rights)
+
+
+def _solve_on_host(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp.array]:
+    if len(rights) == 1:
+        solutions = [solver.solve(rights[0].numpy())]
+    else:
+        solutions = list(solver.solve(np.stack([right.numpy() for right in rights], axis=1)).T)
+    # On the CPU these are the solver's own arrays, without a copy.
+    return [wp.array(values, dtype=wp.float64, device=rights[0].device, copy=False) for values in solutions]
 
 
 class _SurfaceFactorization:

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp._warp import resolve_device, wp
-from omtwarp.conformal import density
-from omtwarp.linear import PoissonSolver, SurfaceLaplacianSolver
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.moser.kernels import integrate_particles, vertex_field
+from omtwarp.linear import PoissonSolver, SurfaceLaplacianSolver, solve_arrays, sums_for
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, vertex_field
 from omtwarp.threads import blas_threads, launch_parts
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
@@ -60,35 +59,34 @@ def moser_map(
         The map at t = 1, which preserves area up to the discretisation of Θ and can flip triangles where μ is steep.
     """
     where = resolve_device(device)
-    image = np.ascontiguousarray(start, dtype=np.float64)
-    if solver is None:
-        solver = SurfaceLaplacianSolver(surface, image, device=where)
-    areas = triangle_areas(image, surface.faces)
-    image_masses = surface.sum_to_vertices(areas * (SPHERE_AREA / areas.sum())) / 3.0
-    potential = solver.solve(surface.vertex_areas - image_masses)
-    _, mu = density(surface, image)
-
-    offsets, corners = surface.vertex_corners
-    points = wp.array(image, dtype=wp.vec3d, device=where)
+    vertices, triangles = surface.vertex_count, surface.face_count
+    points = wp.array(np.ascontiguousarray(start, dtype=np.float64), dtype=wp.vec3d, device=where)
     faces = wp.array(surface.faces, dtype=wp.vec3i, device=where)
+    rows = [wp.array(array, dtype=wp.int32, device=where) for array in surface.vertex_corners]
+    if solver is None:
+        solver = SurfaceLaplacianSolver(surface, points, device=where)
+    areas = wp.empty(triangles, dtype=wp.float64, device=where)
+    total = wp.empty(1, dtype=wp.float64, device=where)
+    sources, mu = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(2))
+    wp.launch(face_areas, dim=triangles, inputs=[points, faces], outputs=[areas], device=where)
+    sums_for(where, vertices).total(areas, total)
+    masses = wp.array(surface.vertex_areas, dtype=wp.float64, device=where)
+    inputs = [areas, total, wp.float64(SPHERE_AREA), masses, *rows]
+    wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu], device=where)
+    (potential,) = solve_arrays(solver, [sources])
+
     neighbours = wp.array(surface.face_neighbours, dtype=wp.vec3i, device=where)
-    rows = [wp.array(offsets, dtype=wp.int32, device=where), wp.array(corners, dtype=wp.int32, device=where)]
-    field = wp.empty(surface.vertex_count, dtype=wp.vec3d, device=where)
-    wp.launch(
-        vertex_field,
-        dim=surface.vertex_count,
-        inputs=[points, faces, wp.array(potential, dtype=wp.float64, device=where), *rows, field],
-        device=where,
-    )
+    field = wp.empty(vertices, dtype=wp.vec3d, device=where)
+    inputs = [points, faces, potential, *rows]
+    wp.launch(vertex_field, dim=vertices, inputs=inputs, outputs=[field], device=where)
     moved = wp.empty_like(points)
-    steps = wp.empty(surface.vertex_count, dtype=wp.int32, device=where)
-    finite_mu = wp.array(np.minimum(mu, 1e300), dtype=wp.float64, device=where)
+    steps = wp.empty(vertices, dtype=wp.int32, device=where)
     limits = [wp.float64(LARGEST_STEP), wp.float64(COURANT), wp.float64(FINAL_TIME)]
 
     def arguments(part: slice) -> tuple[list[Any], list[Any]]:
         own = [points[part], rows[0][part]]
-        mesh = [points, faces, neighbours, field, finite_mu, rows[1]]
+        mesh = [points, faces, neighbours, field, mu, rows[1]]
         return [*own, *mesh, *limits], [moved[part], steps[part]]
 
-    launch_parts(integrate_particles, surface.vertex_count, arguments, where)
-    return MoserMap(moved.numpy(), potential, int(steps.numpy().max()))
+    launch_parts(integrate_particles, vertices, arguments, where)
+    return MoserMap(moved.numpy(), potential.numpy(), int(steps.numpy().max()))

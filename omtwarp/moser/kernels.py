@@ -1,6 +1,6 @@
 """Moser's flow on a triangulated sphere: every particle integrates its own path, walking from triangle to triangle."""
 
-from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+from omtwarp._warp import HALF, ONE, THREE, TWO, ZERO, wp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -9,6 +9,7 @@ LONGEST_STEP = wp.constant(wp.float64(2.0))
 SIXTH = wp.constant(wp.float64(1.0 / 6.0))
 OUTSIDE = wp.constant(wp.float64(-1e-12))
 WALK_LIMIT = wp.constant(2000)
+LARGEST = wp.constant(wp.float64(1e300))  # instead of infinity
 
 
 @wp.func
@@ -71,6 +72,42 @@ def velocity_at(
     density = w[0] * mu[face[0]] + w[1] * mu[face[1]] + w[2] * mu[face[2]]
     v = v / (density + growth)
     return v - wp.dot(v, p) * p, f
+
+
+@wp.kernel
+def face_areas(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    areas: wp.array[wp.float64],
+):
+    f = wp.tid()
+    face = faces[f]
+    p0 = points[face[0]]
+    areas[f] = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
+
+
+@wp.kernel
+def sources_and_density(
+    areas: wp.array[wp.float64],
+    total: wp.array[wp.float64],
+    sphere_area: wp.float64,
+    masses: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    # Data out:
+    sources: wp.array[wp.float64],
+    mu: wp.array[wp.float64],
+):
+    """Mass less area on the sphere, and one over the other, at vertices; the area of triangles is scaled to 4π."""
+    v = wp.tid()
+    scale = sphere_area / total[0]
+    around = wp.float64(0.0)
+    for k in range(offsets[v], offsets[v + 1]):
+        around += areas[corners[k] // 3] * scale
+    around = around / THREE
+    sources[v] = masses[v] - around
+    mu[v] = wp.min(masses[v] / around, LARGEST)
 
 
 @wp.kernel

@@ -65,13 +65,16 @@ class DeviceLaplacian:
 
     Args:
         surface: a closed connected surface, V vertices.
-        points: positions of the vertices, vec3d, shape [V], on the device.
+        points: positions of the vertices, vec3d, shape [V], on the device; they are kept, and must not change.
         record: see :class:`omtwarp.graphs.Graph`.
+
+    Attributes:
+        surface, points, device: what it was made for, and where.
     """
 
     def __init__(self, surface: Surface, points: wp.array, record: bool | None = None):
         self.device = points.device
-        self._surface, self._points, self._record = surface, points, record
+        self.surface, self.points, self._record = surface, points, record
         self._sum = DeviceSum(self.device, surface.vertex_count)
         self._total = wp.empty(1, dtype=wp.float64, device=self.device)
         self._centred: Any = wp.empty(surface.vertex_count, dtype=wp.float64, device=self.device)
@@ -79,12 +82,12 @@ class DeviceLaplacian:
         self._solver = self._solver_on(surface_hierarchy(surface, self.device))
 
     def _solver_on(self, hierarchy: MeshHierarchy) -> MultigridSolver:
-        surface, device = self._surface, self.device
+        surface, device = self.surface, self.device
         corners = surface.edge_corners
         diagonal = wp.empty(surface.vertex_count, dtype=wp.float64, device=device)
         entries = wp.empty(len(corners), dtype=wp.float64, device=device)
         faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
-        inputs = [self._points, faces, wp.array(corners, dtype=wp.vec2i, device=device)]
+        inputs = [self.points, faces, wp.array(corners, dtype=wp.vec2i, device=device)]
         wp.launch(edge_weight_kernel, dim=entries.size, inputs=inputs, outputs=[entries], device=device)
         inputs = [hierarchy.levels[0].pattern.offsets, hierarchy.source, entries]
         wp.launch(kernels.laplacian_diagonal, dim=diagonal.size, inputs=inputs, outputs=[diagonal], device=device)
@@ -99,7 +102,7 @@ class DeviceLaplacian:
         outcome = self._solver.outcome()
         if outcome.iterations > MANY_ITERATIONS and not self._own_levels:
             self._own_levels = True
-            levels = positioned_hierarchy(self._surface, self._points.numpy(), self.device)
+            levels = positioned_hierarchy(self.surface, self.points.numpy(), self.device)
             self._solver = self._solver_on(levels)
             if not outcome.converged:
                 self.enqueue(right, out)

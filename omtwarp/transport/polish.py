@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
-from omtwarp.linear import SurfaceLaplacianSolver
+from omtwarp.linear import SurfaceLaplacianSolver, sums_for
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.sums import RowSums
 from omtwarp.threads import blas_threads
@@ -30,6 +30,7 @@ from omtwarp.transport.flow import AREA_PRICE, TransportMap
 from omtwarp.transport.polish_kernels import (
     cost_and_area_errors,
     displacements,
+    missing_areas,
     move_by_potentials,
     weak_curl_and_area,
 )
@@ -81,21 +82,23 @@ def polish_transport(
     origin = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=where)
     points = wp.array(np.array(sphere, dtype=np.float64), dtype=wp.vec3d, device=where)
     moved, pull = wp.empty_like(points), wp.empty_like(points)
-    curl, energy, area = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(3))
+    curl, energy, area, missing = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(4))
+    wanted = wp.array(surface.vertex_areas, dtype=wp.float64, device=where)
+    total, squares = (wp.empty(size, dtype=wp.float64, device=where) for size in (1, 2))
     areas = wp.array(surface.face_areas, dtype=wp.float64, device=where)
     measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
-    sums = RowSums(surface.face_count, 3, where)
+    face_sums, vertex_sums = RowSums(surface.face_count, 3, where), sums_for(where, count)
 
     def measure() -> tuple[float, float, float]:
         limits = [wp.float64(LARGEST_ERROR), wp.float64(WORST)]
         inputs = [origin, points, faces, areas, *limits]
         wp.launch(cost_and_area_errors, dim=len(measured), inputs=inputs, outputs=[measured], device=where)
-        cost, usual, worst = (float(x) for x in sums(measured).numpy().sum(axis=0))
+        cost, usual, worst = (float(x) for x in face_sums(measured).numpy().sum(axis=0))
         return cost, usual / SPHERE_AREA, worst / SPHERE_AREA
 
     guard = StepGuard(surface, where)
     guarded = guard.count(points) == 0
-    solver = SurfaceLaplacianSolver(surface, sphere, device=where)
+    solver = SurfaceLaplacianSolver(surface, points, device=where)
     history: list[dict[str, Any]] = []
     best = wp.clone(points)
     first_cost, *largest = measure()
@@ -110,11 +113,14 @@ def polish_transport(
             outputs=[curl, energy, area],
             device=where,
         )
-        weak, covered = curl.numpy(), area.numpy()
-        missing = surface.vertex_areas - covered * (SPHERE_AREA / covered.sum())
-        solved = solver.solve(np.stack([weak, missing], axis=1))
-        removable = float(np.sqrt(max(weak @ solved[:, 0], 0.0)))
-        relative = removable / max(float(np.sqrt(energy.numpy().sum())), 1e-150)
+        vertex_sums.total(area, total)
+        inputs = [wanted, area, total, wp.float64(SPHERE_AREA)]
+        wp.launch(missing_areas, dim=count, inputs=inputs, outputs=[missing], device=where)
+        solved = solver.solve_arrays([curl, missing])
+        vertex_sums.dot(curl, solved[0], squares[:1])
+        vertex_sums.total(energy, squares[1:])
+        removable, size = np.sqrt(np.maximum(squares.numpy(), 0.0)).tolist()
+        relative = removable / max(size, 1e-150)
         cost, *errors = measure()
         slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, 1e-300))
         record = {
@@ -132,7 +138,7 @@ def polish_transport(
             last = removable > (1.0 - WORTHWHILE) * least
             wp.copy(best, points)
             least = removable
-            potentials = [wp.array(np.ascontiguousarray(column), device=where) for column in solved.T]
+            potentials = solved
         else:
             step *= 0.5
         if last or relative <= NEGLIGIBLE or step < SHORTEST_STEP or number == rounds:

@@ -79,6 +79,20 @@ def weak_curl_and_area(
 
 
 @wp.kernel
+def missing_areas(
+    wanted: wp.array[wp.float64],
+    area: wp.array[wp.float64],
+    total: wp.array[wp.float64],
+    sphere_area: wp.float64,
+    # Data out:
+    missing: wp.array[wp.float64],
+):
+    """What vertices lack of the area that they should have, with what they have scaled to 4π."""
+    v = wp.tid()
+    missing[v] = wanted[v] - area[v] * (sphere_area / total[0])
+
+
+@wp.kernel
 def move_by_potentials(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
