@@ -6,24 +6,28 @@ shrinks the range of the density μ. Source: Baden, Crane and Kazhdan, "Möbius 
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp._warp import resolve_device, wp
-from omtwarp.conformal.kernels import apply_ball_inversion
+from omtwarp.conformal.kernels import apply_ball_inversion, moments
 from omtwarp.errors import OmtwarpError
+from omtwarp.linear import on_device
+from omtwarp.sums import RowSums, partial_count
 
 TOLERANCE = 1e-13
 MAXIMUM_STEPS = 100
 
 
 def mobius_centring(
-    sphere: NDArray[np.float64], masses: NDArray[np.float64], *, device: str | None = "auto"
+    sphere: NDArray[np.float64] | wp.array, masses: NDArray[np.float64], *, device: str | None = "auto"
 ) -> tuple[NDArray[np.float64], int]:
     """Apply the Möbius transformation that brings the mass-weighted mean of the points to the origin.
 
     Args:
-        sphere: unit vectors, float64, shape [V, 3].
+        sphere: unit vectors, float64, shape [V, 3]; or a Warp array of vec3d on the device.
         masses: non-negative weights, shape [V], any unit; no point may carry half of the mass.
         device: where the per-vertex kernel runs.
 
@@ -34,21 +38,21 @@ def mobius_centring(
         OmtwarpError: the masses are so concentrated that the centre cannot be reached.
     """
     where = resolve_device(device)
-    points = wp.array(np.ascontiguousarray(sphere), dtype=wp.vec3d, device=where)
+    if isinstance(sphere, wp.array):
+        points = wp.clone(sphere, device=where)
+    else:
+        points = wp.array(np.ascontiguousarray(sphere), dtype=wp.vec3d, device=where)
     moved = wp.empty_like(points)
     weights = masses / masses.sum()
+    means: _Moments = (_DeviceMoments if on_device(where, len(weights)) else _HostMoments)(weights, where)
 
-    def mean_of(array: wp.array) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        values = array.numpy()
-        return weights @ values, values
-
-    mean, values = mean_of(points)
+    mean = means.of(points)
     for step in range(MAXIMUM_STEPS):
         size = np.linalg.norm(mean)
         if size <= TOLERANCE:
-            return values.copy(), step
+            return points.numpy().copy(), step
         # The derivative of the mean with respect to the centre of inversion is 2 (I - sum of w p p').
-        jacobian = 2.0 * (np.eye(3) - np.einsum("v,vi,vj->ij", weights, values, values))
+        jacobian = 2.0 * (np.eye(3) - means.square())
         try:
             centre = -np.linalg.solve(jacobian, mean)
         except np.linalg.LinAlgError:
@@ -58,14 +62,57 @@ def mobius_centring(
             centre *= 0.7 / length
         while True:
             wp.launch(apply_ball_inversion, dim=len(points), inputs=[points, wp.vec3d(*centre), moved], device=where)
-            new_mean, new_values = mean_of(moved)
+            new_mean = means.of(moved)
             if np.linalg.norm(new_mean) < size or size < 1e-10:
                 break
             centre *= 0.5
             if np.linalg.norm(centre) < 1e-16:
                 raise OmtwarpError("Möbius centring stalled: the conformal map crowds half of the surface into a point")
         if np.linalg.norm(new_mean) >= size:
-            return values.copy(), step  # at round-off
+            return points.numpy().copy(), step  # at round-off
         points, moved = moved, points
-        mean, values = new_mean, new_values
+        mean = new_mean
     raise OmtwarpError("Möbius centring did not converge: the conformal map crowds half of the surface into a point")
+
+
+class _Moments(Protocol):
+    """Weighted moments of points, weights of sum one."""
+
+    def of(self, points: wp.array) -> NDArray[np.float64]:
+        """The mean of points, vec3d, shape [V]."""
+
+    def square(self) -> NDArray[np.float64]:
+        """The mean of p p' of the points last given, shape [3, 3]."""
+
+
+class _HostMoments:
+    """By NumPy, in its order."""
+
+    def __init__(self, weights: NDArray[np.float64], device: wp.Device):
+        self._weights = weights
+
+    def of(self, points: wp.array) -> NDArray[np.float64]:
+        self._values: NDArray[np.float64] = points.numpy()
+        return np.asarray(self._weights @ self._values)
+
+    def square(self) -> NDArray[np.float64]:
+        return np.asarray(np.einsum("v,vi,vj->ij", self._weights, self._values, self._values))
+
+
+class _DeviceMoments:
+    """By a kernel; a few rows of partial sums come to the host."""
+
+    def __init__(self, weights: NDArray[np.float64], device: wp.Device):
+        rows = partial_count(len(weights))
+        self._weights = wp.array(weights, dtype=wp.float64, device=device)
+        self._partial = wp.empty((rows, 12), dtype=wp.float64, device=device)
+        self._sums = RowSums(rows, 12, device)
+
+    def of(self, points: wp.array) -> NDArray[np.float64]:
+        inputs = [points, self._weights]
+        wp.launch(moments, dim=self._partial.shape, inputs=inputs, outputs=[self._partial], device=points.device)
+        self._numbers: NDArray[np.float64] = self._sums(self._partial).numpy().sum(axis=0)
+        return self._numbers[:3]
+
+    def square(self) -> NDArray[np.float64]:
+        return self._numbers[3:].reshape(3, 3)

@@ -60,12 +60,11 @@ def conformal_map(surface: Surface, *, device: str | None = "auto") -> Conformal
     points = surface.scaled_vertices
     face = most_regular_face(points, surface.faces)
     solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]), device=device)
-    plane = solver.solve(_dipole(points, surface.faces[face]))
-    if not np.isfinite(plane).all():
-        raise OmtwarpError("the conformal map is not finite: the surface has triangles too thin for it; remesh them")
-    sphere, steps = mobius_centring(
-        _to_sphere(plane, surface.vertex_areas, device), surface.vertex_areas, device=device
-    )
+    where = resolve_device(device)
+    dipole = _dipole(points, surface.faces[face])
+    rights = [wp.array(np.ascontiguousarray(part), dtype=wp.float64, device=where) for part in dipole.T]
+    plane = solver.solve_arrays(rights)
+    sphere, steps = mobius_centring(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
     return ConformalMap(sphere, face, steps, solver)
 
 
@@ -108,23 +107,34 @@ def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.
     return right
 
 
-def _to_sphere(
-    plane: NDArray[np.float64], masses: NDArray[np.float64], device: str | None
-) -> NDArray[np.float64]:
-    """Shift and scale the plane so that half of the area falls in the unit disc, and project it to the sphere."""
-    order = np.argsort(plane, axis=0)
-    half = [np.searchsorted(np.cumsum(masses[order[:, k]]), masses.sum() / 2) for k in range(2)]
-    shift = np.array([plane[order[half[k], k], k] for k in range(2)])
-    radius = np.hypot(*(plane - shift).T)
-    by_radius = np.argsort(radius)
-    median = radius[by_radius[np.searchsorted(np.cumsum(masses[by_radius]), masses.sum() / 2)]]
-    where = resolve_device(device)
-    sphere = wp.empty(len(plane), dtype=wp.vec3d, device=where)
-    source = wp.array(np.ascontiguousarray(plane), dtype=wp.vec2d, device=where)
-    wp.launch(
-        project_to_sphere,
-        dim=len(plane),
-        inputs=[source, wp.vec2d(*shift), wp.float64(1.0 / median), sphere],
-        device=where,
-    )
-    return sphere.numpy()
+def _to_sphere(plane: list[wp.array], masses: NDArray[np.float64]) -> wp.array:
+    """Shift and scale the plane so that half of the area falls in the unit disc, and project it to the sphere.
+
+    Args:
+        plane: both coordinates, float64, shape [V] each.
+        masses: the areas, shape [V].
+
+    Returns:
+        Unit vectors, vec3d, shape [V], where the coordinates are.
+
+    Raises:
+        OmtwarpError: the plane is not finite.
+    """
+    coordinates = [part.numpy() for part in plane]
+    if not all(np.isfinite(part).all() for part in coordinates):
+        raise OmtwarpError("the conformal map is not finite: the surface has triangles too thin for it; remesh them")
+    half = masses.sum() / 2
+    shift = np.array([_median(part, masses, half) for part in coordinates])
+    radius = np.hypot(*(part - middle for part, middle in zip(coordinates, shift, strict=True)))
+    median = _median(radius, masses, half)
+    where = plane[0].device
+    sphere = wp.empty(len(masses), dtype=wp.vec3d, device=where)
+    inputs = [*plane, wp.vec2d(*shift), wp.float64(1.0 / median)]
+    wp.launch(project_to_sphere, dim=len(masses), inputs=inputs, outputs=[sphere], device=where)
+    return sphere
+
+
+def _median(values: NDArray[np.float64], masses: NDArray[np.float64], half: float) -> float:
+    """The value below which half of the mass lies."""
+    order = np.argsort(values)
+    return float(values[order[np.searchsorted(np.cumsum(masses[order]), half)]])

@@ -1,6 +1,7 @@
-"""Per-vertex kernels of the conformal map: inverse stereographic projection and Möbius transformations."""
+"""Kernels of the conformal map: inverse stereographic projection, Möbius transformations and what centres them."""
 
 from omtwarp._warp import ONE, TWO, wp
+from omtwarp.sum_kernels import GROUP, LANES, first_row
 
 wp.set_module_options({"enable_backward": False})
 
@@ -26,14 +27,15 @@ def ball_inversion(p: wp.vec3d, c: wp.vec3d):
 
 @wp.kernel
 def project_to_sphere(
-    plane: wp.array[wp.vec2d],
+    x: wp.array[wp.float64],
+    y: wp.array[wp.float64],
     shift: wp.vec2d,
     scale: wp.float64,
     # Data out:
     sphere: wp.array[wp.vec3d],
 ):
     v = wp.tid()
-    z = scale * (plane[v] - shift)
+    z = scale * (wp.vec2d(x[v], y[v]) - shift)
     sphere[v] = inverse_stereographic(z[0], z[1])
 
 
@@ -46,3 +48,25 @@ def apply_ball_inversion(
 ):
     v = wp.tid()
     moved[v] = ball_inversion(sphere[v], centre)
+
+
+@wp.kernel
+def moments(
+    points: wp.array[wp.vec3d],
+    weights: wp.array[wp.float64],
+    # Data out:
+    sums: wp.array2d[wp.float64],
+):
+    """Sums over GROUP points p each, weighted: of p in the first three columns, of p p' row by row in the others."""
+    thread, column = wp.tid()
+    row = column // 3 - 1
+    total = wp.float64(0.0)
+    i = first_row(thread)
+    for _ in range(GROUP):
+        if i < points.shape[0]:
+            part = weights[i] * points[i][column % 3]
+            if row >= 0:
+                part = part * points[i][row]
+            total += part
+        i += LANES
+    sums[thread, column] = total

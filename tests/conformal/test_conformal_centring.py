@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import apart, random_rotation
 
+from omtwarp._warp import wp
 from omtwarp.conformal import mobius_centring
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, fibonacci_sphere
@@ -47,6 +48,17 @@ def test_reaches_the_centre_by_a_mobius_transformation(device):
     assert np.linalg.norm(MASSES @ centred) / MASSES.sum() <= 1e-13
     assert 0 < steps < 20
     np.testing.assert_allclose(cross_ratios(centred), cross_ratios(POINTS), rtol=1e-11)
+
+
+@pytest.mark.parametrize("stride", [1, 100])
+def test_sums_on_the_device_lead_to_the_same_map(device, monkeypatch, stride):
+    points, masses = POINTS[::stride], MASSES[::stride]
+    centred, steps = mobius_centring(points, masses, device="cpu")
+    monkeypatch.setenv("OMTWARP_SOLVER", "device")
+    for given_points in (points, wp.array(points, dtype=wp.vec3d, device=device)):
+        again, as_many = mobius_centring(given_points, masses, device=device)
+        np.testing.assert_allclose(again, centred, atol=1e-12)
+        assert abs(as_many - steps) <= 1  # the last one is at round-off
 
 
 @settings(max_examples=25)

@@ -143,6 +143,10 @@ def test_only_numbers_leave_the_device_within_a_stage(device, monkeypatch, by_st
     read = []
     numpy = wp.array.numpy
     monkeypatch.setattr(wp.array, "numpy", lambda self: (read.append(self.size), numpy(self))[1])
+    conformal_map(surface, device=device)
+    assert len(read) > 6  # sums for every step of centring
+    assert [size for size in read if size > 12 * FEW] == 3 * [surface.vertex_count]  # the plane, and the sphere
+    read.clear()
     moser_map(surface, start, device=device)
     assert [size for size in read if size > FEW] == 3 * [surface.vertex_count]  # points, potential and steps
     read.clear()
