@@ -15,6 +15,7 @@ NEXT = wp.constant(1)
 CHANGED = wp.constant(2)
 ROUND = wp.constant(3)
 HELD = wp.constant(4)
+UNCERTAIN = wp.constant(2)  # instead of a sign
 
 
 @wp.kernel
@@ -27,6 +28,27 @@ def count_flips(
     face = faces[wp.tid()]
     if not wp.dot(points[face[0]], wp.cross(points[face[1]], points[face[2]])) > ZERO:
         wp.atomic_add(count, 0, 1)
+
+
+@wp.kernel
+def certain_signs(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    relative: wp.float64,
+    underflow: wp.float64,
+    # Data out:
+    signs: wp.array[wp.int8],
+):
+    """Signs of det[a, b, c] that rounding cannot have changed, and UNCERTAIN for the others."""
+    f = wp.tid()
+    a, b, c = points[faces[f][0]], points[faces[f][1]], points[faces[f][2]]
+    value = wp.dot(a, wp.cross(b, c))
+    magnitude = wp.abs(a[0]) * (wp.abs(b[1] * c[2]) + wp.abs(b[2] * c[1]))
+    magnitude += wp.abs(a[1]) * (wp.abs(b[2] * c[0]) + wp.abs(b[0] * c[2]))
+    magnitude += wp.abs(a[2]) * (wp.abs(b[0] * c[1]) + wp.abs(b[1] * c[0]))
+    signs[f] = wp.int8(UNCERTAIN)
+    if wp.isfinite(value) and wp.abs(value) > relative * magnitude + underflow:
+        signs[f] = wp.where(value > ZERO, wp.int8(1), wp.int8(-1))
 
 
 @wp.func

@@ -7,17 +7,25 @@ fast robust geometric predicates", 1997) certifies the sign of all but the small
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp._warp import resolve_device, wp
+from omtwarp.embedding.guard_kernels import UNCERTAIN, certain_signs
+from omtwarp.threads import launch_parts
+
 # Six triple products, each rounded at most four times, and their sum: 7 units of roundoff would do; 8 leaves the
-# rounding of the bound itself room.
+# rounding of the bound itself room. A product and a sum that are rounded once together only err less.
 _RELATIVE_BOUND = 8.0 * 2.0**-53
 # Products below this may have lost bits to gradual underflow, which a relative bound does not see.
 _UNDERFLOW_BOUND = 2.0**-1000
 
 
-def orientation_signs(sphere: ArrayLike, faces: ArrayLike) -> NDArray[np.int8]:
+def orientation_signs(
+    sphere: ArrayLike, faces: ArrayLike, *, device: str | wp.Device | None = "cpu"
+) -> NDArray[np.int8]:
     """Exact sign of det[a, b, c] for every triangle.
 
     The coordinates are taken as they are, so the points need not have unit length.
@@ -25,32 +33,36 @@ def orientation_signs(sphere: ArrayLike, faces: ArrayLike) -> NDArray[np.int8]:
     Args:
         sphere: float64 points, shape [V, 3].
         faces: Integer corner indices, shape [F, 3].
+        device: where floating point is tried.
 
     Returns:
         int8, shape [F]: 1 counter-clockwise seen from outside, -1 flipped, 0 exactly degenerate (the plane of the three
         points contains the origin) or a corner that is not finite.
     """
+    where = resolve_device(device)
     points = np.ascontiguousarray(sphere, dtype=np.float64)
-    corners = np.asarray(faces).reshape(-1, 3)
-    a, b, c = (points[corners[:, k]] for k in range(3))
-    with np.errstate(all="ignore"):
-        minors = [(b[:, i] * c[:, j], b[:, j] * c[:, i]) for i, j in ((1, 2), (2, 0), (0, 1))]
-        value = sum(a[:, k] * (plus - minus) for k, (plus, minus) in enumerate(minors))
-        magnitude = sum(np.abs(a[:, k]) * (np.abs(plus) + np.abs(minus)) for k, (plus, minus) in enumerate(minors))
-        decided = np.abs(value) > _RELATIVE_BOUND * magnitude + _UNDERFLOW_BOUND
-    finite = np.isfinite(value)
-    signs = np.where(decided & finite, np.sign(value), 0.0).astype(np.int8)
-    open_cases = np.flatnonzero(~(decided & finite))
+    corners = np.ascontiguousarray(faces, dtype=np.int32).reshape(-1, 3)
+    given = wp.array(points, dtype=wp.vec3d, device=where, copy=False)
+    triangles = wp.array(corners, dtype=wp.vec3i, device=where, copy=False)
+    out = wp.empty(len(corners), dtype=wp.int8, device=where)
+
+    def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        return [given, triangles[part], wp.float64(_RELATIVE_BOUND), wp.float64(_UNDERFLOW_BOUND)], [out[part]]
+
+    launch_parts(certain_signs, len(corners), arguments, where)
+    signs = out.numpy()
+    open_cases = np.flatnonzero(signs == UNCERTAIN)
     if len(open_cases):
-        usable = np.isfinite(np.hstack([a[open_cases], b[open_cases], c[open_cases]])).all(axis=1)
-        open_cases = open_cases[usable]
-        signs[open_cases] = _exact_signs(a[open_cases], b[open_cases], c[open_cases])
+        signs[open_cases] = 0
+        a, b, c = (points[corners[open_cases, k]] for k in range(3))
+        usable = np.isfinite(np.hstack([a, b, c])).all(axis=1)
+        signs[open_cases[usable]] = _exact_signs(a[usable], b[usable], c[usable])
     return signs
 
 
-def count_flips(sphere: ArrayLike, faces: ArrayLike) -> int:
+def count_flips(sphere: ArrayLike, faces: ArrayLike, *, device: str | wp.Device | None = "cpu") -> int:
     """Number of triangles with det[a, b, c] <= 0, decided exactly; one with a corner that is not finite counts."""
-    return int((orientation_signs(sphere, faces) <= 0).sum())
+    return int((orientation_signs(sphere, faces, device=device) <= 0).sum())
 
 
 def _exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.int8]:

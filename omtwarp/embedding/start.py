@@ -75,15 +75,15 @@ def bijective_start(
     conformal: ConformalMap | None = None
     try:
         conformal = conformal_map(surface, device=device)
-        reason = _defect(surface, conformal.sphere)
+        reason = _defect(surface, conformal.sphere, device)
     except OmtwarpError as error:
         reason = str(error)
     if conformal is not None and not reason:
-        flips = int((orientation_signs(conformal.sphere, surface.faces) <= 0).sum())
+        flips = int((orientation_signs(conformal.sphere, surface.faces, device=device) <= 0).sum())
         if flips == 0:
             return Start(conformal.sphere, "conformal", "", conformal, 0)
         repaired = untangle(surface, conformal.sphere, device=device)
-        if not (orientation_signs(repaired.sphere, surface.faces) <= 0).any():
+        if not (orientation_signs(repaired.sphere, surface.faces, device=device) <= 0).any():
             return Start(repaired.sphere, "conformal, repaired", "", conformal, flips)
         reason = f"{repaired.flips_after} of {flips} flips of the conformal map could not be repaired"
 
@@ -92,7 +92,7 @@ def bijective_start(
             progress("start", int(100 * done), 100, {})
 
     sphere = tube_map(surface)
-    if not (orientation_signs(sphere, surface.faces) <= 0).any():
+    if not (orientation_signs(sphere, surface.faces, device=device) <= 0).any():
         judged = distortion(surface.vertices, surface.faces, sphere, device=device)
         if judged.area["surface"] < TUBE_AREA:
             return Start(sphere, "tube", reason, conformal, 0)
@@ -100,7 +100,7 @@ def bijective_start(
     return Start(sphere, "hierarchical", reason, conformal, 0)
 
 
-def _defect(surface: Surface, sphere: NDArray[np.float64]) -> str:
+def _defect(surface: Surface, sphere: NDArray[np.float64], device: str | None) -> str:
     """Why a conformal map cannot be used, or nothing."""
     if not np.isfinite(sphere).all():
         return "the conformal map is not finite"
@@ -108,7 +108,7 @@ def _defect(surface: Surface, sphere: NDArray[np.float64]) -> str:
     small = int((areas < SMALLEST_AREA).sum())
     if small:
         return f"the conformal map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
-    flips = int((orientation_signs(sphere, surface.faces) <= 0).sum())
+    flips = int((orientation_signs(sphere, surface.faces, device=device) <= 0).sum())
     if flips > REPAIRABLE * surface.face_count:
         return f"the conformal map flips {flips} of {surface.face_count} triangles"
     return ""

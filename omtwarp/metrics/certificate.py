@@ -59,9 +59,9 @@ def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: st
     Args:
         faces: shape [F, 3].
         sphere: unit vectors, float64, shape [V, 3].
-        device: where rays are cast.
+        device: where floating point is tried, and rays are cast.
     """
-    signs = orientation_signs(sphere, faces)
+    signs = orientation_signs(sphere, faces, device=device)
     bad = np.flatnonzero(signs <= 0)
     areas = triangle_areas(sphere, faces)
     smallest = int(np.argmin(areas))

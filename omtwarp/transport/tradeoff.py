@@ -66,9 +66,9 @@ def map_with_density_exponent(
     areas *= SPHERE_AREA / areas.sum()
     target = _Reweighted(surface, areas)
     sphere = moser_map(target, start, device=device).sphere
-    if count_flips(sphere, surface.faces):
+    if count_flips(sphere, surface.faces, device=device):
         sphere = untangle(surface, sphere, device=device).sphere
-        flips = count_flips(sphere, surface.faces)
+        flips = count_flips(sphere, surface.faces, device=device)
         if flips:
             raise OmtwarpError(f"the density exponent {exponent} leaves {flips} flipped triangles: try a smaller one")
     if weight is None:

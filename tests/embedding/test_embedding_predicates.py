@@ -18,9 +18,9 @@ def rational_sign(triangle):
     return (value > 0) - (value < 0)
 
 
-def signs_of(triangles):
+def signs_of(triangles, device="cpu"):
     points = np.reshape(triangles, (-1, 3))
-    return orientation_signs(points, np.arange(len(points)).reshape(-1, 3))
+    return orientation_signs(points, np.arange(len(points)).reshape(-1, 3), device=device)
 
 
 def nearly_coplanar(rng, count):
@@ -36,11 +36,11 @@ def test_the_axes_are_positive_and_their_reverse_is_negative():
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-150, 1e150, 1e-105])
-def test_undecidable_triangles_agree_with_rational_arithmetic(scale):
+def test_undecidable_triangles_agree_with_rational_arithmetic(device, scale):
     """Rounded coplanar triples have determinants of the order of the rounding; scales reach underflow and overflow."""
     triangles = nearly_coplanar(np.random.default_rng(1), 200) * scale
     expected = [rational_sign(t) for t in triangles]
-    assert signs_of(triangles).tolist() == expected
+    assert signs_of(triangles, device).tolist() == expected
     assert {1, -1} <= set(expected)
 
 
@@ -61,9 +61,9 @@ def test_floating_point_alone_is_wrong_on_some_of_them():
     ],
     ids=["repeated", "antipodal", "origin", "collinear", "doubled"],
 )
-def test_exactly_degenerate_triangles_are_zero(triangle):
+def test_exactly_degenerate_triangles_are_zero(device, triangle):
     """Repeated, antipodal and collinear corners span no volume with the origin."""
-    assert signs_of(np.array([triangle], dtype=float)).tolist() == [0]
+    assert signs_of(np.array([triangle], dtype=float), device).tolist() == [0]
 
 
 @settings(max_examples=60, deadline=None)
@@ -81,16 +81,16 @@ def test_any_triangle_agrees_with_rational_arithmetic_and_is_antisymmetric(numbe
     assert forward == rational_sign(points) == -swapped == turned
 
 
-def test_flips_are_counted_and_a_missing_coordinate_is_a_flip():
+def test_flips_are_counted_and_a_missing_coordinate_is_a_flip(device):
     """A valid sphere has none; every reversed face is one; NaN spoils the faces around its vertex."""
     sphere = icosphere(4)
-    assert count_flips(sphere.vertices, sphere.faces) == 0
+    assert count_flips(sphere.vertices, sphere.faces, device=device) == 0
     reversed_faces = sphere.faces.copy()
     reversed_faces[[3, 5]] = reversed_faces[[3, 5], ::-1]
-    assert count_flips(sphere.vertices, reversed_faces) == 2
+    assert count_flips(sphere.vertices, reversed_faces, device=device) == 2
     broken = sphere.vertices.copy()
     broken[7] = np.nan
-    assert count_flips(broken, sphere.faces) == (sphere.faces == 7).sum()
+    assert count_flips(broken, sphere.faces, device=device) == (sphere.faces == 7).sum()
 
 
 def test_points_that_coincide_after_rounding_are_degenerate_but_one_unit_apart_is_not():
