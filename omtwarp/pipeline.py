@@ -143,7 +143,9 @@ class _Run:
         """Close a stage: its time, and the map it hands on."""
         seconds = time.perf_counter() - self.stage_begun
         measured = distortion(self.surface.vertices, self.surface.faces, sphere, device=self.device)
-        cost = transport_cost(self.surface, self.start, sphere) if self.start is not None else 0.0
+        cost = 0.0
+        if self.start is not None:
+            cost = transport_cost(self.surface, self.start, sphere, device=self.device)
         record = {"name": name, "seconds": seconds, "iterations": iterations}
         record |= measured.to_dict() | {"transport_cost": cost} | more
         self.stages.append(record)
@@ -192,6 +194,12 @@ class _Run:
     def moser(self, start: Start) -> NDArray[np.float64]:
         """Moser's flow from the start, repeated from its own result, flips repaired after each pass."""
         sphere = start.sphere
+        monitor = AreaMonitor(self.surface, resolve_device(self.device))
+
+        def area_error(image: NDArray[np.float64]) -> float:
+            return monitor.error(wp.array(np.ascontiguousarray(image), dtype=wp.vec3d, device=self.device))
+
+        least = area_error(sphere)
         steps = repaired = 0
         for k in range(MOSER_PASSES):
             self.tell("moser", k, MOSER_PASSES, {})
@@ -199,9 +207,10 @@ class _Run:
             steps += flowed.steps
             mended, flips = self.mend(sphere, flowed.sphere)
             repaired += flips
-            if self.area_error(mended) >= self.area_error(sphere):
+            error = area_error(mended)
+            if error >= least:
                 break  # where the image is badly stretched, repairs can lose more than the flow gains
-            sphere = mended
+            sphere, least = mended, error
         self.finish("moser", sphere, steps, repaired=repaired)
         return sphere
 
@@ -268,21 +277,17 @@ class _Run:
         Returns:
             A map without flips, and how many were repaired.
         """
-        flips = count_flips(after, self.surface.faces)
+        flips = count_flips(after, self.surface.faces, device=self.device)
         if flips == 0:
             return after, 0
         repaired = untangle(self.surface, after, device=self.device).sphere
-        if count_flips(repaired, self.surface.faces) == 0:
+        if count_flips(repaired, self.surface.faces, device=self.device) == 0:
             return repaired, flips
         device = resolve_device(self.device)
         held = wp.array(np.ascontiguousarray(after), dtype=wp.vec3d, device=device)
         old = wp.array(np.ascontiguousarray(before), dtype=wp.vec3d, device=device)
         StepGuard(self.surface, device).limit(old, held)
         return held.numpy(), flips
-
-    def area_error(self, sphere: NDArray[np.float64]) -> float:
-        points: Any = wp.array(np.ascontiguousarray(sphere), dtype=wp.vec3d, device=self.device)
-        return AreaMonitor(self.surface, resolve_device(self.device)).error(points)
 
     def optimality(
         self, start: NDArray[np.float64], moser: NDArray[np.float64] | None, transported: NDArray[np.float64]

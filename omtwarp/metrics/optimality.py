@@ -400,7 +400,7 @@ def _curl_part(surface: Surface, log: Array, device: Any) -> tuple[float, Array]
         return 0.0, np.zeros(surface.vertex_count)
     operators = DifferentialOperators(surface.vertices, surface.faces, device=str(where))
     # Weakly, <J∇φ, field> = div(J field) tested with φ, since J is antisymmetric and div = -grad'.
-    vorticity = operators.divergence(operators.rotate(field))
+    vorticity = operators.divergence(operators.rotate(out)).numpy()
     laplacian = cotangent_laplacian(surface.vertices, surface.faces)
     stream = LaplacianSolver(laplacian).solve(vorticity)
     return float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream

@@ -94,7 +94,12 @@ class TransportMap:
 
 
 def transport_cost(
-    surface: Surface, start: NDArray[np.float64], sphere: NDArray[np.float64], cost: str = "squared"
+    surface: Surface,
+    start: NDArray[np.float64],
+    sphere: NDArray[np.float64],
+    cost: str = "squared",
+    *,
+    device: str | None = "auto",
 ) -> float:
     """M(g), equation 6: the sum of triangle area times Φ(x, g(x)) at its centre; total area 4π, distances in radians.
 
@@ -106,12 +111,14 @@ def transport_cost(
         start: the points x, unit vectors, shape [V, 3] (the conformal or substitute start).
         sphere: their images g(x), unit vectors, shape [V, 3].
         cost: ``squared`` or ``geodesic`` distance.
+        device: where distances are taken.
     """
+    where = resolve_device(device)
     maps = (np.ascontiguousarray(x, dtype=np.float64) for x in (start, sphere))
-    points = [wp.array(x, dtype=wp.vec3d, device="cpu", copy=False) for x in maps]
-    faces = wp.array(surface.faces, dtype=wp.vec3i, device="cpu", copy=False)
-    distance = wp.empty(surface.face_count, dtype=wp.float64, device="cpu")
-    wp.launch(centre_distance, dim=surface.face_count, inputs=[*points, faces], outputs=[distance], device="cpu")
+    points = [wp.array(x, dtype=wp.vec3d, device=where, copy=False) for x in maps]
+    faces = wp.array(surface.faces, dtype=wp.vec3i, device=where, copy=False)
+    distance = wp.empty(surface.face_count, dtype=wp.float64, device=where)
+    wp.launch(centre_distance, dim=surface.face_count, inputs=[*points, faces], outputs=[distance], device=where)
     moved = distance.numpy()
     return float((surface.face_areas * (moved * moved if cost == "squared" else moved)).sum())
 

@@ -21,7 +21,7 @@ def area_excess(surface, sphere) -> float:
     return distortion(surface.vertices, surface.faces, sphere).area["surface"] - 2.0
 
 
-def test_cost_in_closed_form():
+def test_cost_in_closed_form(device):
     """Turning the sphere by α about z moves a point at height z by 2 arcsin(√(1 - z²) sin(α/2)); ∫ by quadrature."""
     surface = turned(icosphere(16))
     z, longitude = height_and_longitude(surface.vertices)
@@ -29,10 +29,10 @@ def test_cost_in_closed_form():
     nodes, weights = np.polynomial.legendre.leggauss(60)
     distance = 2.0 * np.arcsin(np.sqrt(1.0 - nodes**2) * np.sin(0.4))
     for cost, value in (("squared", distance**2), ("geodesic", distance)):
-        assert transport_cost(surface, surface.vertices, rotated, cost) == pytest.approx(
+        assert transport_cost(surface, surface.vertices, rotated, cost, device=device) == pytest.approx(
             2.0 * np.pi * weights @ value, rel=2e-3
         )
-    antipodes = transport_cost(surface, surface.vertices, -surface.vertices, "geodesic")
+    antipodes = transport_cost(surface, surface.vertices, -surface.vertices, "geodesic", device=device)
     assert antipodes == pytest.approx(4.0 * np.pi**2, rel=1e-12)
 
 
