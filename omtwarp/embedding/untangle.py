@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp._warp import resolve_device, wp
+from omtwarp.embedding.predicates import orientation_signs
 from omtwarp.embedding.untangle_kernels import move_in_tangent, untangle_newton, untangle_value
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches, grow
@@ -84,9 +85,9 @@ class UntangleResult:
 
 
 def flipped_faces(sphere: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Whether every triangle has det[s0, s1, s2] <= 0 (or is not finite), shape [F]."""
-    a, b, c = (sphere[faces[:, k]] for k in range(3))
-    return ~(np.einsum("ij,ij->i", a, np.cross(b, c)) > 0.0)
+    """Whether every triangle has det[s0, s1, s2] <= 0 (or is not finite), decided exactly, shape [F]."""
+    flipped: NDArray[np.bool_] = orientation_signs(sphere, faces) <= 0
+    return flipped
 
 
 @blas_threads(1)

@@ -1,6 +1,6 @@
 """Conjugate gradients and algebraic multigrid on the device, in place of a factorisation on the host."""
 
-from omtwarp.multigrid.conjugate_gradient import DeviceSum, MultigridSolver, Outcome
+from omtwarp.multigrid.conjugate_gradient import MultigridSolver, Outcome
 from omtwarp.multigrid.hierarchy import STRONG_BLOCKS, MeshHierarchy
 from omtwarp.multigrid.laplacian import (
     DeviceLaplacian,
@@ -12,7 +12,6 @@ from omtwarp.multigrid.laplacian import (
 __all__ = [
     "STRONG_BLOCKS",
     "DeviceLaplacian",
-    "DeviceSum",
     "MeshHierarchy",
     "MultigridSolver",
     "Outcome",

@@ -154,4 +154,4 @@ class MultigridSolver:
         wp.launch(kernels.turn, dim=size, inputs=inputs, outputs=[self._direction], device=device)
 
 
-__all__ = ["DeviceSum", "MultigridSolver", "Outcome"]
+__all__ = ["MultigridSolver", "Outcome"]

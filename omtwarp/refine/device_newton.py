@@ -8,10 +8,11 @@ import numpy as np
 
 from omtwarp._warp import wp
 from omtwarp.cholesky import MultifrontalCholesky
-from omtwarp.multigrid import STRONG_BLOCKS, DeviceSum, MultigridSolver, positioned_hierarchy, release_hierarchy
+from omtwarp.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.newton import REGULARISATION, factorise_stiffened
 from omtwarp.refine.step_kernels import add_to_diagonal, gather_rows, rotation_blocks, traces
+from omtwarp.sums import DeviceSum
 
 # Of the energy's norm, the one in which steps count. Refinement ends where a step gains a thousandth; this leaves the
 # path of its steps as it is.

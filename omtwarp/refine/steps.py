@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from omtwarp._warp import wp
 from omtwarp.linear import on_device
-from omtwarp.multigrid import DeviceSum
 from omtwarp.refine.device_newton import DeviceNewtonMatrix
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import from_tangent, newton_decrements, to_tangent
 from omtwarp.refine.newton import NewtonMatrix
 from omtwarp.refine.step_kernels import add_share, differences, downhill, largest_of_strides, subtract_share
+from omtwarp.sums import DeviceSum
 
 MEMORY = 8  # pairs kept by limited-memory BFGS
 CURVED = 1e-12  # of the product of its lengths: pairs with less curvature than that are forgotten

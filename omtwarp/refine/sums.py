@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from omtwarp._warp import wp
-from omtwarp.multigrid.conjugate_gradient import DeviceSum
 from omtwarp.refine.step_kernels import distortion_summands
+from omtwarp.sums import DeviceSum
 
 
 class DistortionSums:
