@@ -32,7 +32,7 @@ class Schedule:
     Attributes:
         rings: rings of vertices freed around every flipped triangle.
         factor: what ε is multiplied by from one round to the next.
-        steps: Newton steps in a round.
+        steps: Newton steps in a round, at most.
         thinnest: see :func:`omtwarp.refine.frames.triangle_frames`.
         weight: λ, how much area counts against angle.
         largest: the first ε; the larger, the freer are triangles to pass through one another.
@@ -60,6 +60,7 @@ SMALLEST_EPSILON = 1e-4
 SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 20
 DIAGONAL_GROWTH = 1e-9  # of every entry of the diagonal: the Hessian is only semidefinite
+SETTLED = 0.01  # of its energy: a patch that expects to gain less than half of that waits for a smaller ε
 NARROWING = 0.7  # of the triangles: when fewer are left in tangled patches, the others are dropped
 
 
@@ -238,7 +239,9 @@ class _Untangling:
         while True:
             rounds += 1
             for _ in range(self.schedule.steps):
-                points = self._newton_step(points, epsilon, active)
+                points, settled = self._newton_step(points, epsilon, active)
+                if settled:
+                    break
             flipped = flipped_faces(points.numpy(), self.patches.faces)
             tangled = np.bincount(self.patches.face_patch[flipped], minlength=self.patches.count) > 0
             active &= tangled & (epsilon > SMALLEST_EPSILON)
@@ -266,7 +269,8 @@ class _Untangling:
         back = whole.vertices[: whole.free][((after > 0) & (after >= before))[whole.vertex_patch]]
         self.result[back] = self.sphere[back]
 
-    def _newton_step(self, points, epsilon, active):
+    def _newton_step(self, points, epsilon, active) -> tuple[wp.array, bool]:
+        """The points after a step of the active patches, and whether none of these had much left to gain."""
         patches = self.patches
         face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device)
         energy = self._energy(points, face_epsilon)
@@ -275,9 +279,9 @@ class _Untangling:
             untangle_newton, dim=len(patches.faces), inputs=inputs, outputs=[self.d_gradient, self.d_hessian],
             device=self.device,
         )
-        gradient = np.bincount(
-            self.gradient_slot, self.d_gradient.numpy().ravel()[self.gradient_kept], minlength=2 * patches.free
-        ).reshape(-1, 2)
+        entries = self.d_gradient.numpy().ravel()[self.gradient_kept]
+        gradient = np.bincount(self.gradient_slot, entries, minlength=2 * patches.free).astype(np.float64, copy=False)
+        gradient = gradient.reshape(-1, 2)
         try:
             self.matrix.factorise(self.d_hessian.numpy())
             direction = -self.matrix.solve(gradient)
@@ -288,6 +292,7 @@ class _Untangling:
                 direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
         patch = patches.vertex_patch
         slope = np.bincount(patch, (direction * gradient).sum(axis=1), minlength=patches.count)
+        settled = bool((-slope <= SETTLED * energy)[active].all())
         length = np.where(active & (slope < 0.0), 1.0, 0.0)
         # No vertex moves farther than a radian: beyond that its tangent plane says nothing about the sphere.
         reach = np.zeros(patches.count)
@@ -297,10 +302,10 @@ class _Untangling:
             moved = self._moved(points, direction * length[patch][:, None])
             worse = ~(self._energy(moved, face_epsilon) <= energy + SUFFICIENT * length * slope) & (length > 0.0)
             if not worse.any():
-                return moved
+                return moved, settled
             length[worse] *= 0.5
         length[worse] = 0.0
-        return self._moved(points, direction * length[patch][:, None])
+        return self._moved(points, direction * length[patch][:, None]), settled
 
     def _moved(self, points, step: NDArray[np.float64]):
         """The points after the freed ones have gone by coordinates [free, 2] in their tangent planes."""

@@ -27,7 +27,7 @@ from omtwarp.refine.kernels import (
 from omtwarp.refine.newton import NewtonMatrix
 from omtwarp.threads import launch_parts
 
-SHARE = 0.75  # of what could be gained, that the vertices freed first have
+WORTH = 3.0  # times what a step of all gains for each vertex: those that gain more alone are worth a step of their own
 LARGEST = 0.01  # of what could be gained, that one vertex counts for: the rest would be gained beyond its tangent plane
 RINGS = 2  # freed around them
 MOST_CHOSEN, MOST_FREED = 0.15, 0.6  # of all vertices: with more than that a step of all costs no more
@@ -38,7 +38,7 @@ DIAGONAL_GROWTH = 1e-9  # of every entry of the diagonal: the Hessian is only se
 
 
 def stiff_vertices(decrements: NDArray[np.float64], gain: float) -> NDArray[np.bool_]:
-    """The vertices with most of what is to be gained, as a mask of shape [V].
+    """The vertices with far more to gain than most, as a mask of shape [V]; one at least.
 
     Args:
         decrements: what moving each vertex alone is expected to gain, twice over, shape [V].
@@ -46,10 +46,9 @@ def stiff_vertices(decrements: NDArray[np.float64], gain: float) -> NDArray[np.b
     """
     counted = np.minimum(decrements, LARGEST * gain)
     order = np.argsort(-counted, kind="stable")
-    total = np.cumsum(counted[order])
+    count = min(int((counted > WORTH * gain / len(counted)).sum()), int(MOST_CHOSEN * len(counted)))
     chosen = np.zeros(len(counted), dtype=bool)
-    most = max(int(MOST_CHOSEN * len(counted)), 1)
-    chosen[order[: min(int(np.searchsorted(total, SHARE * total[-1])) + 1, most)]] = True
+    chosen[order[: max(count, 1)]] = True
     return chosen
 
 
