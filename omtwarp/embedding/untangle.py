@@ -213,7 +213,7 @@ class _Untangling:
         self.d_value = wp.empty(count, dtype=wp.float64, device=device)
         self.d_ratio = wp.empty(count, dtype=wp.float64, device=device)
         self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
-        self.d_hessian = wp.empty((count, 36), dtype=wp.float64, device=device)
+        self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
     def _narrow(self, active: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Go on with the active patches alone; their points.

@@ -9,6 +9,7 @@ polynomial of the three points,
 """
 
 from omtwarp._warp import ONE, TWO, ZERO, wp
+from omtwarp.refine.newton_kernels import packed
 from omtwarp.refine.triangle import (
     barrier,
     barrier_curvature,
@@ -66,7 +67,7 @@ def untangle_newton(
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array2d(dtype=wp.float64),
 ):
-    """Gradient [F, 6] and Hessian [F, 36] in the tangent bases of the three corners."""
+    """Gradient [F, 6] and Hessian [F, 21], see :func:`packed`, in the tangent bases of the three corners."""
     t = wp.tid()
     face = faces[t]
     frame = frames[t]
@@ -109,7 +110,7 @@ def untangle_newton(
             fi = wp.dot(bi, pull)
             di = wp.dot(bi, ni)
             gradient[t, 2 * i + u] = areas[t] * (TWO * by_fro * fi + by_det * di)
-            for j in range(3):
+            for j in range(i, 3):
                 yj = wp.vec3d(points[j, 0], points[j, 1], points[j, 2])
                 tj = first_tangent(yj)
                 nj = wp.vec3d(normals[j, 0], normals[j, 1], normals[j, 2])
@@ -122,7 +123,8 @@ def untangle_newton(
                     dj = wp.dot(bj, nj)
                     entry = TWO * by_fro * (first[i] * first[j] + second[i] * second[j]) * wp.dot(bi, bj)
                     entry += mixed * (fi * dj + di * fj) + by_det_twice * di * dj
-                    hessian[t, 6 * (2 * i + u) + 2 * j + v] = areas[t] * entry
+                    if 2 * i + u <= 2 * j + v:
+                        hessian[t, packed(2 * i + u, 2 * j + v)] = areas[t] * entry
 
 
 @wp.kernel

@@ -48,7 +48,7 @@ class DeviceNewtonMatrix:
 
         Args:
             points: the map, vec3d, shape [V].
-            hessian: makes the Hessians of triangles, shape [F, 36]; they are let go of before the levels are made.
+            hessian: makes the Hessians of triangles, shape [F, 21]; they are let go of before the levels are made.
         """
         surface, device, count = self._surface, self._device, self._surface.vertex_count
         if self._solver is None:

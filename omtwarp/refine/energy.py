@@ -138,13 +138,13 @@ class DistortionEnergy:
         return gradient
 
     def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> wp.array:
-        """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 36].
+        """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
 
-        The next call may overwrite it.
+        Of each 6x6 matrix the entries on and above the diagonal, row by row. The next call may overwrite them.
         """
         blocks = self._hessian
         if blocks is None:
-            blocks = wp.empty((self.surface.face_count, 36), dtype=wp.float64, device=self.device)
+            blocks = wp.empty((self.surface.face_count, 21), dtype=wp.float64, device=self.device)
             if self.device.is_cpu and self.surface.face_count <= KEPT_FACES:
                 self._hessian = blocks
         numbers = [*self.pressures(terms, weight), wp.float64(caution), wp.float64(SPHERE_AREA)]

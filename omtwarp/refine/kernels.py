@@ -5,6 +5,7 @@ brings the image's total flat area to 4π. Angle distortion is fro / D, area dis
 """
 
 from omtwarp._warp import HALF, THREE, TWO, ZERO, wp
+from omtwarp.refine.newton_kernels import packed
 from omtwarp.refine.triangle import first_column, first_tangent, first_weights, second_column, second_weights, triple
 
 wp.set_module_options({"enable_backward": False})
@@ -201,7 +202,7 @@ def triangle_hessian(
     divisor: wp.float64,
     hessian: wp.array2d(dtype=wp.float64),
 ):
-    """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the corners' tangent bases, divided, [F, 36].
+    """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the corners' tangent bases, divided, [F, 21].
 
     The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
     known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
@@ -278,11 +279,11 @@ def triangle_hessian(
             solid = wp.dot(bi, wp.vec3d(normals[i, 0], normals[i, 1], normals[i, 2]))
             modes[2 * i + u, 4] = upright * (solid - tilt * (s2 * m11 + s1 * m22))
     for i in range(6):
-        for j in range(6):
+        for j in range(i, 6):
             entry = ZERO
             for k in range(5):
                 entry += modes[i, k] * modes[j, k]
-            hessian[t, 6 * i + j] = areas[t] * entry / divisor
+            hessian[t, packed(i, j)] = areas[t] * entry / divisor
 
 
 @wp.kernel

@@ -88,7 +88,7 @@ class NewtonMatrix:
         return cls(own, edges, edge_corners, (offsets, corners), dissect(points, edges), 0.0, growth)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 36]."""
+        """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""
         source = wp.array(np.ascontiguousarray(blocks), dtype=wp.float64, device="cpu", copy=False)
         (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
 

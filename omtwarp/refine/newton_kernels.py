@@ -6,6 +6,12 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
+def packed(row: int, column: int) -> int:
+    """Place of an entry on or above the diagonal of a symmetric 6x6 matrix of which only these are kept, row by row."""
+    return (row * (11 - row)) // 2 + column
+
+
+@wp.func
 def vertex_block(
     v: int,
     offsets: wp.array[wp.int32],
@@ -13,15 +19,15 @@ def vertex_block(
     blocks: wp.array2d[wp.float64],
 ) -> wp.vec4d:
     """The 2x2 block of a vertex: the sum over the triangles around it."""
-    s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    s0, s1, s2 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
         face = corners[k] // 3
-        at = 14 * (corners[k] - 3 * face)  # row and column 2 i of the 6x6 matrix
+        row = 2 * (corners[k] - 3 * face)
+        at = packed(row, row)
         s0 += blocks[face, at]
         s1 += blocks[face, at + 1]
-        s2 += blocks[face, at + 6]
-        s3 += blocks[face, at + 7]
-    return wp.vec4d(s0, s1, s2, s3)
+        s2 += blocks[face, packed(row + 1, row + 1)]
+    return wp.vec4d(s0, s1, s1, s2)
 
 
 @wp.func
@@ -41,11 +47,16 @@ def edge_block(
         if faces[face][i] != end:
             i = (opposite + 2) % 3
             j = (opposite + 1) % 3
-        at = 12 * i + 2 * j
-        s0 += blocks[face, at]
-        s1 += blocks[face, at + 1]
-        s2 += blocks[face, at + 6]
-        s3 += blocks[face, at + 7]
+        upper = packed(2 * wp.min(i, j), 2 * wp.max(i, j))
+        lower = packed(2 * wp.min(i, j) + 1, 2 * wp.max(i, j))
+        s0 += blocks[face, upper]
+        s3 += blocks[face, lower + 1]
+        if i < j:
+            s1 += blocks[face, upper + 1]
+            s2 += blocks[face, lower]
+        else:
+            s1 += blocks[face, lower]
+            s2 += blocks[face, upper + 1]
     return wp.vec4d(s0, s1, s2, s3)
 
 

@@ -171,7 +171,7 @@ class Relaxation:
         return coordinates.numpy()
 
     def _hessian(self) -> NDArray[np.float64]:
-        blocks = wp.empty((len(self._areas), 36), dtype=wp.float64, device=self._device)
+        blocks = wp.empty((len(self._areas), 21), dtype=wp.float64, device=self._device)
         numbers = [*self._pressures, wp.float64(self._caution), wp.float64(SPHERE_AREA)]
         self._of_triangles(
             triangle_hessian,
