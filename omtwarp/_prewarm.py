@@ -35,7 +35,7 @@ def prewarm(device: str = "cpu") -> int:
     for name in names:
         importlib.import_module(name)
     for name in names:
-        wp.load_module(name, device=target, max_workers=0)  # one at a time: they share one precompiled header
+        wp.load_module(name, device=target, max_workers=0)  # a second thread would make a header of its own
     return len(names)
 
 

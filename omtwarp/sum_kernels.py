@@ -1,8 +1,8 @@
 """Kernels of sums in an order that depends on nothing but the number of terms: the same on every run and device."""
 
-from omtwarp._warp import wp
+from omtwarp._warp import KERNEL_OPTIONS, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 # A thread sums GROUP rows, LANES apart: threads side by side read side by side on CUDA, and what the next thread of a
 # CPU reads is still in its cache.

@@ -41,6 +41,19 @@ def run_all(work: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
     return list(pool().map(work, jobs))
 
 
+def load(kernel: Any, device: Any) -> None:
+    """Load a kernel here, compiled where it never was, before several threads launch it.
+
+    Each of them would compile it for itself, and the header before it once more.
+    """
+    from omtwarp._warp import wp
+
+    if (kernel, str(device)) not in _loaded:
+        # Not by the module's own method, which takes the blocks of CUDA and compiles what no launch here runs.
+        wp.load_module(kernel.module, device=device, max_workers=0)
+        _loaded.add((kernel, str(device)))
+
+
 def launch_parts(
     kernel: Any,
     count: int,
@@ -69,9 +82,7 @@ def launch_parts(
     if cores == 1:
         launch(slice(0, count))
         return
-    if (kernel, str(device)) not in _loaded:  # loading is for one thread
-        kernel.module.load(wp.get_device(device))
-        _loaded.add((kernel, str(device)))
+    load(kernel, device)
     bounds = [count * k // cores for k in range(cores + 1)]
     run_all(launch, [slice(a, b) for a, b in pairwise(bounds)])
 
@@ -95,4 +106,4 @@ def _controller() -> Any:
     return ThreadpoolController()
 
 
-__all__ = ["blas_threads", "core_count", "launch_parts", "pool", "run_all"]
+__all__ = ["blas_threads", "core_count", "launch_parts", "load", "pool", "run_all"]

@@ -1,6 +1,9 @@
 """Work on several threads gives what work on one gives."""
 
 import os
+import subprocess
+import sys
+import threading
 
 import numpy as np
 import pytest
@@ -64,3 +67,53 @@ def test_blas_threads_are_put_back():
             pass
         assert set(counts()) <= {1}
     assert counts() == before
+
+
+@wp.kernel
+def double_kernel(source: wp.array[wp.float64], target: wp.array[wp.float64]):
+    i = wp.tid()
+    target[i] = source[i] + source[i]
+
+
+def test_a_kernel_is_compiled_once_for_all_threads(monkeypatch):
+    import warp._src.context as context
+
+    built = []
+    build = context.Module._compile
+
+    def note(self, *arguments, **named):
+        if self is double_kernel.module:
+            built.append(threading.current_thread())
+        return build(self, *arguments, **named)
+
+    monkeypatch.setattr(context.Module, "_compile", note)
+    monkeypatch.setattr(threads, "core_count", lambda: 3)
+    source = wp.array(np.arange(10.0), dtype=wp.float64, device="cpu")
+    target = wp.zeros(10, dtype=wp.float64, device="cpu")
+    threads.launch_parts(double_kernel, 10, lambda part: ([source[part]], [target[part]]), "cpu", least=1)
+    np.testing.assert_array_equal(target.numpy(), 2.0 * np.arange(10.0))
+    assert built == [threading.current_thread()]
+
+
+def test_fronts_are_compiled_before_threads_share_them(tmp_path):
+    """In a process of its own, whose cache is empty: the first factorisation there is one of several threads."""
+    program = """
+import threading
+import warp._src.build as build
+import numpy as np
+from omtwarp import threads
+from omtwarp.cholesky import MultifrontalCholesky
+from omtwarp.mesh.shapes import blob
+
+compiled, made = [], build.build_cpu
+build.build_cpu = lambda *a, **k: (compiled.append(threading.current_thread().name), made(*a, **k))[1]
+threads.core_count = lambda: 2
+surface = blob(seed=1, sphere=20_000)
+edges = surface.edges
+solver = MultifrontalCholesky(surface.dissection, threads=2)
+assert len(solver._jobs) > 1
+solver.factorise(np.full(len(surface.vertices), 100.0), np.full(len(edges), -1.0))
+assert compiled == ["MainThread"], compiled
+"""
+    environment = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment)

@@ -3,30 +3,37 @@
 They run on the CPU, beside LAPACK. Fronts are stored by columns, of which only the lower triangle is used.
 """
 
-from omtwarp._warp import wp
+from omtwarp._warp import KERNEL_OPTIONS, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 # Raw pointers, because the compiler turns loops over them into vector instructions and loops over Warp's arrays not:
-# three times as fast. LAPACK and BLAS are called by address (see lapack.py), so that no front passes through Python.
+# three times as fast. Left alone it unrolls them besides, which is no faster and takes two thirds of the time to
+# compile this file: hence the pragmas. LAPACK and BLAS are called by address (see lapack.py), so that no front passes
+# through Python.
 ASSEMBLE = """
     const int rows_count = starts.data[f + 1] - starts.data[f];
     const int size = block * rows_count, width = block * block;
     double* __restrict__ front = room.data + offsets.data[f];
     for (int j = 0; j < size; ++j)
+        #pragma clang loop interleave(disable) unroll(disable)
         for (long long i = j; i < size; ++i) front[i + (long long)j * size] = 0.0;
     for (int k = 0; k < owned.data[f]; ++k) {
         const double* value = diagonal.data + (long long)width * order.data[first.data[f] + k];
         double* into = front + (long long)block * k * size + block * k;
+        #pragma clang loop vectorize(disable) unroll(disable)
         for (int v = 0; v < block; ++v)
+            #pragma clang loop vectorize(disable) unroll(disable)
             for (int u = v; u < block; ++u) into[(long long)v * size + u] = value[block * u + v];
     }
     for (int e = edge_starts.data[f]; e < edge_starts.data[f + 1]; ++e) {
         const double* value = off_diagonal.data + (long long)width * edges.data[e];
         double* into = front + (long long)block * edge_columns.data[e] * size + block * edge_rows.data[e];
         const bool transposed = turned.data[e];
+        #pragma clang loop vectorize(disable) unroll(disable)
         for (int v = 0; v < block; ++v)
+            #pragma clang loop vectorize(disable) unroll(disable)
             for (int u = 0; u < block; ++u)
                 into[(long long)v * size + u] = transposed ? value[block * v + u] : value[block * u + v];
     }
@@ -40,8 +47,10 @@ ASSEMBLE = """
             const double* source = column + (long long)j * child_size;
             double* into = front + (long long)(block * to[row] + j % block) * size;
             if (block == 1) {
+                #pragma clang loop interleave(disable) unroll(disable)
                 for (int i = row; i < child_rows; ++i) into[to[i]] += source[i];
             } else {
+                #pragma clang loop interleave(disable) unroll(disable)
                 for (int i = row; i < child_rows; ++i) {
                     into[2 * to[i]] += source[2 * i];
                     into[2 * to[i] + 1] += source[2 * i + 1];
@@ -72,6 +81,7 @@ ELIMINATE = """
         }
         double* __restrict__ kept = factor.data + factor_offsets.data[f];
         for (int j = 0; j < own; ++j)
+            #pragma clang loop interleave(disable) unroll(disable)
             for (long long i = j; i < size; ++i) kept[i + (long long)j * size] = front[i + (long long)j * size];
     }
     return info;
@@ -169,6 +179,7 @@ DOWN = """
         const int size = block * rows_count, own = block * owned.data[f], rest = size - own;
         double* __restrict__ y = x.data + (long long)r * unknowns + block * first.data[f];
         double* __restrict__ w = gathered.data + (long long)r * room;
+        #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < rest; ++i) w[i] = 0.0;
         const double* column = factor.data + offsets.data[f];
         int j = 0;
@@ -179,21 +190,26 @@ DOWN = """
             const double v = (y[j + 1] - a[j + 1] * u) / b[j + 1];
             y[j] = u;
             y[j + 1] = v;
+            #pragma clang loop interleave(disable) unroll(disable)
             for (int i = j + 2; i < own; ++i) y[i] -= a[i] * u + b[i] * v;
             a += own;
             b += own;
+            #pragma clang loop interleave(disable) unroll(disable)
             for (int i = 0; i < rest; ++i) w[i] += a[i] * u + b[i] * v;
         }
         for (; j < own; ++j) {
             const double* __restrict__ a = column + (long long)j * size;
             const double u = y[j] / a[j];
             y[j] = u;
+            #pragma clang loop vectorize(disable) unroll(disable)
             for (int i = j + 1; i < own; ++i) y[i] -= a[i] * u;
             a += own;
+            #pragma clang loop vectorize(disable) unroll(disable)
             for (int i = 0; i < rest; ++i) w[i] += a[i] * u;
         }
         const int* row = rows.data + starts.data[f] + owned.data[f];
         double* all = x.data + (long long)r * unknowns;
+        #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < rest; ++i) all[block * row[i / block] + i % block] -= w[i];
     }
 """
@@ -206,6 +222,7 @@ UP = """
         double* all = x.data + (long long)r * unknowns;
         const int* row = rows.data + starts.data[f] + owned.data[f];
         // Own rows come first in w, so that a column meets one stretch of numbers.
+        #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < rest; ++i) w[own + i] = all[block * row[i / block] + i % block];
         double* y = all + block * first.data[f];
         const double* column = factor.data + offsets.data[f];
@@ -216,9 +233,11 @@ UP = """
             for (; i + 7 < size; i += 8)
                 for (int k = 0; k < 8; ++k) s[k] += a[i + k] * w[i + k];
             double total = ((s[0] + s[1]) + (s[2] + s[3])) + ((s[4] + s[5]) + (s[6] + s[7]));
+            #pragma clang loop vectorize(disable) unroll(disable)
             for (; i < size; ++i) total += a[i] * w[i];
             w[j] = (y[j] - total) / a[j];
         }
+        #pragma clang loop vectorize(disable) unroll(disable)
         for (int j = 0; j < own; ++j) y[j] = w[j];
     }
 """
@@ -278,12 +297,8 @@ def solve_triangular(
     x: wp.array[wp.float64],
 ):
     """x <- L^-T x if ``upward`` is 1, else x <- L^-1 x."""
-    r = wp.tid()
+    r, _ = wp.tid()
     if upward == 1:
-        substitute_up(
-            r, unknowns, room, fronts, block, first, owned, starts, rows, factor, offsets, gathered, x
-        )
+        substitute_up(r, unknowns, room, fronts, block, first, owned, starts, rows, factor, offsets, gathered, x)
     else:
-        substitute_down(
-            r, unknowns, room, fronts, block, first, owned, starts, rows, factor, offsets, gathered, x
-        )
+        substitute_down(r, unknowns, room, fronts, block, first, owned, starts, rows, factor, offsets, gathered, x)

@@ -17,7 +17,7 @@ from omtwarp._warp import wp
 from omtwarp.cholesky.dissection import Dissection
 from omtwarp.cholesky.kernels import factorise_fronts, solve_triangular
 from omtwarp.cholesky.lapack import eliminate_together, routine
-from omtwarp.threads import blas_threads, core_count, run_all
+from omtwarp.threads import blas_threads, core_count, load, run_all
 
 # Below so many operations in all a second thread costs more than it saves.
 THREADED = 1e7
@@ -163,6 +163,8 @@ class MultifrontalCholesky:
         room = self._room
         values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in (diagonal, off_diagonal)]
         data = [wp.array(array, device="cpu", copy=False) for array in (*values, room, self._factor)]
+
+        load(factorise_fronts, "cpu")
 
         def run(fronts: NDArray[np.int32], eliminate: int = 1) -> int:
             failed = wp.empty(1, dtype=wp.int32, device="cpu")

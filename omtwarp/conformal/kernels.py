@@ -1,9 +1,9 @@
 """Kernels of the conformal map: inverse stereographic projection, Möbius transformations and what centres them."""
 
-from omtwarp._warp import ONE, TWO, wp
+from omtwarp._warp import KERNEL_OPTIONS, ONE, TWO, wp
 from omtwarp.sum_kernels import GROUP, LANES, first_row
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.func

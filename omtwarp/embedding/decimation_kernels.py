@@ -5,9 +5,9 @@ A mesh is given by its half-edges sorted by (tail, head): row ``v`` of ``offsets
 the neighbour of ``v`` that follows ``head`` counter-clockwise.
 """
 
-from omtwarp._warp import ONE, TWO, ZERO, wp
+from omtwarp._warp import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 # Vertices of higher degree wait until their neighbours have gone. A closed triangulation of the sphere always has a
 # vertex of degree at most 5, and one of degree at most 5 can always be removed, so waiting never ends in a deadlock.
@@ -104,7 +104,7 @@ def propose_collapses(
     target: wp.array[wp.int32],
 ):
     """The cheapest legal half-edge collapse of every vertex: its cost, and the half-edge towards the vertex kept."""
-    i = wp.tid()
+    i, _ = wp.tid()
     v = alive[i]
     begin = offsets[v]
     end = offsets[v + 1]

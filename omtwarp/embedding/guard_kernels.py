@@ -4,9 +4,9 @@ After the first look at all triangles only those around vertices that have just 
 of them are filled by counting upwards: in an order that differs from run to run, which nothing depends on.
 """
 
-from omtwarp._warp import ZERO, wp
+from omtwarp._warp import KERNEL_OPTIONS, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 # Places of the counters: triangles to be mended in this round and the next, vertices changed, rounds begun, and
 # vertices held back in all.
@@ -116,7 +116,7 @@ def shorten_steps(
     changed: wp.array[wp.int32],
 ):
     """Halve the steps of bad triangles' corners, once each; ``wanted`` keeps where those were going at first."""
-    thread = wp.tid()
+    thread, _ = wp.tid()
     this = counters[ROUND]
     if this > most:
         for v in range(thread, before.shape[0], threads):

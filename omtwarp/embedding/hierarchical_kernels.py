@@ -1,9 +1,9 @@
 """Kernels of the coarse-to-fine embedding: a place for a new vertex, and moves that cannot flip a triangle."""
 
-from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.embedding.decimation_kernels import MAX_VALENCE
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
 _TINY = wp.constant(wp.float64(1.0e-300))
@@ -41,7 +41,7 @@ def insert_vertices(
     where the smallest cap around the edges' unit normals is: a point that two or three of the normals determine. All of
     these are tried, so that rounding in a nearly degenerate one cannot mislead.
     """
-    i = wp.tid()
+    i, _ = wp.tid()
     v = removed[i]
     count = valences[i]
     begin = i * _MAX_VALENCE
@@ -100,7 +100,7 @@ def triangle_coefficients(
     Adding one number to all three squared lengths adds an equilateral triangle's metric: slivers, and the flattened
     limbs of coarse levels, become triangles whose shape can be asked for.
     """
-    i = wp.tid()
+    i, _ = wp.tid()
     p = points[vertices[i]]
     for h in range(offsets[i], offsets[i + 1]):
         q = points[heads[h]]
@@ -167,7 +167,8 @@ def relax_vertices(
     The energy of ``star_energy`` is a sum of quadratics over positive linear functions of ``x``, hence convex: its
     Hessian needs no mending and the step is a descent direction.
     """
-    i = slots[wp.tid()]
+    slot, _ = wp.tid()
+    i = slots[slot]
     v = vertices[i]
     begin = offsets[i]
     end = offsets[i + 1]

@@ -8,7 +8,7 @@ polynomial of the three points,
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: "Foldover-free maps in 50 lines of code", 2021).
 """
 
-from omtwarp._warp import ONE, TWO, ZERO, wp
+from omtwarp._warp import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.refine.newton_kernels import packed
 from omtwarp.refine.triangle import (
     barrier,
@@ -22,7 +22,7 @@ from omtwarp.refine.triangle import (
     triple,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 FOUR = wp.constant(wp.float64(4.0))
 
@@ -68,7 +68,7 @@ def untangle_newton(
     hessian: wp.array2d(dtype=wp.float64),
 ):
     """Gradient [F, 6] and Hessian [F, 21], see :func:`packed`, in the tangent bases of the three corners."""
-    t = wp.tid()
+    t, _ = wp.tid()
     face = faces[t]
     frame = frames[t]
     a = sphere[face[0]]

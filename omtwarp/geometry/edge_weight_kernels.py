@@ -1,9 +1,9 @@
 """Kernel of the cotangent weights of edges; on the CPU, where the matrices they belong to are factorised."""
 
-from omtwarp._warp import HALF, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, wp
 from omtwarp.geometry.kernels import corner_cotangent
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.func

@@ -5,9 +5,9 @@ vertex, in one order, so that the same input gives the same bits.
 """
 
 # mypy: ignore-errors
-from omtwarp._warp import HALF, ONE, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 TINY = wp.constant(wp.float64(1.0e-300))
 EIGHTH = wp.constant(wp.float64(0.125))

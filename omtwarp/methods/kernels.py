@@ -4,9 +4,9 @@ Every kernel gathers: a thread owns one face, one vertex or one stored matrix en
 """
 # mypy: ignore-errors
 
-from omtwarp._warp import HALF, ONE, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.func

@@ -1,8 +1,8 @@
 """Per-triangle distortion of a sphere map, as float64 kernels."""
 
-from omtwarp._warp import HALF, ONE, TWO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, TWO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 TINY = wp.constant(wp.float64(1e-300))
 

@@ -9,10 +9,9 @@ Triangles are the leaves of a complete binary tree in heap order: the children o
 """
 # mypy: ignore-errors
 
-from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 
-# Small loops stay loops: unrolled, the least squares below take longer to compile than all other files together.
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options(KERNEL_OPTIONS)
 
 mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
@@ -196,7 +195,7 @@ def build_nodes(
     node has |z - c| <= radius and ψ(z) <= level + slope · w + (bends_0 w_0² + bends_1 w_1²) / 2. Frame, slope and bends
     come from a fit; level is raised until the inequality holds.
     """
-    node = wp.tid()
+    node, _ = wp.tid()
     if node == 0:
         level_out[node] = -LARGE
         return
@@ -356,7 +355,7 @@ def c_transform(
     tolerance. ``value`` is the least value found, ``proven`` the lower of it and all bounds that were relied upon:
     no lattice point has a value below ``proven``, which is at most the tolerance below the true minimum.
     """
-    i = wp.tid()
+    i, _ = wp.tid()
     x = sources[i]
     best = seeds[i]
     best_leaf = int(-1)

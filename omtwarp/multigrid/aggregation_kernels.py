@@ -1,8 +1,8 @@
 """Kernels that group the nodes of a graph and colour them: one thread each, once for every level, on the CPU."""
 
-from omtwarp._warp import wp
+from omtwarp._warp import KERNEL_OPTIONS, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel

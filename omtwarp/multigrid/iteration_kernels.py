@@ -1,9 +1,9 @@
 """Kernels of conjugate gradients whose scalars stay on the device; they finish the sums that they need."""
 
-from omtwarp._warp import ZERO, wp
+from omtwarp._warp import KERNEL_OPTIONS, ZERO, wp
 from omtwarp.sum_kernels import column_sum
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 # Places of the scalars of an iteration.
 ENERGY = wp.constant(0)  # r · z

@@ -5,9 +5,9 @@ Vectors and matrices are flat: component u of node i of a vector with b unknowns
 one node) of the result and adds in the order of the rows, so that the bits do not depend on how threads are scheduled.
 """
 
-from omtwarp._warp import ONE, ZERO, wp
+from omtwarp._warp import KERNEL_OPTIONS, ONE, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 # Blocks of coarse levels lose rank where an aggregate has too few vertices to turn: this part of the trace holds them.
 RANK_FLOOR = wp.constant(wp.float64(1e-12))
@@ -109,7 +109,7 @@ def invert_diagonal_3(
     inverse: wp.array[wp.float64],
 ):
     """By square-root-free elimination, whose pivots stay positive where Cramer's rule loses all digits."""
-    i = wp.tid()
+    i, _ = wp.tid()
     at = 9 * diagonal[i]
     floor = RANK_FLOOR * (values[at] + values[at + 4] + values[at + 8])
     d0 = values[at] + floor
@@ -305,7 +305,7 @@ def smooth_prolongation(
     prolongation: wp.array[wp.float64],
 ):
     """(I - damping D^-1 A) T, one thread per number."""
-    at = wp.tid()
+    at, _ = wp.tid()
     e, u, v = block_entry(at, b, c)
     i = rows[e]
     target = targets[e]
@@ -348,7 +348,7 @@ def multiply_by_prolongation(
     product: wp.array[wp.float64],
 ):
     """A P, one thread per number."""
-    at = wp.tid()
+    at, _ = wp.tid()
     e, u, v = block_entry(at, b, c)
     i = rows[e]
     total = wp.float64(0.0)
@@ -378,7 +378,7 @@ def coarse_matrix(
     coarse: wp.array[wp.float64],
 ):
     """Pᵀ (A P), one thread per number."""
-    at = wp.tid()
+    at, _ = wp.tid()
     e, u, v = block_entry(at, c, c)
     total = wp.float64(0.0)
     for m in range(offsets[rows[e]], offsets[rows[e] + 1]):

@@ -4,11 +4,11 @@ With c1, c2 the columns of a triangle's Jacobian, fro = |c1|² + |c2|² and D = 
 brings the image's total flat area to 4π. Angle distortion is fro / D, area distortion scale D + 1 / (scale D).
 """
 
-from omtwarp._warp import HALF, THREE, TWO, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, THREE, TWO, ZERO, wp
 from omtwarp.refine.newton_kernels import packed
 from omtwarp.refine.triangle import first_column, first_tangent, first_weights, second_column, second_weights, triple
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 # A triangle may lose this share of its volume in one step before its corners are held back.
 SMALLEST_SHARE = wp.constant(wp.float64(0.1))
@@ -212,7 +212,7 @@ def triangle_hessian(
     from the minimum the cut-off matrix needs all of it. Near it the pressure is smooth, where it is smooth the
     curvatures of neighbouring triangles cancel, and cutting off the negative ones only would stiffen the matrix.
     """
-    t = wp.tid()
+    t, _ = wp.tid()
     face = faces[t]
     frame = frames[t]
     a = sphere[face[0]]

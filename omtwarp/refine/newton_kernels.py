@@ -1,8 +1,8 @@
 """Gathers the Hessians of triangles into blocks of a sparse matrix; the kernels are of the host's factorisation."""
 
-from omtwarp._warp import wp
+from omtwarp._warp import KERNEL_OPTIONS, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.func

@@ -1,10 +1,10 @@
 """Kernels of Newton steps whose vectors and inner products stay on the device."""
 
-from omtwarp._warp import ONE, wp
+from omtwarp._warp import KERNEL_OPTIONS, ONE, wp
 from omtwarp.refine.newton_kernels import edge_block, vertex_block
 from omtwarp.refine.triangle import first_tangent
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 SPHERE_AREA = wp.constant(wp.float64(12.566370614359172))
 

@@ -6,9 +6,9 @@ squares when squared, so that slivers lose no digits to cancelling cotangents. T
 the triangle's frame.
 """
 
-from omtwarp._warp import HALF, ONE, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.func

@@ -5,9 +5,9 @@ takes nothing else.
 """
 
 # mypy: ignore-errors
-from omtwarp._warp import wp
+from omtwarp._warp import KERNEL_OPTIONS, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 PI_F = wp.constant(wp.float32(3.14159265358979))
 MOST_PROBES = wp.constant(wp.float32(48.0))

@@ -1,9 +1,9 @@
 # mypy: ignore-errors
 """Kernels between texels and directions: where a texel looks, what a picture shows, which triangle owns a texel."""
 
-from omtwarp._warp import HALF, ONE, PI, TWO, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, PI, TWO, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 FOUR = wp.constant(wp.float64(4.0))
 TINY = wp.constant(wp.float64(1.0e-300))

@@ -1,9 +1,9 @@
 # mypy: ignore-errors
 """Kernel for the openness of a surface. Single precision: it is an estimate, and ray queries have no other."""
 
-from omtwarp._warp import wp
+from omtwarp._warp import KERNEL_OPTIONS, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel
@@ -15,7 +15,7 @@ def openness_kernel(
     openness: wp.array(dtype=wp.float32),
 ):
     """Part of the cosine-weighted rays from a point that leave the surface behind them."""
-    i = wp.tid()
+    i, _ = wp.tid()
     n = normals[i]
     helper = wp.vec3(1.0, 0.0, 0.0)
     if wp.abs(n[0]) > 0.7:

@@ -4,9 +4,9 @@
 Every pattern is a function of the direction alone, exact at any resolution: nothing here knows of texels.
 """
 
-from omtwarp._warp import HALF, ONE, PI, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 Vec3 = wp.vec3d
 
@@ -60,7 +60,7 @@ def circles_kernel(
     background: wp.vec3d,
     out: wp.array2d(dtype=wp.float64),
 ):
-    i = wp.tid()
+    i, _ = wp.tid()
     d = wp.normalize(directions[i])
     # Only circles that reach this cell of a grid of longitude and latitude are looked at.
     cell = cell_of(latitude(d), -HALF * PI, HALF * PI, rows) * columns + cell_of(longitude(d), -PI, PI, columns)
@@ -132,7 +132,7 @@ def puzzle_kernel(
     line_colour: wp.vec3d,
     out: wp.array2d(dtype=wp.float64),
 ):
-    i = wp.tid()
+    i, _ = wp.tid()
     d = directions[i]
     face = cube_face(d)
     local = frames[face] * d
@@ -233,7 +233,7 @@ def globe_kernel(
     line_width: wp.float64,
     out: wp.array2d(dtype=wp.float64),
 ):
-    i = wp.tid()
+    i, _ = wp.tid()
     d = directions[i]
     degree = wp.float64(180.0) / PI
     lon = longitude(d) * degree

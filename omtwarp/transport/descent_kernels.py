@@ -1,9 +1,9 @@
 """Kernels of a descent that decides on the device: inner products, directions, and what to make of a step."""
 
-from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.sum_kernels import GROUP, LANES, column_sum, first_row
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))
 AREA_HALVINGS = wp.constant(3)

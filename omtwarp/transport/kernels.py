@@ -1,10 +1,10 @@
 """Kernels of the Lagrangian transport flow: its cost, its force and the motion along a stream function."""
 
-from omtwarp._warp import HALF, ONE, TWO, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.transport.descent_kernels import FlowState
 from omtwarp.wavelets.sampling_kernels import spherical_coordinates, triple
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 SIXTH = wp.constant(wp.float64(1.0 / 6.0))
 TINY = wp.constant(wp.float64(1e-300))
@@ -139,7 +139,7 @@ def find_triangle(
     return level_starts[level_starts.shape[0] - 2] + face
 
 
-@wp.func
+@wp.func(inline=True)
 def stream_velocity(
     p: wp.vec3d,
     hint: int,
@@ -181,7 +181,7 @@ def advect(
 
     ``hints`` remembers in which triangle it ended, where the next one is likely to begin; -1 where nothing is known.
     """
-    v = wp.tid()
+    v, _ = wp.tid()
     p = points[v]
     step = state[0].step
     half = HALF * step

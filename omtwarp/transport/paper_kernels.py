@@ -1,9 +1,9 @@
 """Warp kernels of the paper's own flow (Algorithm 1): one thread per triangle or per vertex of the conformal mesh."""
 
 # mypy: ignore-errors
-from omtwarp._warp import ONE, TWO, ZERO, wp
+from omtwarp._warp import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 TINY = wp.constant(wp.float64(1.0e-300))
 

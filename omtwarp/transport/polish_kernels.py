@@ -1,10 +1,10 @@
 """Kernels of the last step of transport, on the image mesh itself."""
 
-from omtwarp._warp import HALF, ONE, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.metrics.kernels import solid_angle
 from omtwarp.transport.kernels import TINY, area_error, centre, logarithm
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 THIRD = wp.constant(wp.float64(1.0 / 3.0))
 
@@ -60,7 +60,7 @@ def weak_curl_and_area(
     u is the mean of the displacements at a triangle's corners. With n the normal of length 2A and e the edge opposite
     the vertex, A J∇φ = n × (n × e) / (4A) = -A e / (2A) ... = -e / 2: the area drops out, and slivers do no harm.
     """
-    v = wp.tid()
+    v, _ = wp.tid()
     total_curl = wp.float64(0.0)
     total_energy = wp.float64(0.0)
     total_area = wp.float64(0.0)

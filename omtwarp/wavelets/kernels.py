@@ -5,9 +5,9 @@ A thread adds to its own element alone, spelt out: ``+=`` on an array is an atom
 """
 
 # mypy: ignore-errors
-from omtwarp._warp import HALF, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel

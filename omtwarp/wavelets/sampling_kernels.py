@@ -1,9 +1,9 @@
 """Warp kernels between points anywhere on the sphere and the nodes of a subdivided sphere."""
 
 # mypy: ignore-errors
-from omtwarp._warp import HALF, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ZERO, wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(KERNEL_OPTIONS)
 
 TINY = wp.constant(wp.float64(1.0e-300))
 
