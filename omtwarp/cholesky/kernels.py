@@ -9,7 +9,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 
 # Raw pointers, because the compiler turns loops over them into vector instructions and loops over Warp's arrays not:
-# three times as fast. Left alone it unrolls them besides, which is no faster and takes two thirds of the time to
+# three times as fast. Left alone it unrolls them besides, which is no faster and takes about half of the time to
 # compile this file: hence the pragmas. LAPACK and BLAS are called by address (see lapack.py), so that no front passes
 # through Python.
 ASSEMBLE = """
