@@ -60,9 +60,17 @@ def orientation_signs(
     return signs
 
 
+def flipped_faces(
+    sphere: ArrayLike, faces: ArrayLike, *, device: str | wp.Device | None = "cpu"
+) -> NDArray[np.bool_]:
+    """Whether every triangle has det[a, b, c] <= 0, decided exactly, or a corner that is not finite, shape [F]."""
+    flipped: NDArray[np.bool_] = orientation_signs(sphere, faces, device=device) <= 0
+    return flipped
+
+
 def count_flips(sphere: ArrayLike, faces: ArrayLike, *, device: str | wp.Device | None = "cpu") -> int:
     """Number of triangles with det[a, b, c] <= 0, decided exactly; one with a corner that is not finite counts."""
-    return int((orientation_signs(sphere, faces, device=device) <= 0).sum())
+    return int(flipped_faces(sphere, faces, device=device).sum())
 
 
 def _exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.int8]:

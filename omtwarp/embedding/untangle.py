@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.predicates import orientation_signs
+from omtwarp.embedding.predicates import flipped_faces
 from omtwarp.embedding.untangle_kernels import move_in_tangent, untangle_newton, untangle_value
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.frames import triangle_frames
+from omtwarp.refine.line_search import search_patches
 from omtwarp.refine.newton import NewtonMatrix
 from omtwarp.threads import blas_threads
 
@@ -57,9 +58,7 @@ SCHEDULES = (
     Schedule(rings=10**9, factor=0.7, steps=10, thinnest=0.3),
 )
 SMALLEST_EPSILON = 1e-4
-SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 20
-DIAGONAL_GROWTH = 1e-9  # of every entry of the diagonal: the Hessian is only semidefinite
 SETTLED = 0.01  # of its energy: a patch that expects to gain less than half of that waits for a smaller ε
 NARROWING = 0.7  # of the triangles: when fewer are left in tangled patches, the others are dropped
 
@@ -83,12 +82,6 @@ class UntangleResult:
     rounds: int
     vertices_moved: int
     history: list[dict[str, int]] = field(default_factory=list)
-
-
-def flipped_faces(sphere: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Whether every triangle has det[s0, s1, s2] <= 0 (or is not finite), decided exactly, shape [F]."""
-    flipped: NDArray[np.bool_] = orientation_signs(sphere, faces) <= 0
-    return flipped
 
 
 @blas_threads(1)
@@ -201,7 +194,7 @@ class _Untangling:
         """Work on these patches: their matrix, where triangles enter their gradient, and room on the device."""
         self.patches = patches
         points = self.surface.scaled_vertices[patches.vertices[: patches.free]]
-        self.matrix = NewtonMatrix.of_patches(patches, points, DIAGONAL_GROWTH)
+        self.matrix = NewtonMatrix.of_patches(patches, points)
         corner = np.repeat(patches.faces, 2, axis=1)
         index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
         self.gradient_kept = np.flatnonzero(index >= 0)
@@ -211,7 +204,6 @@ class _Untangling:
         self.d_frames = wp.array(self.frames, dtype=wp.vec3d, device=device)
         self.d_areas = wp.array(self.surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
         self.d_value = wp.empty(count, dtype=wp.float64, device=device)
-        self.d_ratio = wp.empty(count, dtype=wp.float64, device=device)
         self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
         self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
@@ -290,22 +282,19 @@ class _Untangling:
         if not np.isfinite(direction).all():
             with np.errstate(all="ignore"):
                 direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
-        patch = patches.vertex_patch
-        slope = np.bincount(patch, (direction * gradient).sum(axis=1), minlength=patches.count)
+        slope = patches.sum_of_vertices((direction * gradient).sum(axis=1))
         settled = bool((-slope <= SETTLED * energy)[active].all())
-        length = np.where(active & (slope < 0.0), 1.0, 0.0)
         # No vertex moves farther than a radian: beyond that its tangent plane says nothing about the sphere.
-        reach = np.zeros(patches.count)
-        np.maximum.at(reach, patch, np.linalg.norm(direction, axis=1))
-        length /= np.maximum(reach, 1.0)
-        for _ in range(HALVINGS):
-            moved = self._moved(points, direction * length[patch][:, None])
-            worse = ~(self._energy(moved, face_epsilon) <= energy + SUFFICIENT * length * slope) & (length > 0.0)
-            if not worse.any():
-                return moved, settled
-            length[worse] *= 0.5
-        length[worse] = 0.0
-        return self._moved(points, direction * length[patch][:, None]), settled
+        longest = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)
+        moved, _ = search_patches(
+            lambda length: self._moved(points, direction * length[patches.vertex_patch][:, None]),
+            lambda moved: self._energy(moved, face_epsilon),
+            energy,
+            slope,
+            longest,
+            HALVINGS,
+        )
+        return moved, settled
 
     def _moved(self, points, step: NDArray[np.float64]):
         """The points after the freed ones have gone by coordinates [free, 2] in their tangent planes."""
@@ -319,8 +308,7 @@ class _Untangling:
         patches = self.patches
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(
-            untangle_value, dim=len(patches.faces), inputs=inputs, outputs=[self.d_value, self.d_ratio],
+            untangle_value, dim=len(patches.faces), inputs=inputs, outputs=[self.d_value],
             device=self.device,
         )
-        energies = np.bincount(patches.face_patch, self.d_value.numpy(), minlength=patches.count)
-        return energies.astype(np.float64, copy=False)
+        return patches.sum_of_faces(self.d_value.numpy())

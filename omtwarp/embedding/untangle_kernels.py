@@ -41,7 +41,6 @@ def untangle_value(
     epsilon: wp.array(dtype=wp.float64),
     weight: wp.float64,
     value: wp.array(dtype=wp.float64),
-    ratio: wp.array(dtype=wp.float64),
 ):
     t = wp.tid()
     face = faces[t]
@@ -53,7 +52,6 @@ def untangle_value(
     d = signed_ratio(frames[t], a, b, c)
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
     value[t] = areas[t] * (fro + weight * (d * d + ONE)) / barrier(d, epsilon[t])
-    ratio[t] = d
 
 
 @wp.kernel

@@ -72,6 +72,20 @@ class Patches:
         of_corner[:free] = label
         return cls(vertices, free, triangles, own, of_corner[:free], of_corner[own].max(axis=1), int(count))
 
+    def sum_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums over the freed vertices of every piece, shape [count], of values of shape [free]."""
+        return np.bincount(self.vertex_patch, values, minlength=self.count).astype(np.float64, copy=False)
+
+    def sum_of_faces(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums over the triangles of every piece, shape [count], of values of shape [T]."""
+        return np.bincount(self.face_patch, values, minlength=self.count).astype(np.float64, copy=False)
+
+    def longest(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The largest length of the freed vertices' vectors in every piece, shape [count], of shape [free, ...]."""
+        lengths = np.zeros(self.count)
+        np.maximum.at(lengths, self.vertex_patch, np.linalg.norm(vectors, axis=1))
+        return lengths
+
     def only(self, kept: NDArray[np.bool_]) -> tuple[Patches, NDArray[np.intp]]:
         """Some of the patches, and the places of their vertices among these patches'.
 

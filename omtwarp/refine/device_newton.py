@@ -32,10 +32,9 @@ class DeviceNewtonMatrix:
         surface, device = energy.surface, energy.device
         self._surface, self._device = surface, device
         self._inputs = [
-            energy.d_offsets,
-            energy.d_corners,
+            *energy.triangles.rows,
             wp.array(surface.edges, dtype=wp.vec2i, device=device),
-            energy.d_faces,
+            energy.triangles.faces,
             wp.array(surface.edge_corners, dtype=wp.vec2i, device=device),
         ]
         self._rotations = wp.empty(6 * surface.vertex_count, dtype=wp.float64, device=device)

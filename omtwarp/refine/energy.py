@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,6 +55,8 @@ class Terms:
         return self.angle + weight * self.area + needle_weight(weight) * self.needle
 
 
+Pressures = tuple[wp.float64, wp.float64, wp.float64]
+
 # Up to so many faces the room of Hessians stays for the next ones on the CPU; beyond, memory is dearer than time.
 KEPT_FACES = 200_000
 
@@ -62,6 +64,79 @@ KEPT_FACES = 200_000
 def needle_weight(weight: float) -> float:
     """How heavily the needle barrier counts beside angle + λ area."""
     return 0.1 * (1.0 + weight)
+
+
+class TriangleKernels:
+    """Launches, on all cores, the kernels of the energy over some triangles.
+
+    Args:
+        faces: their corners among the points given, int32, shape [F, 3].
+        frames: see :func:`omtwarp.refine.frames.triangle_frames`, shape [F, 3].
+        areas: on the original surface, shape [F].
+        rows: corners of the triangles around the first points, those with a gradient: offsets and corners.
+        device: a Warp device.
+    """
+
+    def __init__(
+        self,
+        faces: NDArray[np.int32],
+        frames: NDArray[np.float64],
+        areas: NDArray[np.float64],
+        rows: Iterable[NDArray[np.int32]],
+        device: wp.Device,
+    ):
+        self.device, self.count = device, len(faces)
+        self.faces = wp.array(faces, dtype=wp.vec3i, device=device)
+        self.frames = wp.array(frames, dtype=wp.vec3d, device=device)
+        self.areas = wp.array(areas, dtype=wp.float64, device=device)
+        self.rows = [wp.array(array, dtype=wp.int32, device=device) for array in rows]
+
+    def terms(self, points: wp.array) -> list[wp.array]:
+        """Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
+        outputs = [wp.empty(self.count, dtype=wp.float64, device=self.device) for _ in range(4)]
+
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            return [points, self.faces[part], self.frames[part]], [array[part] for array in outputs]
+
+        launch_parts(triangle_terms, self.count, arguments, self.device)
+        return outputs
+
+    def gradient(self, points: wp.array, pressures: Pressures, room: wp.array | None = None) -> wp.array:
+        """Gradient by the points that have rows, tangent to the sphere, vec3d.
+
+        Args:
+            points: vec3d.
+            pressures: see :meth:`DistortionEnergy.pressures`.
+            room: vec3d, shape [3F], overwritten.
+        """
+        if room is None:
+            room = wp.empty(3 * self.count, dtype=wp.vec3d, device=self.device)
+
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            inputs = [points, self.faces[part], self.frames[part], self.areas[part], *pressures]
+            return inputs, [room[3 * part.start : 3 * part.stop]]
+
+        launch_parts(triangle_gradient, self.count, arguments, self.device)
+        gradient = wp.empty(self.rows[0].size - 1, dtype=wp.vec3d, device=self.device)
+        inputs = [points, *self.rows, room, wp.float64(SPHERE_AREA)]
+        wp.launch(gather_tangent, dim=gradient.size, inputs=inputs, outputs=[gradient], device=self.device)
+        return gradient
+
+    def hessian(
+        self, points: wp.array, pressures: Pressures, caution: float, room: wp.array | None = None
+    ) -> wp.array:
+        """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
+
+        Of each 6x6 matrix the entries on and above the diagonal, row by row, in ``room`` where it is given.
+        """
+        blocks = wp.empty((self.count, 21), dtype=wp.float64, device=self.device) if room is None else room
+        numbers = [*pressures, wp.float64(caution), wp.float64(SPHERE_AREA)]
+
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            return [points, self.faces[part], self.frames[part], self.areas[part], *numbers], [blocks[part]]
+
+        launch_parts(triangle_hessian, self.count, arguments, self.device)
+        return blocks
 
 
 class DistortionEnergy:
@@ -77,12 +152,8 @@ class DistortionEnergy:
         self.device = device
         self.areas = surface.face_areas
         count = surface.face_count
-        offsets, corners = surface.vertex_corners
-        self.d_faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
-        self.d_frames = wp.array(triangle_frames(surface), dtype=wp.vec3d, device=device)
-        self.d_areas = wp.array(self.areas, dtype=wp.float64, device=device)
-        self.d_offsets = wp.array(offsets, dtype=wp.int32, device=device)
-        self.d_corners = wp.array(corners, dtype=wp.int32, device=device)
+        frames = triangle_frames(surface)
+        self.triangles = TriangleKernels(surface.faces, frames, self.areas, surface.vertex_corners, device)
         self._hessian: Any = None
         # On CUDA, where memory is dear and asking for it is not, there is room only while it is used.
         self._corner_gradient: Any = None if device.is_cuda else wp.empty(3 * count, dtype=wp.vec3d, device=device)
@@ -95,14 +166,9 @@ class DistortionEnergy:
 
     def terms(self, points: wp.array) -> Terms:
         """Distortions and per-triangle ratios of a map."""
-        count = self.surface.face_count
-        outputs = [wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(4)]
-        self._of_triangles(
-            triangle_terms,
-            lambda part: ([points, self.d_faces[part], self.d_frames[part]], [array[part] for array in outputs]),
-        )
+        outputs = self.triangles.terms(points)
         if self._sums is not None:
-            angle, total, area, inverse_sum, needle = self._sums(self.d_areas, *outputs)
+            angle, total, area, inverse_sum, needle = self._sums(self.triangles.areas, *outputs)
             scale = SPHERE_AREA / total
         else:
             angles, ratio, _, steepness = (array.numpy() for array in outputs)
@@ -119,48 +185,19 @@ class DistortionEnergy:
 
     def gradient(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
         """Gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
-        pressures = self.pressures(terms, weight)
-        gradient = wp.empty(self.surface.vertex_count, dtype=wp.vec3d, device=self.device)
-        corners = self._corner_gradient
-        if corners is None:
-            corners = wp.empty(3 * self.surface.face_count, dtype=wp.vec3d, device=self.device)
-        self._of_triangles(
-            triangle_gradient,
-            lambda part: (
-                [points, self.d_faces[part], self.d_frames[part], self.d_areas[part], *pressures],
-                [corners[3 * part.start : 3 * part.stop]],
-            ),
-        )
-        inputs = [points, self.d_offsets, self.d_corners, corners, wp.float64(SPHERE_AREA)]
-        wp.launch(
-            gather_tangent, dim=self.surface.vertex_count, inputs=inputs, outputs=[gradient], device=self.device
-        )
-        return gradient
+        return self.triangles.gradient(points, self.pressures(terms, weight), self._corner_gradient)
 
     def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> wp.array:
         """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. The next call may overwrite them.
         """
-        blocks = self._hessian
-        if blocks is None:
-            blocks = wp.empty((self.surface.face_count, 21), dtype=wp.float64, device=self.device)
-            if self.device.is_cpu and self.surface.face_count <= KEPT_FACES:
-                self._hessian = blocks
-        numbers = [*self.pressures(terms, weight), wp.float64(caution), wp.float64(SPHERE_AREA)]
-        self._of_triangles(
-            triangle_hessian,
-            lambda part: (
-                [points, self.d_faces[part], self.d_frames[part], self.d_areas[part], *numbers],
-                [blocks[part]],
-            ),
-        )
+        blocks = self.triangles.hessian(points, self.pressures(terms, weight), caution, self._hessian)
+        if self.device.is_cpu and self.surface.face_count <= KEPT_FACES:
+            self._hessian = blocks
         return blocks
 
-    def _of_triangles(self, kernel: Any, arguments: Callable[[slice], tuple[list[Any], list[Any]]]) -> None:
-        launch_parts(kernel, self.surface.face_count, arguments, self.device)
-
-    def pressures(self, terms: Terms, weight: float) -> tuple[wp.float64, wp.float64, wp.float64]:
+    def pressures(self, terms: Terms, weight: float) -> Pressures:
         """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""
         # Σ A (scale D + 1 / (scale D)) = 4π + (Σ A D) (Σ A / D) / 4π: each factor is the other sum over 4π.
         return (

@@ -17,6 +17,7 @@ from omtwarp.refine.newton_kernels import gather_edge_blocks, gather_vertex_bloc
 from omtwarp.threads import launch_parts
 
 REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
+PATCH_GROWTH = 1e-9  # of every entry of the diagonal of patches: the Hessian is only semidefinite
 # Where rounding still leaves a pivot that is not positive, the diagonal grows by these parts of itself.
 STIFFER = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
 
@@ -65,13 +66,12 @@ class NewtonMatrix:
         )
 
     @classmethod
-    def of_patches(cls, patches: Patches, points: NDArray[np.float64], growth: float) -> NewtonMatrix:
+    def of_patches(cls, patches: Patches, points: NDArray[np.float64]) -> NewtonMatrix:
         """The matrix over the freed vertices of patches.
 
         Args:
             patches: V of their vertices are freed.
             points: positions of those on the surface, shape [V, 3].
-            growth: see the class.
         """
         count = patches.free
         own = np.where(patches.faces < count, patches.faces, -1)
@@ -85,7 +85,7 @@ class NewtonMatrix:
         order = np.argsort(low.astype(np.int64) * count + high, kind="stable")
         edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
         edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
-        return cls(own, edges, edge_corners, (offsets, corners), dissect(points, edges), 0.0, growth)
+        return cls(own, edges, edge_corners, (offsets, corners), dissect(points, edges), 0.0, PATCH_GROWTH)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""

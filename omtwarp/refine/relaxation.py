@@ -13,19 +13,10 @@ from omtwarp._warp import ONE, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.refine.kernels import (
-    from_tangent,
-    gather_tangent,
-    retract,
-    to_tangent,
-    triangle_gradient,
-    triangle_hessian,
-    triangle_terms,
-    triangle_trouble,
-)
+from omtwarp.refine.energy import DistortionEnergy, Terms, TriangleKernels
+from omtwarp.refine.kernels import from_tangent, retract, to_tangent, triangle_trouble
+from omtwarp.refine.line_search import search_patches
 from omtwarp.refine.newton import NewtonMatrix
-from omtwarp.threads import launch_parts
 
 WORTH = 3.0  # times what a step of all gains for each vertex: those that gain more alone are worth a step of their own
 LARGEST = 0.01  # of what could be gained, that one vertex counts for: the rest would be gained beyond its tangent plane
@@ -33,8 +24,6 @@ RINGS = 2  # freed around them
 MOST_CHOSEN, MOST_FREED = 0.15, 0.6  # of all vertices: with more than that a step of all costs no more
 STEPS = 3
 HALVINGS = 12
-SUFFICIENT = 1e-4  # of the slope: Armijo's condition
-DIAGONAL_GROWTH = 1e-9  # of every entry of the diagonal: the Hessian is only semidefinite
 
 
 def stiff_vertices(decrements: NDArray[np.float64], gain: float) -> NDArray[np.bool_]:
@@ -74,13 +63,11 @@ class Relaxation:
         # Of the whole map's area patches are a small part: its scale is taken to stay.
         self._pressures = energy.pressures(terms, weight)
         self._areas = surface.face_areas[patches.triangles]
-        self._faces = wp.array(patches.faces, dtype=wp.vec3i, device=device)
-        frames = energy.d_frames.numpy()[patches.triangles]
-        self._frames = wp.array(frames, dtype=wp.vec3d, device=device)
-        self._d_areas = wp.array(self._areas, dtype=wp.float64, device=device)
         freed = surface.scaled_vertices[patches.vertices[: patches.free]]
-        self._matrix = NewtonMatrix.of_patches(patches, freed, DIAGONAL_GROWTH)
-        self._offsets, self._corners = (array.to(device) for array in self._matrix.vertex_corners)
+        self._matrix = NewtonMatrix.of_patches(patches, freed)
+        frames = energy.triangles.frames.numpy()[patches.triangles]
+        rows = (array.numpy() for array in self._matrix.vertex_corners)
+        self._triangles = TriangleKernels(patches.faces, frames, self._areas, rows, device)
 
     def run(self) -> wp.array:
         """The map after a few steps, vec3d, shape [V].
@@ -102,27 +89,23 @@ class Relaxation:
         free = patches.free
         energies, volume = self._energies(points)
         gradient = self._gradient()
-        self._matrix.factorise(self._hessian())
+        blocks = self._triangles.hessian(points, self._pressures, self._caution)
+        self._matrix.factorise(blocks.numpy())
         coordinates = wp.array(-self._matrix.solve(gradient), dtype=wp.float64, device=device)
         vectors = wp.empty(free, dtype=wp.vec3d, device=device)
         wp.launch(from_tangent, dim=free, inputs=[points, coordinates], outputs=[vectors], device=device)
         direction = coordinates.numpy()
-        patch = patches.vertex_patch
-        slope = np.bincount(patch, (direction * gradient).sum(axis=1), minlength=patches.count)
-        reach = np.zeros(patches.count)
-        np.maximum.at(reach, patch, np.linalg.norm(direction, axis=1))
-        length = np.where(slope < 0.0, 1.0, 0.0) / np.maximum(1.0, 2.0 * reach)  # no farther than half a radian
-        for _ in range(HALVINGS):
-            moved = self._moved(vectors, length)
-            after, _ = self._energies(moved, volume)
-            worse = ~(after <= energies + SUFFICIENT * length * slope)
-            if not worse.any():
-                break
-            length[worse] *= 0.5
-        else:
-            length[worse] = 0.0
-            moved = self._moved(vectors, length)
-        self._points = moved
+        slope = patches.sum_of_vertices((direction * gradient).sum(axis=1))
+        # No vertex moves farther than half a radian.
+        longest = np.where(slope < 0.0, 1.0, 0.0) / np.maximum(1.0, 2.0 * patches.longest(direction))
+        self._points, length = search_patches(
+            lambda length: self._moved(vectors, length),
+            lambda moved: self._energies(moved, volume)[0],
+            energies,
+            slope,
+            longest,
+            HALVINGS,
+        )
         return bool(length.any())
 
     def _moved(self, vectors: wp.array, length: NDArray[np.float64]) -> wp.array:
@@ -135,55 +118,25 @@ class Relaxation:
     def _energies(self, points: wp.array, before: wp.array | None = None) -> tuple[NDArray[np.float64], wp.array]:
         """Energy of every patch, infinite where a triangle lost too much of its volume before, and the volumes."""
         count, device = len(self._areas), self._device
-        outputs = [wp.empty(count, dtype=wp.float64, device=device) for _ in range(4)]
-        self._of_triangles(
-            triangle_terms,
-            lambda part: ([points, self._faces[part], self._frames[part]], [array[part] for array in outputs]),
-        )
+        outputs = self._triangles.terms(points)
         angle, ratio, _, steepness = (array.numpy() for array in outputs)
         linear, inverse, barrier = (float(number) for number in self._pressures)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             values = self._areas * (angle + linear * ratio + inverse / ratio + barrier * steepness) / SPHERE_AREA
         if before is not None:
             trouble = wp.empty(count, dtype=wp.int32, device=device)
-            inputs, found = [points, self._faces, before], wp.zeros(1, dtype=wp.int32, device=device)
+            inputs, found = [points, self._triangles.faces, before], wp.zeros(1, dtype=wp.int32, device=device)
             wp.launch(triangle_trouble, dim=count, inputs=inputs, outputs=[trouble, found], device=device)
             values[trouble.numpy() > 0] = np.inf
-        energies = np.bincount(self._patches.face_patch, values, minlength=self._patches.count)
-        return energies.astype(np.float64, copy=False), outputs[2]
+        return self._patches.sum_of_faces(values), outputs[2]
 
     def _gradient(self) -> NDArray[np.float64]:
         """Gradient by the freed vertices in their tangent bases, shape [free, 2]."""
         free, device, points = self._patches.free, self._device, self._points
-        corners = wp.empty(3 * len(self._areas), dtype=wp.vec3d, device=device)
-        self._of_triangles(
-            triangle_gradient,
-            lambda part: (
-                [points, self._faces[part], self._frames[part], self._d_areas[part], *self._pressures],
-                [corners[3 * part.start : 3 * part.stop]],
-            ),
-        )
-        gradient = wp.empty(free, dtype=wp.vec3d, device=device)
-        inputs = [points, self._offsets, self._corners, corners, wp.float64(SPHERE_AREA)]
-        wp.launch(gather_tangent, dim=free, inputs=inputs, outputs=[gradient], device=device)
+        gradient = self._triangles.gradient(points, self._pressures)
         coordinates = wp.empty((free, 2), dtype=wp.float64, device=device)
         wp.launch(to_tangent, dim=free, inputs=[points, gradient], outputs=[coordinates], device=device)
         return coordinates.numpy()
-
-    def _hessian(self) -> NDArray[np.float64]:
-        blocks = wp.empty((len(self._areas), 21), dtype=wp.float64, device=self._device)
-        numbers = [*self._pressures, wp.float64(self._caution), wp.float64(SPHERE_AREA)]
-        self._of_triangles(
-            triangle_hessian,
-            lambda part: (
-                [self._points, self._faces[part], self._frames[part], self._d_areas[part], *numbers],
-                [blocks[part]],
-            ),
-        )
-        return blocks.numpy()
-
-    def _of_triangles(self, kernel, arguments) -> None:
-        launch_parts(kernel, len(self._areas), arguments, self._device)
 
 
 def relax(

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.untangle import Schedule, flipped_faces, untangle_patches
+from omtwarp.embedding.predicates import flipped_faces
+from omtwarp.embedding.untangle import Schedule, untangle_patches
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import hold_back, retract, triangle_trouble
+from omtwarp.refine.line_search import SUFFICIENT
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.threads import blas_threads
@@ -33,7 +35,6 @@ AREA_MEAN, AREA_P95 = 2.002, 2.01
 HARDER, HARD, HARDEST = 3.0, 900.0, 8100.0
 CLOSE = 4.0
 
-SUFFICIENT = 1e-4  # of the slope: Armijo's condition
 HALVINGS = 25  # of the step as a whole
 CORRECTED_HALVINGS = 2  # of a step by an older matrix: where that is not enough a fresh one is worth more
 MENDED = 3  # of them tried with repair of what they flip
@@ -311,7 +312,7 @@ class Refiner:
             wp.launch(retract, dim=count, inputs=inputs, outputs=[moved], device=device)
             if self._count_trouble(moved, volume, trouble) == 0:
                 return moved, share
-            inputs = [energy.d_offsets, energy.d_corners, trouble, share]
+            inputs = [*energy.triangles.rows, trouble, share]
             wp.launch(hold_back, dim=count, inputs=inputs, outputs=[other], device=device)
             share, other = other, share
         return None, None
@@ -319,7 +320,7 @@ class Refiner:
     def _count_trouble(self, moved, volume, trouble) -> int:
         """Mark the triangles that a step must not leave as they are, and count them."""
         count = wp.zeros(1, dtype=wp.int32, device=self.device)
-        inputs, outputs = [moved, self.energy.d_faces, volume], [trouble, count]
+        inputs, outputs = [moved, self.energy.triangles.faces, volume], [trouble, count]
         wp.launch(triangle_trouble, dim=trouble.size, inputs=inputs, outputs=outputs, device=self.device)
         return int(count.numpy()[0])
 

@@ -11,6 +11,7 @@ They need no file and no network. The coastlines of the globe are Natural Earth'
 from __future__ import annotations
 
 import heapq
+from abc import ABC, abstractmethod
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -33,7 +34,7 @@ def _colours(*names: str) -> Floats:
     return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names]) / 255.0
 
 
-class Pattern:
+class Pattern(ABC):
     """A colour for every direction on the sphere.
 
     Attributes:
@@ -71,9 +72,9 @@ class Pattern:
             ]
         return self._uploaded[device.alias]
 
+    @abstractmethod
     def _tables(self) -> list[Any]:
         """Kernel inputs between the directions and the output; (array, Warp dtype) is uploaded once per device."""
-        raise NotImplementedError
 
 
 class Checker(Pattern):

@@ -77,8 +77,8 @@ def map_with_density_exponent(
     refiner = Refiner(target, where)
     # Frames are lengths inverted: each triangle is scaled to the area it is to have.
     scale = np.sqrt(surface.face_areas / areas)
-    frames = refiner.energy.d_frames.numpy() * scale[:, None]
-    refiner.energy.d_frames = wp.array(frames, dtype=wp.vec3d, device=where)
+    frames = refiner.energy.triangles.frames.numpy() * scale[:, None]
+    refiner.energy.triangles.frames = wp.array(frames, dtype=wp.vec3d, device=where)
     return refiner.minimise(sphere, weight, iterations=ITERATIONS, tolerance=TOLERANCE).sphere
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from omtwarp.embedding.predicates import flipped_faces
 from omtwarp.embedding.tube import area_latitude, poles, positive_cotangent_weights, tube_map, weighted_laplacian
-from omtwarp.embedding.untangle import flipped_faces, untangle
+from omtwarp.embedding.untangle import untangle
 from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, shuffled, tube, uv_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.distortion import distortion

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from omtwarp._warp import wp
+from omtwarp.embedding.predicates import flipped_faces
 from omtwarp.embedding.tube import tube_map
-from omtwarp.embedding.untangle import flipped_faces, untangle
+from omtwarp.embedding.untangle import untangle
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, noisy
 from omtwarp.multigrid import MultigridSolver, Outcome

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omtwarp._warp import resolve_device
+from omtwarp.embedding.predicates import flipped_faces
 from omtwarp.embedding.tube import tube_map
-from omtwarp.embedding.untangle import flipped_faces, untangle
+from omtwarp.embedding.untangle import untangle
 from omtwarp.mesh.patches import grow
 from omtwarp.mesh.shapes import blob, noisy
 from omtwarp.refine.energy import DistortionEnergy

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from omtwarp.embedding.predicates import flipped_faces
 from omtwarp.embedding.tube import tube_map
-from omtwarp.embedding.untangle import flipped_faces, untangle
+from omtwarp.embedding.untangle import untangle
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, noisy, plate, tube
 from omtwarp.metrics.distortion import distortion
