@@ -172,15 +172,30 @@ def factorise_fronts(
                 return
 
 
-# A front's own rows are consecutive in x; its other rows are gathered once for all its columns.
+# A front's own rows are consecutive in x. What its columns take from the rows above goes from child to parent, as in
+# the factorisation: branches can be done side by side, and every sum has the same order whoever does them.
 DOWN = """
-    for (int f = 0; f < fronts; ++f) {
+    for (int k = 0; k < fronts.shape[0]; ++k) {
+        const int f = fronts.data[k];
         const int rows_count = starts.data[f + 1] - starts.data[f];
         const int size = block * rows_count, own = block * owned.data[f], rest = size - own;
         double* __restrict__ y = x.data + (long long)r * unknowns + block * first.data[f];
-        double* __restrict__ w = gathered.data + (long long)r * room;
+        double* mine = carried.data + (long long)r * stride;
+        double* __restrict__ w = mine + block * starts.data[f];
         #pragma clang loop vectorize(disable) unroll(disable)
-        for (int i = 0; i < rest; ++i) w[i] = 0.0;
+        for (int i = 0; i < size; ++i) w[i] = 0.0;
+        for (int n = family_starts.data[f]; n < family_starts.data[f + 1]; ++n) {
+            const int c = families.data[n];
+            const int child_rows = starts.data[c + 1] - starts.data[c];
+            const int* __restrict__ to = upward.data + starts.data[c];
+            const double* __restrict__ source = mine + block * starts.data[c];
+            for (int i = owned.data[c]; i < child_rows; ++i)
+                #pragma clang loop vectorize(disable) unroll(disable)
+                for (int u = 0; u < block; ++u) w[block * to[i] + u] += source[block * i + u];
+        }
+        #pragma clang loop vectorize(disable) unroll(disable)
+        for (int i = 0; i < own; ++i) y[i] -= w[i];
+        w += own;
         const double* column = factor.data + offsets.data[f];
         int j = 0;
         for (; j + 1 < own; j += 2) {
@@ -207,21 +222,18 @@ DOWN = """
             #pragma clang loop vectorize(disable) unroll(disable)
             for (int i = 0; i < rest; ++i) w[i] += a[i] * u;
         }
-        const int* row = rows.data + starts.data[f] + owned.data[f];
-        double* all = x.data + (long long)r * unknowns;
-        #pragma clang loop vectorize(disable) unroll(disable)
-        for (int i = 0; i < rest; ++i) all[block * row[i / block] + i % block] -= w[i];
     }
 """
 
+# The rows above are gathered once for all columns of a front, behind its own, so that a column meets one stretch.
 UP = """
-    for (int f = fronts - 1; f >= 0; --f) {
+    for (int k = (int)fronts.shape[0] - 1; k >= 0; --k) {
+        const int f = fronts.data[k];
         const int rows_count = starts.data[f + 1] - starts.data[f];
         const int size = block * rows_count, own = block * owned.data[f], rest = size - own;
-        double* __restrict__ w = gathered.data + (long long)r * room;
+        double* __restrict__ w = carried.data + (long long)r * stride + block * starts.data[f];
         double* all = x.data + (long long)r * unknowns;
         const int* row = rows.data + starts.data[f] + owned.data[f];
-        // Own rows come first in w, so that a column meets one stretch of numbers.
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < rest; ++i) w[own + i] = all[block * row[i / block] + i % block];
         double* y = all + block * first.data[f];
@@ -246,17 +258,19 @@ UP = """
 @wp.func_native(DOWN)
 def substitute_down(
     r: int,
+    fronts: wp.array[wp.int32],
     unknowns: int,
-    room: int,
-    fronts: int,
+    stride: int,
     block: int,
     first: wp.array[wp.int32],
     owned: wp.array[wp.int32],
     starts: wp.array[wp.int64],
-    rows: wp.array[wp.int32],
+    upward: wp.array[wp.int32],
+    family_starts: wp.array[wp.int32],
+    families: wp.array[wp.int32],
     factor: wp.array[wp.float64],
     offsets: wp.array[wp.int64],
-    gathered: wp.array[wp.float64],
+    carried: wp.array[wp.float64],
     x: wp.array[wp.float64],
 ): ...
 
@@ -264,9 +278,9 @@ def substitute_down(
 @wp.func_native(UP)
 def substitute_up(
     r: int,
+    fronts: wp.array[wp.int32],
     unknowns: int,
-    room: int,
-    fronts: int,
+    stride: int,
     block: int,
     first: wp.array[wp.int32],
     owned: wp.array[wp.int32],
@@ -274,31 +288,41 @@ def substitute_up(
     rows: wp.array[wp.int32],
     factor: wp.array[wp.float64],
     offsets: wp.array[wp.int64],
-    gathered: wp.array[wp.float64],
+    carried: wp.array[wp.float64],
     x: wp.array[wp.float64],
 ): ...
 
 
 @wp.kernel
 def solve_triangular(
-    upward: int,
+    fronts: wp.array[wp.int32],
+    transposed: int,
     unknowns: int,
-    room: int,
-    fronts: int,
+    stride: int,
     block: int,
     first: wp.array[wp.int32],
     owned: wp.array[wp.int32],
     starts: wp.array[wp.int64],
     rows: wp.array[wp.int32],
+    upward: wp.array[wp.int32],
+    family_starts: wp.array[wp.int32],
+    families: wp.array[wp.int32],
     factor: wp.array[wp.float64],
     offsets: wp.array[wp.int64],
-    gathered: wp.array[wp.float64],
     # Data in and out, one thread per right-hand side:
+    carried: wp.array[wp.float64],
     x: wp.array[wp.float64],
 ):
-    """x <- L^-T x if ``upward`` is 1, else x <- L^-1 x."""
+    """The part of x <- L^-1 x, or x <- L^-T x where ``transposed`` is 1, that falls to some fronts, one after another.
+
+    Their children have to be done before, or their parents; ``carried`` has room for ``stride`` numbers, one for every
+    row of every front, for each right-hand side.
+    """
     r, _ = wp.tid()
-    if upward == 1:
-        substitute_up(r, unknowns, room, fronts, block, first, owned, starts, rows, factor, offsets, gathered, x)
+    if transposed == 1:
+        substitute_up(r, fronts, unknowns, stride, block, first, owned, starts, rows, factor, offsets, carried, x)
     else:
-        substitute_down(r, unknowns, room, fronts, block, first, owned, starts, rows, factor, offsets, gathered, x)
+        substitute_down(
+            r, fronts, unknowns, stride, block, first, owned, starts, upward, family_starts, families, factor, offsets,
+            carried, x,
+        )  # fmt: skip

@@ -8,6 +8,7 @@ independent fronts run on as many threads as there are cores.
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,7 @@ class MultifrontalCholesky:
         self._offsets, self._length = self._places([*self._jobs, np.concatenate([np.empty(0, np.int32), *self._trunk])])
         self._keep = keep
         self._room: NDArray[np.float64] | None = None
+        self._carried: wp.array | None = None
         few = [fronts for fronts in self._trunk if len(fronts) < self.threads]
         self._shared = {int(f) for fronts in few for f in fronts if costs[f] > TOGETHER * self.threads}
         self._upload()
@@ -123,19 +125,17 @@ class MultifrontalCholesky:
         self._starts, self._rows = keep(d.starts, wp.int64), keep(d.rows, wp.int32)
         self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
         self._w_factor = wp.array(self._factor, device="cpu", copy=False)
-        self._largest = self.block * int(d.sizes.max())
         families = np.argsort(d.parent, kind="stable")
         family_starts = np.searchsorted(d.parent[families], np.arange(len(d.parent) + 1))
         order = np.argsort(d.edge_front, kind="stable")
         edge_starts = np.searchsorted(d.edge_front[order], np.arange(len(d.owned) + 1))
+        self._families = [keep(d.upward, wp.int32), keep(family_starts, wp.int32), keep(families, wp.int32)]
         self._symbolic = [
             self.block,
             self._first,
             self._owned,
             self._starts,
-            keep(d.upward, wp.int32),
-            keep(family_starts, wp.int32),
-            keep(families, wp.int32),
+            *self._families,
             keep(d.order, wp.int32),
             keep(edge_starts, wp.int32),
             keep(order, wp.int32),
@@ -209,22 +209,35 @@ class MultifrontalCholesky:
         flat = np.asarray(right, dtype=np.float64).reshape(d.vertex_count, block, -1)
         count = flat.shape[2]
         x = np.ascontiguousarray(flat[d.order].transpose(2, 0, 1).reshape(-1))
+        stride = block * len(d.rows)
+        if self._carried is None or len(self._carried) < count * stride:
+            self._carried = wp.empty(count * stride, dtype=wp.float64, device="cpu")
         inputs = [
             block * d.vertex_count,
-            self._largest,
-            len(d.owned),
+            stride,
             block,
             self._first,
             self._owned,
             self._starts,
             self._rows,
+            *self._families,
             self._w_factor,
             self._w_factor_offsets,
-            wp.empty(count * self._largest, dtype=wp.float64, device="cpu"),
+            self._carried,
             wp.array(x, dtype=wp.float64, device="cpu", copy=False),
         ]
-        for upward in (0, 1):
-            wp.launch(solve_triangular, dim=count, inputs=[upward, *inputs], device="cpu")
+        load(solve_triangular, "cpu")
+
+        def run(fronts: NDArray[np.int32], transposed: int) -> None:
+            own = wp.array(fronts, dtype=wp.int32, device="cpu", copy=False)
+            wp.launch(solve_triangular, dim=count, inputs=[own, transposed, *inputs], device="cpu")
+
+        run_all(partial(run, transposed=0), self._jobs)
+        if self._trunk:
+            trunk = np.concatenate(self._trunk)
+            run(trunk, 0)
+            run(trunk, 1)
+        run_all(partial(run, transposed=1), self._jobs)
         out = np.empty_like(flat)
         out[d.order] = x.reshape(count, d.vertex_count, block).transpose(1, 2, 0)
         return out.reshape(np.shape(right))
