@@ -8,7 +8,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))
 AREA_HALVINGS = wp.constant(3)
 STEP_TRIALS = wp.constant(30)
-SMALL_STEPS = wp.constant(3)
 TENTH = wp.constant(wp.float64(0.1))
 ROUND_OFF = wp.constant(wp.float64(1e-14))
 TINY = wp.constant(wp.float64(1e-300))
@@ -22,7 +21,7 @@ class FlowState:
     most: wp.int32  # iterations
     conjugate: wp.int32  # 0 for steepest descent
     tolerance: wp.float64  # of the relative curl
-    cost_tolerance: wp.float64  # of the relative decrease; three steps below it in a row are the end
+    cost_tolerance: wp.float64  # three steps that lower the cost by less than this part of it in all are the end
     negligible: wp.float64  # part of the cost that a step has to promise
     scale: wp.float64  # of the preconditioned gradient: the second derivative of the cost along it
     longest: wp.float64
@@ -32,12 +31,14 @@ class FlowState:
     # Moves on:
     cost: wp.float64
     area_error: wp.float64
+    last_gain: wp.float64  # of cost, by the step before
+    last_gains: wp.float64  # by the two before
+    gains: wp.float64  # by the three before
     step: wp.float64
     square: wp.float64  # of the gradient
     slope: wp.float64  # of the cost along the direction
     factor: wp.float64  # of the last direction in this one
     iteration: wp.int32
-    small: wp.int32  # steps in a row that hardly lowered the cost
     trials: wp.int32
     shortened: wp.int32  # trials refused for their areas
     accepted: wp.int32
@@ -105,7 +106,7 @@ def begin_iteration(
     s.accepted = 0
     s.trials = 0
     s.shortened = 0
-    if curl <= s.tolerance or s.cost <= ROUND_OFF or size <= ZERO or s.small >= SMALL_STEPS:
+    if curl <= s.tolerance or s.cost <= ROUND_OFF or size <= ZERO or s.gains <= s.cost_tolerance * s.cost:
         s.finished = 1
         s.converged = 1
     elif s.iteration == s.most:
@@ -184,10 +185,10 @@ def judge_step(
     if over == 1:
         searching[0] = 0
         if s.accepted == 1:
-            if s.cost - cost <= s.cost_tolerance * s.cost:
-                s.small = s.small + 1
-            else:
-                s.small = 0
+            gain = s.cost - cost
+            s.gains = s.last_gains + gain
+            s.last_gains = s.last_gain + gain
+            s.last_gain = gain
             s.cost = cost
             s.step = wp.min(wp.min(wp.max(best, HALF * s.step), TWO * s.step), s.longest)
         else:

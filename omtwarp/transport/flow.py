@@ -53,9 +53,9 @@ RESOLVED_EDGES = 3.0
 FADING = 3
 
 # The flow stops when the part of the displacement that a mass-preserving motion could still remove is this small
-# relative to the displacement, or when steps no longer lower the cost by a noticeable part.
+# relative to the displacement, or when three steps together no longer lower the cost by a noticeable part.
 CURL_TOLERANCE = 2e-3
-COST_TOLERANCE = {"default": 3e-5, "plain": 1e-7}  # plain steps are short: a small one is not the last
+COST_TOLERANCE = {"default": 1e-4, "plain": 3e-7}  # plain steps are short: small ones are not the last
 # A step that promises less than this part of the cost is not worth looking for.
 NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
 # The flow ends when the area error has grown by more than AREA_LOSS of what it was and AREA_PRICE times the part of the
@@ -310,6 +310,9 @@ class _Flow:
             "area_price": AREA_PRICE,
             "cost": cost,
             "area_error": area_error,
+            "last_gain": np.inf,
+            "last_gains": np.inf,
+            "gains": np.inf,
             "step": 0.4 / scale if not self.plain else 0.1 * self.softening**2,
         }
         for name, value in values.items():
