@@ -54,6 +54,7 @@ class StepGuard:
             wp.empty(self.vertex_count, dtype=wp.int32, device=device) for _ in range(3)
         )
         self._wanted = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
+        self._ready: dict[tuple[int, int, int], tuple[Any, Any, list[Any]]] = {}
 
     def count(self, points: Any) -> int:
         """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]."""
@@ -71,23 +72,41 @@ class StepGuard:
         """
         for array in (self._counters, self._face_rounds, self._vertex_rounds, self._halvings):
             array.zero_()
-        mesh = [self._faces, self._floors]
-        threads = THREADS if wp.get_device(self.device).is_cuda else 1
+        find, end, shorten = self._launches(old, new, rounds)
 
-        def launch(kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
-            wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
+        def again() -> None:
+            for launch in shorten:
+                launch.launch()
+            end.launch()
 
-        def shorten() -> None:
+        find.launch()
+        end.launch()
+        wp.capture_while(self._again, again)
+
+    def _launches(self, old: Any, new: Any, rounds: int) -> tuple[Any, Any, list[Any]]:
+        """What a step from one array to another launches, made ready once: there are dozens of short rounds.
+
+        Only addresses and lengths are kept, so that arrays that come to lie where others were are served as well.
+        """
+        key = (old.ptr, new.ptr, rounds)
+        if key not in self._ready:
+            threads = THREADS if wp.get_device(self.device).is_cuda else 1
+            mesh = [self._faces, self._floors]
+
+            def prepare(kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> Any:
+                return wp.launch(
+                    kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
+                )
+
+            end = prepare(end_round, 1, [rounds], [self._counters, self._again])
+            find = prepare(find_bad, self.face_count, [old, new, *mesh], [self._counters, self._bad])
             inputs = [old, self._faces, self._bad, HALVINGS, rounds, threads]
             both = [self._counters, self._vertex_rounds, self._halvings, self._wanted, new]
-            launch(shorten_steps, threads, inputs, [*both, self._changed])
+            shorten = prepare(shorten_steps, threads, inputs, [*both, self._changed])
             inputs = [old, new, *mesh, self._offsets, self._corners, self._changed, threads]
-            launch(find_bad_around, threads, inputs, [self._counters, self._face_rounds, self._bad])
-            launch(end_round, 1, [rounds], [self._counters, self._again])
-
-        launch(find_bad, self.face_count, [old, new, *mesh], [self._counters, self._bad])
-        launch(end_round, 1, [rounds], [self._counters, self._again])
-        wp.capture_while(self._again, shorten)
+            around = prepare(find_bad_around, threads, inputs, [self._counters, self._face_rounds, self._bad])
+            self._ready[key] = find, end, [shorten, around]
+        return self._ready[key]
 
     def limit(self, old: Any, new: Any) -> int:
         """:meth:`hold`, and the number of vertices whose step was shortened."""
