@@ -77,8 +77,11 @@ def moser_map(
 
     neighbours = wp.array(surface.face_neighbours, dtype=wp.vec3i, device=where)
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
-    inputs = [points, faces, potential, *rows]
-    wp.launch(vertex_field, dim=vertices, inputs=inputs, outputs=[field], device=where)
+
+    def field_arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        return [points, faces, potential, *rows, part.start], [field]
+
+    launch_parts(vertex_field, vertices, field_arguments, where)
     moved = wp.empty_like(points)
     steps = wp.empty(vertices, dtype=wp.int32, device=where)
     limits = [wp.float64(LARGEST_STEP), wp.float64(COURANT), wp.float64(FINAL_TIME)]

@@ -1,12 +1,15 @@
 """Moser's flow on a triangulated sphere: every particle integrates its own path, walking from triangle to triangle."""
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
+from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, THREE, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-QUARTER = wp.constant(wp.float64(0.25))
 LONGEST_STEP = wp.constant(wp.float64(2.0))
-SIXTH = wp.constant(wp.float64(1.0 / 6.0))
+QUARTER = wp.constant(wp.float64(0.25))
+THREE_QUARTERS = wp.constant(wp.float64(0.75))
+TWO_NINTHS = wp.constant(wp.float64(2.0 / 9.0))
+THIRD = wp.constant(wp.float64(1.0 / 3.0))
+FOUR_NINTHS = wp.constant(wp.float64(4.0 / 9.0))
 OUTSIDE = wp.constant(wp.float64(-1e-12))
 WALK_LIMIT = wp.constant(2000)
 LARGEST = wp.constant(wp.float64(1e300))  # instead of infinity
@@ -20,7 +23,7 @@ def spherical_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     if total <= ZERO:
         # The plane is behind the point: keep the signs, which steer the walk, and no scale.
         return weights
-    return weights / total
+    return (ONE / total) * weights
 
 
 @wp.func(inline=True)
@@ -51,7 +54,7 @@ def locate(
         f = neighbours[f][edge]
     clamped = wp.vec3d(wp.max(weights[0], ZERO), wp.max(weights[1], ZERO), wp.max(weights[2], ZERO))
     total = wp.max(clamped[0] + clamped[1] + clamped[2], wp.float64(1e-300))
-    return f, clamped / total
+    return f, (ONE / total) * clamped
 
 
 @wp.func(inline=True)
@@ -70,7 +73,7 @@ def velocity_at(
     face = faces[f]
     v = w[0] * field[face[0]] + w[1] * field[face[1]] + w[2] * field[face[2]]
     density = w[0] * mu[face[0]] + w[1] * mu[face[1]] + w[2] * mu[face[2]]
-    v = v / (density + growth)
+    v = (ONE / (density + growth)) * v
     return v - wp.dot(v, p) * p, f
 
 
@@ -117,6 +120,7 @@ def vertex_field(
     potential: wp.array[wp.float64],
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
+    first: int,
     # Data out:
     field: wp.array[wp.vec3d],
 ):
@@ -125,7 +129,8 @@ def vertex_field(
     Weighting by angle rather than area keeps a large triangle from speaking for a small one: the area error left by the
     flow is a third of what area weights leave on scanned shapes.
     """
-    v, _ = wp.tid()
+    thread, _ = wp.tid()
+    v = first + thread
     total = wp.vec3d()
     weight = wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
@@ -164,7 +169,7 @@ def integrate_particles(
     moved: wp.array[wp.vec3d],
     steps: wp.array[wp.int32],
 ):
-    """Fourth-order Runge-Kutta along one particle's path, each step at most a part of the triangle it is in.
+    """Third-order Runge-Kutta (Ralston 1962) along one particle's path, steps at most a part of the triangle it is in.
 
     The velocity is linear on every triangle, so steps shorter than a triangle resolve it, and particles in calm regions
     take long steps: no particle waits for another.
@@ -173,33 +178,37 @@ def integrate_particles(
     p = particles[v]
     f = corners[first_corners[v]] // 3
     s = wp.float64(0.0)
+    grown = wp.float64(1.0)  # e^s
     count = int(0)
     while s < final and count < 20000:
-        growth = wp.exp(s) - ONE
-        k1, f = velocity_at(p, growth, f, points, faces, neighbours, field, mu)
+        k1, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu)
         face = faces[f]
         p0 = points[face[0]]
         size = wp.sqrt(wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0)))
-        # What is left of the motion falls as e^-s, and a fourth-order step may grow as its fourth root at equal error.
-        longest = wp.min(largest_step * wp.exp(QUARTER * s), LONGEST_STEP)
+        # What is left of the motion falls as e^-s, and the error of a step goes as its fourth power.
+        longest = wp.min(largest_step * wp.sqrt(wp.sqrt(grown)), LONGEST_STEP)
         step = wp.min(longest, courant * size / wp.max(wp.length(k1), wp.float64(1e-300)))
         # Never crawl: where a sliver would ask for steps without end, a thousandth of the path's time is fine enough.
         step = wp.min(wp.max(step, wp.float64(1e-3)), final - s)
-        half = HALF * step
-        # One call for the other three stages, not three: it is inlined, and half of the kernel.
+        quarter = wp.exp(QUARTER * step)
+        later = grown * quarter * quarter
+        # One call for both other stages, not two: it is inlined, and half of the kernel.
         k = k1
-        total = k1
+        total = TWO_NINTHS * k1
         near = int(f)
-        for stage in range(1, 4):
-            ahead = half
-            weight = TWO
-            if stage == 3:
-                ahead = step
-                weight = ONE
-            later = wp.exp(s + ahead) - ONE
-            k, near = velocity_at(wp.normalize(p + ahead * k), later, near, points, faces, neighbours, field, mu)
+        for stage in range(1, 3):
+            ahead = HALF * step
+            weight = THIRD
+            if stage == 2:
+                ahead = THREE_QUARTERS * step
+                weight = FOUR_NINTHS
+                later = later * quarter
+            k, near = velocity_at(
+                wp.normalize(p + ahead * k), later - ONE, near, points, faces, neighbours, field, mu
+            )
             total += weight * k
-        p = wp.normalize(p + step * SIXTH * total)
+        grown = later * quarter
+        p = wp.normalize(p + step * total)
         s += step
         count += 1
     moved[v] = p

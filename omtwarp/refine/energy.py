@@ -118,8 +118,11 @@ class TriangleKernels:
 
         launch_parts(triangle_gradient, self.count, arguments, self.device)
         gradient = wp.empty(self.rows[0].size - 1, dtype=wp.vec3d, device=self.device)
-        inputs = [points, *self.rows, room, wp.float64(SPHERE_AREA)]
-        wp.launch(gather_tangent, dim=gradient.size, inputs=inputs, outputs=[gradient], device=self.device)
+
+        def gathered(part: slice) -> tuple[list[Any], list[Any]]:
+            return [points, *self.rows, room, wp.float64(SPHERE_AREA), part.start], [gradient]
+
+        launch_parts(gather_tangent, gradient.size, gathered, self.device)
         return gradient
 
     def hessian(

@@ -126,10 +126,11 @@ def gather_tangent(
     corners: wp.array(dtype=wp.int32),
     corner_gradient: wp.array(dtype=wp.vec3d),
     divisor: wp.float64,
+    first: int,
     gradient: wp.array(dtype=wp.vec3d),
 ):
-    """Sum at every vertex what its corners hold, keep the part tangent to the sphere, and divide it."""
-    i = wp.tid()
+    """Sum at every vertex, from a first one on, what its corners hold, keep the tangent part, and divide it."""
+    i = first + wp.tid()
     total = wp.vec3d(ZERO, ZERO, ZERO)
     for k in range(offsets[i], offsets[i + 1]):
         total = total + corner_gradient[corners[k]]

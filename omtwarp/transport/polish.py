@@ -24,7 +24,7 @@ from omtwarp.embedding.guard import StepGuard
 from omtwarp.linear import SurfaceLaplacianSolver, sums_for
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.sums import RowSums
-from omtwarp.threads import blas_threads
+from omtwarp.threads import blas_threads, launch_parts
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, TransportMap
 from omtwarp.transport.polish_kernels import (
@@ -91,10 +91,20 @@ def polish_transport(
 
     def measure() -> tuple[float, float, float]:
         limits = [wp.float64(LARGEST_ERROR), wp.float64(WORST)]
-        inputs = [origin, points, faces, areas, *limits]
-        wp.launch(cost_and_area_errors, dim=len(measured), inputs=inputs, outputs=[measured], device=where)
+
+        def of_triangles(part: slice) -> tuple[list[Any], list[Any]]:
+            return [origin, points, faces[part], areas[part], *limits], [measured[part]]
+
+        launch_parts(cost_and_area_errors, len(measured), of_triangles, where)
         cost, usual, worst = (float(x) for x in face_sums(measured).numpy().sum(axis=0))
         return cost, usual / SPHERE_AREA, worst / SPHERE_AREA
+
+    def around_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+        return [points, pull, faces, *rows, part.start], [curl, energy, area]
+
+    def along_potentials(part: slice) -> tuple[list[Any], list[Any]]:
+        lengths = [wp.float64(step), wp.float64(min(1.0, 2.0 * step))]
+        return [best, faces, *potentials, *rows, *lengths, part.start], [moved]
 
     guard = StepGuard(surface, where)
     guarded = guard.count(points) == 0
@@ -106,13 +116,7 @@ def polish_transport(
     least, held, step, last = np.inf, 0, STEP, False
     for number in range(rounds + 1):
         wp.launch(displacements, dim=count, inputs=[origin, points], outputs=[pull], device=where)
-        wp.launch(
-            weak_curl_and_area,
-            dim=count,
-            inputs=[points, pull, faces, *rows],
-            outputs=[curl, energy, area],
-            device=where,
-        )
+        launch_parts(weak_curl_and_area, count, around_vertices, where)
         vertex_sums.total(area, total)
         inputs = [wanted, area, total, wp.float64(SPHERE_AREA)]
         wp.launch(missing_areas, dim=count, inputs=inputs, outputs=[missing], device=where)
@@ -143,13 +147,7 @@ def polish_transport(
             step *= 0.5
         if last or relative <= NEGLIGIBLE or step < SHORTEST_STEP or number == rounds:
             break
-        wp.launch(
-            move_by_potentials,
-            dim=count,
-            inputs=[best, faces, *potentials, *rows, wp.float64(step), wp.float64(min(1.0, 2.0 * step))],
-            outputs=[moved],
-            device=where,
-        )
+        launch_parts(move_by_potentials, count, along_potentials, where)
         held = guard.limit(best, moved) if guarded else 0
         points, moved = moved, points
     return TransportMap(best.numpy().copy(), history, True)

@@ -48,6 +48,7 @@ def weak_curl_and_area(
     faces: wp.array[wp.vec3i],
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
+    first: int,
     # Data out:
     curl: wp.array[wp.float64],
     energy: wp.array[wp.float64],
@@ -60,7 +61,8 @@ def weak_curl_and_area(
     u is the mean of the displacements at a triangle's corners. With n the normal of length 2A and e the edge opposite
     the vertex, A J∇φ = n × (n × e) / (4A) = -A e / (2A) ... = -e / 2: the area drops out, and slivers do no harm.
     """
-    v, _ = wp.tid()
+    thread, _ = wp.tid()
+    v = first + thread
     total_curl = wp.float64(0.0)
     total_energy = wp.float64(0.0)
     total_area = wp.float64(0.0)
@@ -102,6 +104,7 @@ def move_by_potentials(
     corners: wp.array[wp.int32],
     curl_step: wp.float64,
     area_step: wp.float64,
+    first: int,
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
@@ -110,7 +113,7 @@ def move_by_potentials(
     With n the normal of length 2A and e_k the edge opposite corner k, ∇H = Σ H_k n × e_k / (2A)² and
     J∇H = -Σ H_k e_k / 2A.
     """
-    v = wp.tid()
+    v = first + wp.tid()
     total = wp.vec3d()
     weight = ZERO
     for k in range(offsets[v], offsets[v + 1]):

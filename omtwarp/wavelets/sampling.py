@@ -135,7 +135,11 @@ class SphereSampler:
         self._launch(kernels.sort_keys_kernel, count, [self.point_faces], [self._keys, self._order])
         bits = int(self.face_count - 1).bit_length()
         wp.utils.radix_sort_pairs(self._keys, self._order, count, end_bit=bits)
-        self._launch(kernels.face_rows_kernel, self.face_count + 1, [self._keys, count], [self._point_rows])
+
+        def rows(part: slice) -> tuple[list[Any], list[Any]]:
+            return [self._keys, count, part.start], [self._point_rows]
+
+        launch_parts(kernels.face_rows_kernel, self.face_count + 1, rows, self.device)
         self._level_masses = []
 
     def matrix(self) -> sparse.csr_matrix:

@@ -92,9 +92,15 @@ def sort_keys_kernel(point_faces: wp.array[wp.int32], keys: wp.array[wp.int32], 
 
 
 @wp.kernel
-def face_rows_kernel(keys: wp.array[wp.int32], count: wp.int32, row_offsets: wp.array[wp.int32]):
-    """First place of each face among the sorted keys, by bisection."""
-    f = wp.tid()
+def face_rows_kernel(
+    keys: wp.array[wp.int32],
+    count: wp.int32,
+    first: wp.int32,
+    # Data out:
+    row_offsets: wp.array[wp.int32],
+):
+    """First place of each face, from a first one on, among the sorted keys, by bisection."""
+    f = first + wp.tid()
     low = int(0)
     high = int(count)
     while low < high:

@@ -142,8 +142,8 @@ def test_every_kernel_of_a_round_agrees_with_the_cpu(device):
         measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
         for kernel, size, inputs, outputs in (
             (displacements, len(points), [origin, points], [pull]),
-            (weak_curl_and_area, len(points), [points, pull, faces, *rows], [curl, energy, area]),
-            (move_by_potentials, len(points), [points, faces, stream, potential, *rows, 0.3, 0.6], [moved]),
+            (weak_curl_and_area, len(points), [points, pull, faces, *rows, 0], [curl, energy, area]),
+            (move_by_potentials, len(points), [points, faces, stream, potential, *rows, 0.3, 0.6, 0], [moved]),
             (cost_and_area_errors, surface.face_count, [origin, points, faces, areas, 0.1, 10.0], [measured]),
         ):
             wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=where)
