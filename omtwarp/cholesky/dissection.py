@@ -9,6 +9,7 @@ work is a few sorts of all vertices for every depth.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -70,6 +71,41 @@ class Dissection:
     def front_depths(self) -> NDArray[np.int64]:
         """Which of the depths every front is in, shape [N]."""
         return np.repeat(np.arange(len(self.depths)), [depth.stop - depth.start for depth in self.depths])
+
+    @cached_property
+    def families(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The children of every front as compressed rows: offsets, shape [N + 1], and fronts.
+
+        Those without a parent come first, before the offset of the first front.
+        """
+        children = np.argsort(self.parent, kind="stable")
+        return np.searchsorted(self.parent[children], np.arange(len(self.parent) + 1)), children
+
+    def before_siblings(self, values: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Sums of integers, shape [N], over the siblings that come before every front; roots are siblings, too."""
+        offsets, children = self.families
+        sums = np.cumsum(values[children]) - values[children]
+        begin = np.where(self.parent >= 0, offsets[self.parent], 0)
+        out = np.empty(len(values), dtype=np.int64)
+        out[children] = sums
+        return out - sums[begin]
+
+    @cached_property
+    def postorder(self) -> NDArray[np.int64]:
+        """All fronts, every branch of the tree in one stretch that ends with its root, shape [N]."""
+        branch = np.ones(len(self.parent), dtype=np.int64)
+        for depth in self.depths:
+            fronts = np.arange(depth.start, depth.stop)
+            inner = fronts[self.parent[fronts] >= 0]
+            np.add.at(branch, self.parent[inner], branch[inner])
+        first = self.before_siblings(branch)
+        for depth in reversed(self.depths):
+            fronts = np.arange(depth.start, depth.stop)
+            inner = fronts[self.parent[fronts] >= 0]
+            first[inner] += first[self.parent[inner]]
+        order = np.empty(len(branch), dtype=np.int64)
+        order[first + branch - 1] = np.arange(len(branch))
+        return order
 
     @property
     def factor_entries(self) -> int:

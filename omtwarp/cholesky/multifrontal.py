@@ -55,7 +55,7 @@ class MultifrontalCholesky:
         costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
         self._operations = float(costs.sum())
         self._jobs, self._trunk = self._divide(costs)
-        self._offsets, self._length = self._places([*self._jobs, np.concatenate([np.empty(0, np.int32), *self._trunk])])
+        self._offsets, self._length = self._places()
         self._keep = keep
         self._room: NDArray[np.float64] | None = None
         self._carried: wp.array | None = None
@@ -66,7 +66,7 @@ class MultifrontalCholesky:
     def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
         """Fronts of whole branches of the tree, one job for every thread, and the trunk above them, depth by depth."""
         d = self.dissection
-        every = np.arange(len(costs), dtype=np.int32)
+        every = d.postorder.astype(np.int32)
         if self.threads == 1 or self._operations < THREADED:
             return [every], []
         depth_of = d.front_depths
@@ -75,7 +75,7 @@ class MultifrontalCholesky:
             return [every], []
         top = max(enough)  # depths are deepest first
         # The branch of a front: that of its parent, or its own where the trunk begins above it.
-        branch = every.copy()
+        branch = np.arange(len(costs))
         for k in reversed(range(len(d.depths))):
             fronts = np.arange(d.depths[k].start, d.depths[k].stop)
             if k < top:
@@ -89,30 +89,37 @@ class MultifrontalCholesky:
         for root in roots[np.argsort(-work[roots], kind="stable")]:
             thread_of[root] = int(load.argmin())
             load[thread_of[root]] += work[root]
-        jobs = [every[inside & (thread_of[branch] == t)] for t in range(self.threads)]
-        trunk = [every[depth] for depth in d.depths[top + 1 :]]
+        jobs = [every[(inside & (thread_of[branch] == t))[every]] for t in range(self.threads)]
+        trunk = [np.arange(depth.start, depth.stop, dtype=np.int32) for depth in d.depths[top + 1 :]]
         return [job for job in jobs if len(job)], trunk
 
-    def _places(self, jobs: list[NDArray[np.int32]]) -> tuple[NDArray[np.int64], int]:
+    def _places(self) -> tuple[NDArray[np.int64], int]:
         """Where fronts begin in the room, and how large it is.
 
-        The fronts of a job and depth lie one after another; two depths of a job are there at a time.
+        A job does branch after branch in postorder, so that little is there at a time and most of it in cache. Its
+        fronts lie on two stacks, one for even depths and one for odd: on top of the one are a front's children when it
+        is put together on the other. The few fronts of the trunk have places of their own.
         """
         d = self.dissection
         squares = self._sizes**2
-        depth_of = d.front_depths
+        odd = d.front_depths % 2 == 1
+        of_children = np.zeros(len(squares), dtype=np.int64)
+        inner = d.parent >= 0
+        np.add.at(of_children, d.parent[inner], squares[inner])
         offsets = np.zeros(len(squares), dtype=np.int64)
         length = 0
-        for job in jobs:
-            depths = depth_of[job]
-            halves = [0, 0]
-            for k in np.unique(depths):
-                fronts = job[depths == k]
-                ends = np.cumsum(squares[fronts])
-                offsets[fronts] = ends - squares[fronts]
-                halves[k % 2] = max(halves[k % 2], int(ends[-1]))
-            offsets[job] += length + np.where(depths % 2 == 1, halves[0], 0)
-            length += sum(halves)
+        for job in self._jobs:
+            for parity in (False, True):
+                here = odd[job] == parity
+                put = np.where(here, squares[job], 0)
+                taken = np.where(here, 0, of_children[job])
+                tops = np.cumsum(put - taken)
+                offsets[job[here]] = (length + tops - put)[here]
+                length += int(tops[here].max(initial=0))
+        for fronts in self._trunk:
+            ends = np.cumsum(squares[fronts])
+            offsets[fronts] = length + ends - squares[fronts]
+            length += int(ends[-1])
         return offsets, length
 
     def _upload(self) -> None:
@@ -125,8 +132,7 @@ class MultifrontalCholesky:
         self._starts, self._rows = keep(d.starts, wp.int64), keep(d.rows, wp.int32)
         self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
         self._w_factor = wp.array(self._factor, device="cpu", copy=False)
-        families = np.argsort(d.parent, kind="stable")
-        family_starts = np.searchsorted(d.parent[families], np.arange(len(d.parent) + 1))
+        family_starts, families = d.families
         order = np.argsort(d.edge_front, kind="stable")
         edge_starts = np.searchsorted(d.edge_front[order], np.arange(len(d.owned) + 1))
         self._families = [keep(d.upward, wp.int32), keep(family_starts, wp.int32), keep(families, wp.int32)]

@@ -232,3 +232,38 @@ def test_threads_that_share_a_front_find_the_same_factor(monkeypatch):
     diagonal[surface.dissection.order[-1]] *= -1.0
     with pytest.raises(NotPositiveDefinite):
         shared.factorise(diagonal, off)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_no_front_is_overwritten_before_its_parent_has_it(threads):
+    """In the order of a job: a front's place must be free of all that still waits for its parent."""
+    surface = random_sphere(3000, 3)
+    factor = MultifrontalCholesky(dissect(surface.vertices, surface.edges), block=2, threads=threads)
+    d, sizes = factor.dissection, factor._sizes
+    assert sorted(np.concatenate([*factor._jobs, *factor._trunk]).tolist()) == list(range(len(sizes)))
+    waiting: dict[int, range] = {}
+    for front in np.concatenate([*factor._jobs, *factor._trunk]).tolist():
+        place = range(int(factor._offsets[front]), int(factor._offsets[front] + sizes[front] ** 2))
+        assert 0 <= place.start and place.stop <= factor._length
+        for other in waiting.values():
+            assert place.stop <= other.start or other.stop <= place.start
+        for child in np.flatnonzero(d.parent == front).tolist():
+            del waiting[child]
+        waiting[front] = place
+    assert all(d.parent[front] < 0 for front in waiting)
+    # That is the point of it: little has to be there at a time.
+    assert factor._length < 0.6 * int((sizes**2).sum())
+
+
+def test_postorder_keeps_branches_together():
+    surface = random_sphere(1000, 1)
+    d = dissect(surface.vertices, surface.edges)
+    place = np.empty(len(d.parent), dtype=np.int64)
+    place[d.postorder] = np.arange(len(d.parent))
+    branch = {f: {f} for f in range(len(d.parent))}
+    for front in np.argsort(place).tolist():
+        assert sorted(place[list(branch[front])].tolist()) == list(
+            range(int(place[front]) - len(branch[front]) + 1, int(place[front]) + 1)
+        )
+        if d.parent[front] >= 0:
+            branch[int(d.parent[front])] |= branch[front]
