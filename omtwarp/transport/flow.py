@@ -191,7 +191,7 @@ class _Flow:
         begin = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=device)
         self.launch(face_centres, self.face_count, [begin, self.faces], [self.start_centres])
         self.masses = wp.array(surface.face_areas, dtype=wp.float64, device=device)
-        self.hierarchy = sphere_hierarchy(level_for(1.2 * surface.vertex_count, lowest=2))
+        self.hierarchy = sphere_hierarchy(level_for(surface.vertex_count, lowest=2))
         squares = wp.empty(self.face_count, dtype=wp.float64, device=device)
         self.launch(face_centres, self.face_count, [self.points, self.faces], [self.centres])
         self.launch(longest_edges, self.face_count, [self.points, self.faces], [squares])
