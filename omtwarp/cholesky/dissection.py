@@ -81,6 +81,12 @@ class Dissection:
         children = np.argsort(self.parent, kind="stable")
         return np.searchsorted(self.parent[children], np.arange(len(self.parent) + 1)), children
 
+    @cached_property
+    def front_edges(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """The edges that enter in every front as compressed rows: offsets, shape [N + 1], and edges."""
+        edges = np.argsort(self.edge_front, kind="stable").astype(np.int32)
+        return np.searchsorted(self.edge_front[edges], np.arange(len(self.owned) + 1)).astype(np.int32), edges
+
     def before_siblings(self, values: NDArray[np.int64]) -> NDArray[np.int64]:
         """Sums of integers, shape [N], over the siblings that come before every front; roots are siblings, too."""
         offsets, children = self.families

@@ -133,8 +133,7 @@ class MultifrontalCholesky:
         self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
         self._w_factor = wp.array(self._factor, device="cpu", copy=False)
         family_starts, families = d.families
-        order = np.argsort(d.edge_front, kind="stable")
-        edge_starts = np.searchsorted(d.edge_front[order], np.arange(len(d.owned) + 1))
+        edge_starts, order = d.front_edges
         self._families = [keep(d.upward, wp.int32), keep(family_starts, wp.int32), keep(families, wp.int32)]
         self._symbolic = [
             self.block,

@@ -34,10 +34,13 @@ def stiff_vertices(decrements: NDArray[np.float64], gain: float) -> NDArray[np.b
         gain: the same for moving all together.
     """
     counted = np.minimum(decrements, LARGEST * gain)
-    order = np.argsort(-counted, kind="stable")
-    count = min(int((counted > WORTH * gain / len(counted)).sum()), int(MOST_CHOSEN * len(counted)))
-    chosen = np.zeros(len(counted), dtype=bool)
-    chosen[order[: max(count, 1)]] = True
+    chosen = counted > WORTH * gain / len(counted)
+    most = int(MOST_CHOSEN * len(counted))
+    if chosen.sum() > max(most, 1):
+        chosen[:] = False
+        chosen[np.argsort(-counted, kind="stable")[:most]] = True
+    if not chosen.any():
+        chosen[np.argmax(counted)] = True
     return chosen
 
 
