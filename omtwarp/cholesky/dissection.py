@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 LEAF = 24  # vertices of a part that is cut no further: from here on dense elimination is as cheap
 WINDOW = 0.2  # how far from the middle of a part it may be cut
+POOR = 5.0  # times the root of a part's vertices: if more edges cross a cut, other directions are tried (scans: 2 to 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,27 +204,19 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
     slot = np.empty(count, dtype=np.int64)
     separates = np.zeros(count, dtype=bool)
     while sizes.max() > leaf:
-        starts = np.cumsum(sizes) - sizes
-        along = _longest_direction(points[alive], part, sizes)
-        ranked = np.argsort(along + part)
-        rank = np.empty(len(alive), dtype=np.int64)
-        rank[ranked] = np.arange(len(alive))
-        slot[alive] = rank
-        low = np.minimum(slot[edges[:, 0]], slot[edges[:, 1]])
-        high = np.maximum(slot[edges[:, 0]], slot[edges[:, 1]])
-        crossed = np.cumsum(np.bincount(low, minlength=len(alive)) - np.bincount(high, minlength=len(alive)))
-        owner = part[ranked]
-        share = (np.arange(len(alive)) - starts[owner] + 1.0) / sizes[owner] - 0.5
-        score = np.where(np.abs(share) <= WINDOW, crossed * (1.0 + 4.0 * share**2), np.inf)
-        # The middle itself always lies in the window, whatever the size of the part.
-        middle = starts + sizes // 2 - 1
-        score[middle] = np.minimum(score[middle], crossed[middle])
-        least = np.minimum.reduceat(score, starts)
-        best = np.flatnonzero(score == least[owner])
-        cut = np.empty(len(sizes), dtype=np.int64)
-        cut[owner[best[::-1]]] = best[::-1]  # the first of equals
-        second = (rank > cut[part]) & (sizes > leaf)[part]
-        side[alive] = second
+        positions, axes = _principal_axes(points[alive], part, sizes)
+        slot[alive] = np.arange(len(alive))
+        pairs = slot[edges]
+        second, crossings = _halves(positions, axes[:, :, 2], part, sizes, pairs)
+        # Where triangles are long, a part may be longest in the direction that its edges run in.
+        if (crossings > POOR * np.sqrt(sizes))[sizes > leaf].any():
+            coordinates = np.broadcast_to(np.eye(3), axes.shape)
+            for tried in (axes[:, :, 1], axes[:, :, 0], *(coordinates[:, :, k] for k in range(3))):
+                instead, crossed = _halves(positions, tried, part, sizes, pairs)
+                better = (crossings > POOR * np.sqrt(sizes)) & (crossed < crossings)
+                second = np.where(better[part], instead, second)
+                crossings = np.where(better, crossed, crossings)
+        side[alive] = second & (sizes > leaf)[part]
         across = edges[side[edges[:, 0]] != side[edges[:, 1]]]
         swap = side[across[:, 0]]
         separates[:] = False
@@ -262,10 +255,54 @@ def _distinct(vertices: NDArray[np.int64], room: NDArray[np.bool_]) -> NDArray[n
     return found
 
 
-def _longest_direction(
+def _halves(
+    positions: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    part: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    edges: NDArray[np.int64],
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Cut every part across a direction, where the fewest edges cross near its middle.
+
+    Args:
+        positions: of the vertices, relative to the middle of their part, shape [N, 3].
+        directions: of the parts, shape [P, 3].
+        part: of every vertex, shape [N].
+        sizes: of the parts, shape [P].
+        edges: between vertices of the same part, shape [E, 2].
+
+    Returns:
+        Whether a vertex is in the second half, shape [N], and how many edges cross each cut, shape [P], counted as more
+        where the halves differ in size.
+    """
+    count = len(positions)
+    starts = np.cumsum(sizes) - sizes
+    along = np.einsum("ij,ij->i", positions, directions[part])
+    # Parts one after another, each on less than a unit: positions relative to their middles share one scale.
+    lowest, highest = float(along.min()), float(along.max())
+    ranked = np.argsort((along - lowest) * (0.999 / max(highest - lowest, np.finfo(float).tiny)) + part)
+    rank = np.empty(count, dtype=np.int64)
+    rank[ranked] = np.arange(count)
+    one, other = rank[edges[:, 0]], rank[edges[:, 1]]
+    low, high = np.minimum(one, other), np.maximum(one, other)
+    crossed = np.cumsum(np.bincount(low, minlength=count) - np.bincount(high, minlength=count))
+    owner = part[ranked]
+    share = (np.arange(count) - starts[owner] + 1.0) / sizes[owner] - 0.5
+    score = np.where(np.abs(share) <= WINDOW, crossed * (1.0 + 4.0 * share**2), np.inf)
+    # The middle itself always lies in the window, whatever the size of the part.
+    middle = starts + sizes // 2 - 1
+    score[middle] = np.minimum(score[middle], crossed[middle])
+    least = np.minimum.reduceat(score, starts)
+    best = np.flatnonzero(score == least[owner])
+    cut = np.empty(len(sizes), dtype=np.int64)
+    cut[owner[best[::-1]]] = best[::-1]  # the first of equals
+    return rank > cut[part], least
+
+
+def _principal_axes(
     points: NDArray[np.float64], part: NDArray[np.int64], sizes: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Where a vertex is along the main axis of its part, from 0 to just below 1, shape [N]."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions relative to the middles of the parts, shape [N, 3], and their axes as columns, the main one last."""
     count = len(sizes)
     mean = np.stack([np.bincount(part, points[:, k], count) for k in range(3)], axis=1) / sizes[:, None]
     centred = points - mean[part]
@@ -273,11 +310,7 @@ def _longest_direction(
     for i in range(3):
         for j in range(i + 1):
             moments[:, i, j] = moments[:, j, i] = np.bincount(part, centred[:, i] * centred[:, j], count)
-    axes = np.linalg.eigh(moments)[1][:, :, 2]
-    along = np.einsum("ij,ij->i", centred, axes[part])
-    # Relative to their parts' middles the positions of all parts share one scale.
-    lowest, highest = float(along.min()), float(along.max())
-    return (along - lowest) * (0.999 / max(highest - lowest, np.finfo(float).tiny))
+    return centred, np.linalg.eigh(moments)[1]
 
 
 def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -13,7 +13,7 @@ from omtwarp.cholesky import MultifrontalCholesky, NotPositiveDefinite, dissect,
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.linear import LaplacianSolver, SurfaceLaplacianSolver
-from omtwarp.mesh.shapes import blob, icosphere, random_sphere
+from omtwarp.mesh.shapes import blob, icosphere, random_sphere, uv_sphere
 from omtwarp.mesh.surface import Surface
 
 
@@ -132,6 +132,17 @@ def test_fill_grows_as_n_log_n():
         per_vertex.append(dissection.factor_entries / sphere.vertex_count)
     assert per_vertex[2] - per_vertex[1] < 1.5 * (per_vertex[1] - per_vertex[0]) + 5.0
     assert per_vertex[2] < 90
+
+
+def test_long_triangles_are_cut_along_and_not_across():
+    """Six rings of many segments: cuts from pole to pole cross a dozen edges, cuts around cross all segments.
+
+    Such cuts leave fronts of a few dozen vertices; with cuts around, the number of operations would grow as the cube of
+    that of segments.
+    """
+    few, many = (uv_sphere(6, segments) for segments in (500, 2000))
+    operations = [dissect(surface.vertices, surface.edges).operations for surface in (few, many)]
+    assert operations[1] < 4.0**1.5 * operations[0]
 
 
 def test_the_number_of_threads_changes_no_bit_on_small_meshes():
