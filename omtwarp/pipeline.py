@@ -17,6 +17,7 @@ from omtwarp.embedding.predicates import count_flips
 from omtwarp.embedding.start import Start, bijective_start
 from omtwarp.embedding.untangle import untangle
 from omtwarp.errors import OmtwarpError
+from omtwarp.memory import give_back
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import require_valid
 from omtwarp.metrics.certificate import certify
@@ -249,6 +250,7 @@ class _Run:
         def tell(text: str, done: int, total: int) -> None:
             self.tell("refine", done, total, {"text": text})
 
+        give_back()  # the largest matrices follow
         refined = refine_map(self.surface, sphere, weight=weight, device=self.device, progress=tell)
         self.finish("refine", refined.sphere, len(refined.history), weight=weight, converged=refined.converged)
         return refined.sphere

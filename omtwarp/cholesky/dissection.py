@@ -29,7 +29,6 @@ class Dissection:
 
     Attributes:
         order: vertex in every place of the elimination, shape [V].
-        place: place of every vertex, shape [V].
         depths: slices of fronts of equal depth, deepest first; fronts of a slice are independent of one another.
         first: place of the first vertex a front eliminates, shape [N].
         owned: number of vertices it eliminates, shape [N].
@@ -37,15 +36,15 @@ class Dissection:
         rows: places of the vertices of its rows, ascending, shape [R].
         parent: the front that it is added to, -1 where there is none, shape [N].
         upward: which row of the parent every row is; -1 for rows it eliminates, shape [R].
-        edge_front: front in which every edge enters, shape [E].
-        edge_row: its row there, of the end eliminated later, shape [E].
-        edge_column: its column there, of the end eliminated first, shape [E].
-        edge_turned: whether the first end of the edge is eliminated first, shape [E].
+        entering: edges in the order of the fronts in which they enter, shape [E].
+        edge_starts: where those of every front begin, shape [N + 1].
+        edge_row: row of every edge entering, of the end eliminated later, shape [E].
+        edge_column: its column, of the end eliminated first, shape [E].
+        edge_turned: whether its first end is eliminated first, shape [E].
         edges: the edges, shape [E, 2], as given.
     """
 
     order: NDArray[np.int64]
-    place: NDArray[np.int64]
     depths: tuple[slice, ...]
     first: NDArray[np.int64]
     owned: NDArray[np.int64]
@@ -53,7 +52,8 @@ class Dissection:
     rows: NDArray[np.int32]
     parent: NDArray[np.int64]
     upward: NDArray[np.int32]
-    edge_front: NDArray[np.int32]
+    entering: NDArray[np.int32]
+    edge_starts: NDArray[np.int32]
     edge_row: NDArray[np.int32]
     edge_column: NDArray[np.int32]
     edge_turned: NDArray[np.bool_]
@@ -81,12 +81,6 @@ class Dissection:
         """
         children = np.argsort(self.parent, kind="stable")
         return np.searchsorted(self.parent[children], np.arange(len(self.parent) + 1)), children
-
-    @cached_property
-    def front_edges(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """The edges that enter in every front as compressed rows: offsets, shape [N + 1], and edges."""
-        edges = np.argsort(self.edge_front, kind="stable").astype(np.int32)
-        return np.searchsorted(self.edge_front[edges], np.arange(len(self.owned) + 1)).astype(np.int32), edges
 
     def before_siblings(self, values: NDArray[np.int64]) -> NDArray[np.int64]:
         """Sums of integers, shape [N], over the siblings that come before every front; roots are siblings, too."""
@@ -171,9 +165,10 @@ def dissect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int = L
     turned = low < high
     low, high = np.minimum(low, high), np.maximum(low, high)
     edge_front = front[order[low]]
+    entering = np.argsort(edge_front, kind="stable").astype(np.int32)
+    edge_front, low, high, turned = edge_front[entering], low[entering], high[entering], turned[entering]
     return Dissection(
         order=order,
-        place=place,
         depths=tuple(slice(int(a), int(b)) for a, b in pairwise(changes)),
         first=first,
         owned=owned,
@@ -181,7 +176,8 @@ def dissect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int = L
         rows=rows.astype(np.int32),
         parent=parent,
         upward=upward,
-        edge_front=edge_front.astype(np.int32),
+        entering=entering,
+        edge_starts=np.searchsorted(edge_front, np.arange(len(nodes) + 1)).astype(np.int32),
         edge_row=(np.searchsorted(keys, edge_front * count + high) - starts[edge_front]).astype(np.int32),
         edge_column=(low - first[edge_front]).astype(np.int32),
         edge_turned=turned,

@@ -18,6 +18,7 @@ from omtwarp._warp import wp
 from omtwarp.cholesky.dissection import Dissection
 from omtwarp.cholesky.kernels import factorise_fronts, solve_triangular
 from omtwarp.cholesky.lapack import eliminate_together, routine
+from omtwarp.memory import Room
 from omtwarp.threads import blas_threads, core_count, load, run_all
 
 # Below so many operations in all a second thread costs more than it saves.
@@ -38,12 +39,12 @@ class MultifrontalCholesky:
     Args:
         dissection: the order of elimination.
         block: unknowns per vertex, 1 or 2.
-        keep: keep the room that fronts are eliminated in from one factorisation to the next.
         threads: shares that independent fronts are cut into; one per core by default. On large meshes, where the last
             fronts are given to several threads together, results depend on it by rounding.
+        room: what fronts are eliminated in; by default it is made for each factorisation, and let go of after it.
     """
 
-    def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None, keep: bool = False):
+    def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None, room: Room | None = None):
         self.dissection = dissection
         self.block = block
         self.threads = threads or core_count()
@@ -56,9 +57,10 @@ class MultifrontalCholesky:
         self._operations = float(costs.sum())
         self._jobs, self._trunk = self._divide(costs)
         self._offsets, self._length = self._places()
-        self._keep = keep
-        self._room: NDArray[np.float64] | None = None
-        self._carried: wp.array | None = None
+        self._room = room
+        if room is not None:
+            room.numbers(self._length)  # now: what is asked for sooner would leave a hole where it was
+        self._carried = room or Room()
         few = [fronts for fronts in self._trunk if len(fronts) < self.threads]
         self._shared = {int(f) for fronts in few for f in fronts if costs[f] > TOGETHER * self.threads}
         self._upload()
@@ -126,14 +128,13 @@ class MultifrontalCholesky:
         d = self.dissection
 
         def keep(values: Any, dtype: type) -> wp.array:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
         self._first, self._owned = keep(d.first, wp.int32), keep(d.owned, wp.int32)
         self._starts, self._rows = keep(d.starts, wp.int64), keep(d.rows, wp.int32)
         self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
         self._w_factor = wp.array(self._factor, device="cpu", copy=False)
         family_starts, families = d.families
-        edge_starts, order = d.front_edges
         self._families = [keep(d.upward, wp.int32), keep(family_starts, wp.int32), keep(families, wp.int32)]
         self._symbolic = [
             self.block,
@@ -142,11 +143,11 @@ class MultifrontalCholesky:
             self._starts,
             *self._families,
             keep(d.order, wp.int32),
-            keep(edge_starts, wp.int32),
-            keep(order, wp.int32),
-            keep(d.edge_row[order], wp.int32),
-            keep(d.edge_column[order], wp.int32),
-            keep(d.edge_turned[order], wp.bool),
+            keep(d.edge_starts, wp.int32),
+            keep(d.entering, wp.int32),
+            keep(d.edge_row, wp.int32),
+            keep(d.edge_column, wp.int32),
+            keep(d.edge_turned, wp.bool),
             self._w_offsets,
             self._w_factor_offsets,
             wp.array([routine(name) for name in ("dpotrf", "dtrsm", "dsyrk")], dtype=wp.uint64, device="cpu"),
@@ -163,9 +164,7 @@ class MultifrontalCholesky:
         Raises:
             NotPositiveDefinite: it is not, to round-off.
         """
-        if self._room is None:
-            self._room = np.empty(self._length)
-        room = self._room
+        room = (self._room or Room()).numbers(self._length)
         values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in (diagonal, off_diagonal)]
         data = [wp.array(array, device="cpu", copy=False) for array in (*values, room, self._factor)]
 
@@ -184,23 +183,20 @@ class MultifrontalCholesky:
                 if failed >= 0:
                     break
                 if self._shared.intersection(fronts.tolist()):
-                    failed = max(self._share(f, run) for f in fronts.tolist())
+                    failed = max(self._share(f, run, room) for f in fronts.tolist())
                 else:
                     failed = max(run_all(run, np.array_split(fronts, min(self.threads, len(fronts)))))
-        if not self._keep:
-            self._room = None
         if failed >= 0:
             raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
 
-    def _share(self, front: int, run: Any) -> int:
+    def _share(self, front: int, run: Any, room: NDArray[np.float64]) -> int:
         """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
-        assert self._room is not None
         run(np.array([front], dtype=np.int32), eliminate=0)
         own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
-        if not eliminate_together(own, size, self._room.ctypes.data + 8 * begin):
+        if not eliminate_together(own, size, room.ctypes.data + 8 * begin):
             return front
         target = int(self._factor_offsets[front])
-        self._factor[target : target + own * size] = self._room[begin : begin + own * size]
+        self._factor[target : target + own * size] = room[begin : begin + own * size]
         return -1
 
     @property
@@ -215,8 +211,6 @@ class MultifrontalCholesky:
         count = flat.shape[2]
         x = np.ascontiguousarray(flat[d.order].transpose(2, 0, 1).reshape(-1))
         stride = block * len(d.rows)
-        if self._carried is None or len(self._carried) < count * stride:
-            self._carried = wp.empty(count * stride, dtype=wp.float64, device="cpu")
         inputs = [
             block * d.vertex_count,
             stride,
@@ -228,7 +222,7 @@ class MultifrontalCholesky:
             *self._families,
             self._w_factor,
             self._w_factor_offsets,
-            self._carried,
+            wp.array(self._carried.numbers(count * stride), dtype=wp.float64, device="cpu", copy=False),
             wp.array(x, dtype=wp.float64, device="cpu", copy=False),
         ]
         load(solve_triangular, "cpu")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp._warp import wp
+from omtwarp.memory import Room
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.refine.frames import triangle_frames
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
@@ -57,9 +58,6 @@ class Terms:
 
 Pressures = tuple[wp.float64, wp.float64, wp.float64]
 
-# Up to so many faces the room of Hessians stays for the next ones on the CPU; beyond, memory is dearer than time.
-KEPT_FACES = 200_000
-
 
 def needle_weight(weight: float) -> float:
     """How heavily the needle barrier counts beside angle + λ area."""
@@ -75,6 +73,8 @@ class TriangleKernels:
         areas: on the original surface, shape [F].
         rows: corners of the triangles around the first points, those with a gradient: offsets and corners.
         device: a Warp device.
+        room: on the CPU, for what :meth:`gradient` and :meth:`hessian` make of triangles. On CUDA, where memory is dear
+            and asking for it is not, there is room only while it is used.
     """
 
     def __init__(
@@ -84,12 +84,22 @@ class TriangleKernels:
         areas: NDArray[np.float64],
         rows: Iterable[NDArray[np.int32]],
         device: wp.Device,
+        room: Room,
     ):
-        self.device, self.count = device, len(faces)
-        self.faces = wp.array(faces, dtype=wp.vec3i, device=device)
-        self.frames = wp.array(frames, dtype=wp.vec3d, device=device)
-        self.areas = wp.array(areas, dtype=wp.float64, device=device)
-        self.rows = [wp.array(array, dtype=wp.int32, device=device) for array in rows]
+        self.device, self.count, self._room = device, len(faces), room
+        self.faces = wp.array(faces, dtype=wp.vec3i, device=device, copy=False)
+        self.frames = wp.array(frames, dtype=wp.vec3d, device=device, copy=False)
+        self.areas = wp.array(areas, dtype=wp.float64, device=device, copy=False)
+        self.rows = [wp.array(array, dtype=wp.int32, device=device, copy=False) for array in rows]
+
+    def _scratch(self, rows: int, columns: int) -> wp.array:
+        """An array for a moment: float64 of shape [rows, columns], or vec3d of shape [rows] where there are three."""
+        if self.device.is_cuda:
+            if columns == 3:
+                return wp.empty(rows, dtype=wp.vec3d, device=self.device)
+            return wp.empty((rows, columns), dtype=wp.float64, device=self.device)
+        numbers = self._room.numbers(rows * columns).reshape(rows, columns)
+        return wp.array(numbers, dtype=wp.vec3d if columns == 3 else wp.float64, device=self.device, copy=False)
 
     def terms(self, points: wp.array) -> list[wp.array]:
         """Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
@@ -101,38 +111,34 @@ class TriangleKernels:
         launch_parts(triangle_terms, self.count, arguments, self.device)
         return outputs
 
-    def gradient(self, points: wp.array, pressures: Pressures, room: wp.array | None = None) -> wp.array:
+    def gradient(self, points: wp.array, pressures: Pressures) -> wp.array:
         """Gradient by the points that have rows, tangent to the sphere, vec3d.
 
         Args:
             points: vec3d.
             pressures: see :meth:`DistortionEnergy.pressures`.
-            room: vec3d, shape [3F], overwritten.
         """
-        if room is None:
-            room = wp.empty(3 * self.count, dtype=wp.vec3d, device=self.device)
+        corners = self._scratch(3 * self.count, 3)
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             inputs = [points, self.faces[part], self.frames[part], self.areas[part], *pressures]
-            return inputs, [room[3 * part.start : 3 * part.stop]]
+            return inputs, [corners[3 * part.start : 3 * part.stop]]
 
         launch_parts(triangle_gradient, self.count, arguments, self.device)
         gradient = wp.empty(self.rows[0].size - 1, dtype=wp.vec3d, device=self.device)
 
         def gathered(part: slice) -> tuple[list[Any], list[Any]]:
-            return [points, *self.rows, room, wp.float64(SPHERE_AREA), part.start], [gradient]
+            return [points, *self.rows, corners, wp.float64(SPHERE_AREA), part.start], [gradient]
 
         launch_parts(gather_tangent, gradient.size, gathered, self.device)
         return gradient
 
-    def hessian(
-        self, points: wp.array, pressures: Pressures, caution: float, room: wp.array | None = None
-    ) -> wp.array:
+    def hessian(self, points: wp.array, pressures: Pressures, caution: float) -> wp.array:
         """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
 
-        Of each 6x6 matrix the entries on and above the diagonal, row by row, in ``room`` where it is given.
+        Of each 6x6 matrix the entries on and above the diagonal, row by row. What next asks for room overwrites them.
         """
-        blocks = wp.empty((self.count, 21), dtype=wp.float64, device=self.device) if room is None else room
+        blocks = self._scratch(self.count, 21)
         numbers = [*pressures, wp.float64(caution), wp.float64(SPHERE_AREA)]
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
@@ -148,6 +154,9 @@ class DistortionEnergy:
     Args:
         surface: the original surface, V vertices and F faces.
         device: a Warp device.
+
+    Attributes:
+        room: on the host, for what is used up at once: Hessians, fronts of factorisations.
     """
 
     def __init__(self, surface: Surface, device: wp.Device):
@@ -155,17 +164,15 @@ class DistortionEnergy:
         self.device = device
         self.areas = surface.face_areas
         count = surface.face_count
-        frames = triangle_frames(surface)
-        self.triangles = TriangleKernels(surface.faces, frames, self.areas, surface.vertex_corners, device)
-        self._hessian: Any = None
-        # On CUDA, where memory is dear and asking for it is not, there is room only while it is used.
-        self._corner_gradient: Any = None if device.is_cuda else wp.empty(3 * count, dtype=wp.vec3d, device=device)
+        self.room = Room()
+        rows, frames = surface.vertex_corners, triangle_frames(surface)
+        self.triangles = TriangleKernels(surface.faces, frames, self.areas, rows, device, self.room)
         # Beside the CPU's cores NumPy adds faster.
         self._sums = DistortionSums(count, device) if device.is_cuda else None
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
-        """Points on the device, shape [V] of vec3d."""
-        return wp.array(sphere, dtype=wp.vec3d, device=self.device)
+        """Points on the device, shape [V] of vec3d; on the CPU they are the array given, which must stay as it is."""
+        return wp.array(sphere, dtype=wp.vec3d, device=self.device, copy=False)
 
     def terms(self, points: wp.array) -> Terms:
         """Distortions and per-triangle ratios of a map."""
@@ -188,17 +195,14 @@ class DistortionEnergy:
 
     def gradient(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
         """Gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
-        return self.triangles.gradient(points, self.pressures(terms, weight), self._corner_gradient)
+        return self.triangles.gradient(points, self.pressures(terms, weight))
 
     def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> wp.array:
         """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
 
-        Of each 6x6 matrix the entries on and above the diagonal, row by row. The next call may overwrite them.
+        Of each 6x6 matrix the entries on and above the diagonal, row by row. What next asks for room overwrites them.
         """
-        blocks = self.triangles.hessian(points, self.pressures(terms, weight), caution, self._hessian)
-        if self.device.is_cpu and self.surface.face_count <= KEPT_FACES:
-            self._hessian = blocks
-        return blocks
+        return self.triangles.hessian(points, self.pressures(terms, weight), caution)
 
     def pressures(self, terms: Terms, weight: float) -> Pressures:
         """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from omtwarp._warp import wp
 from omtwarp.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect
 from omtwarp.errors import OmtwarpError
+from omtwarp.memory import Room
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
-from omtwarp.refine.energy import KEPT_FACES
 from omtwarp.refine.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 from omtwarp.threads import launch_parts
 
@@ -35,6 +35,7 @@ class NewtonMatrix:
         dissection: the order of elimination.
         shift: what is added to the diagonal, relative to its mean.
         growth: what is added to every entry of the diagonal, relative to itself.
+        room: what fronts are eliminated in; the blocks of triangles may be there until then.
     """
 
     def __init__(
@@ -46,32 +47,33 @@ class NewtonMatrix:
         dissection: Dissection,
         shift: float = REGULARISATION,
         growth: float = 0.0,
+        room: Room | None = None,
     ):
         self._shift, self._growth = shift, growth
-        self._factor = MultifrontalCholesky(dissection, block=2, keep=len(faces) <= KEPT_FACES)
-        self._rows: list[Any] = [wp.array(array, dtype=wp.int32, device="cpu") for array in vertex_corners]
+        self._factor = MultifrontalCholesky(dissection, block=2, room=room or Room())
+        self._rows: list[Any] = [wp.array(array, dtype=wp.int32, device="cpu", copy=False) for array in vertex_corners]
         self._sides = [
-            wp.array(edges, dtype=wp.vec2i, device="cpu"),
-            wp.array(faces, dtype=wp.vec3i, device="cpu"),
-            wp.array(edge_corners, dtype=wp.vec2i, device="cpu"),
+            wp.array(edges, dtype=wp.vec2i, device="cpu", copy=False),
+            wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False),
+            wp.array(edge_corners, dtype=wp.vec2i, device="cpu", copy=False),
         ]
         self._diagonal = wp.empty((len(vertex_corners[0]) - 1, 4), dtype=wp.float64, device="cpu")
         self._off_diagonal = wp.empty((len(edges), 4), dtype=wp.float64, device="cpu")
 
     @classmethod
-    def of_surface(cls, surface: Surface) -> NewtonMatrix:
+    def of_surface(cls, surface: Surface, room: Room | None = None) -> NewtonMatrix:
         """The matrix over all vertices of a surface."""
-        return cls(
-            surface.faces, surface.edges, surface.edge_corners, surface.vertex_corners, surface.dissection
-        )
+        mesh = surface.faces, surface.edges, surface.edge_corners, surface.vertex_corners
+        return cls(*mesh, surface.dissection, room=room)
 
     @classmethod
-    def of_patches(cls, patches: Patches, points: NDArray[np.float64]) -> NewtonMatrix:
+    def of_patches(cls, patches: Patches, points: NDArray[np.float64], room: Room | None = None) -> NewtonMatrix:
         """The matrix over the freed vertices of patches.
 
         Args:
             patches: V of their vertices are freed.
             points: positions of those on the surface, shape [V, 3].
+            room: see :class:`NewtonMatrix`.
         """
         count = patches.free
         own = np.where(patches.faces < count, patches.faces, -1)
@@ -85,7 +87,7 @@ class NewtonMatrix:
         order = np.argsort(low.astype(np.int64) * count + high, kind="stable")
         edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
         edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
-        return cls(own, edges, edge_corners, (offsets, corners), dissect(points, edges), 0.0, PATCH_GROWTH)
+        return cls(own, edges, edge_corners, (offsets, corners), dissect(points, edges), 0.0, PATCH_GROWTH, room)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""
@@ -110,7 +112,6 @@ class NewtonMatrix:
         """
         if blocks is not None:
             self.assemble(blocks)
-        del blocks  # as large as the factor's own room
         diagonal, off_diagonal = (array.numpy().reshape(-1, 2, 2) for array in (self._diagonal, self._off_diagonal))
         factorise_stiffened(self._factor, diagonal, off_diagonal, self._shift, self._growth)
 

@@ -67,10 +67,10 @@ class Relaxation:
         self._pressures = energy.pressures(terms, weight)
         self._areas = surface.face_areas[patches.triangles]
         freed = surface.scaled_vertices[patches.vertices[: patches.free]]
-        self._matrix = NewtonMatrix.of_patches(patches, freed)
+        self._matrix = NewtonMatrix.of_patches(patches, freed, energy.room)
         frames = energy.triangles.frames.numpy()[patches.triangles]
         rows = (array.numpy() for array in self._matrix.vertex_corners)
-        self._triangles = TriangleKernels(patches.faces, frames, self._areas, rows, device)
+        self._triangles = TriangleKernels(patches.faces, frames, self._areas, rows, device, energy.room)
 
     def run(self) -> wp.array:
         """The map after a few steps, vec3d, shape [V].

@@ -72,9 +72,9 @@ class HostSteps:
     def __init__(self, energy: DistortionEnergy):
         self._energy, self._device = energy, energy.device
         self._count = energy.surface.vertex_count
-        self._matrix = NewtonMatrix.of_surface(energy.surface)
+        self._matrix = NewtonMatrix.of_surface(energy.surface, energy.room)
         self._blocks = self._matrix.diagonal_blocks.flatten()
-        self._places = wp.array(np.arange(self._count, dtype=np.int32), device="cpu")
+        self._places = wp.array(np.arange(self._count, dtype=np.int32), device="cpu", copy=False)
         self._decrements = wp.empty(self._count, dtype=wp.float64, device="cpu")
         self._memory: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
 
@@ -97,7 +97,7 @@ class HostSteps:
         direction = (out * here).sum(axis=1, keepdims=True) * here - out
         along = (slopes * direction).sum(axis=1)
         reach = float(np.sqrt((direction * direction).sum(axis=1).max()))
-        vectors = wp.array(direction, dtype=wp.vec3d, device=self._device)
+        vectors = wp.array(direction, dtype=wp.vec3d, device=self._device, copy=False)
         return Direction(vectors, float(along.sum()), reach, lambda share: float(along @ share.numpy()))
 
     def learn(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
@@ -124,11 +124,11 @@ class HostSteps:
         count, device = self._count, self._device
         coordinates = wp.empty((count, 2), dtype=wp.float64, device=device)
         vectors = wp.empty(count, dtype=wp.vec3d, device=device)
-        inputs = [self._base, wp.array(right, dtype=wp.vec3d, device=device)]
+        inputs = [self._base, wp.array(right, dtype=wp.vec3d, device=device, copy=False)]
         wp.launch(to_tangent, dim=count, inputs=inputs, outputs=[coordinates], device=device)
-        solved = wp.array(self._matrix.solve(coordinates.numpy()), dtype=wp.float64, device=device)
+        solved = wp.array(self._matrix.solve(coordinates.numpy()), dtype=wp.float64, device=device, copy=False)
         wp.launch(from_tangent, dim=count, inputs=[self._base, solved], outputs=[vectors], device=device)
-        return vectors.numpy().copy()
+        return vectors.numpy()
 
 
 class DeviceSteps:
