@@ -39,10 +39,9 @@ class StepGuard:
         self.device = device
         self.vertex_count = surface.vertex_count
         self.face_count = surface.face_count
-        self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
-        offsets, corners = surface.vertex_corners
-        self._offsets = wp.array(offsets, dtype=wp.int32, device=device)
-        self._corners = wp.array(corners, dtype=wp.int32, device=device)
+        mesh = surface.on(device)
+        self._faces = mesh.faces
+        self._offsets, self._corners = mesh.vertex_corners
         # det[s0, s1, s2] of a small triangle is twice its area.
         self._floors = wp.array(2.0 * smallest * surface.face_areas, dtype=wp.float64, device=device)
         self._counters = wp.zeros(5, dtype=wp.int32, device=device)

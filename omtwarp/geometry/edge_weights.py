@@ -20,15 +20,12 @@ def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDA
         surface: a closed surface.
         points: positions of its vertices, shape [V, 3].
     """
-    corners = surface.edge_corners
-    weights = np.empty(len(corners))
-    inputs = [
-        wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device="cpu", copy=False),
-        wp.array(surface.faces, dtype=wp.vec3i, device="cpu", copy=False),
-        wp.array(corners, dtype=wp.vec2i, device="cpu", copy=False),
-    ]
+    weights = np.empty(len(surface.edge_corners))
+    mesh = surface.on("cpu")
+    positions = wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device="cpu", copy=False)
     out = wp.array(weights, dtype=wp.float64, device="cpu", copy=False)
-    wp.launch(edge_weight_kernel, dim=len(corners), inputs=inputs, outputs=[out], device="cpu")
+    inputs = [positions, mesh.faces, mesh.edge_corners]
+    wp.launch(edge_weight_kernel, dim=len(weights), inputs=inputs, outputs=[out], device="cpu")
     return weights
 
 

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
+    from omtwarp._warp import wp
     from omtwarp.cholesky import Dissection
+    from omtwarp.mesh.on_device import SurfaceArrays
 
 SPHERE_AREA = 4.0 * np.pi
 
@@ -28,6 +30,7 @@ class Surface:
     def __init__(self, vertices: ArrayLike, faces: ArrayLike):
         self.vertices: NDArray[np.float64] = np.ascontiguousarray(vertices, dtype=np.float64)
         self.faces: NDArray[np.int32] = np.ascontiguousarray(faces, dtype=np.int32)
+        self._sent: dict[str, dict[str, wp.array]] = {}
 
     def __repr__(self) -> str:
         return f"Surface({self.vertex_count} vertices, {self.face_count} faces)"
@@ -118,6 +121,14 @@ class Surface:
         from omtwarp.cholesky import dissect
 
         return dissect(self.scaled_vertices, self.edges)
+
+    def on(self, device: str | wp.Device | None) -> SurfaceArrays:
+        """The arrays below on a device, for kernels; each is sent there once."""
+        from omtwarp._warp import resolve_device
+        from omtwarp.mesh.on_device import SurfaceArrays
+
+        where = resolve_device(device)
+        return SurfaceArrays(self, where, self._sent.setdefault(str(where), {}))
 
     @property
     def _side_keys(self) -> NDArray[np.int64]:

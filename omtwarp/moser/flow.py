@@ -61,8 +61,8 @@ def moser_map(
     where = resolve_device(device)
     vertices, triangles = surface.vertex_count, surface.face_count
     points = wp.array(np.ascontiguousarray(start, dtype=np.float64), dtype=wp.vec3d, device=where)
-    faces = wp.array(surface.faces, dtype=wp.vec3i, device=where)
-    rows = [wp.array(array, dtype=wp.int32, device=where) for array in surface.vertex_corners]
+    mesh = surface.on(where)
+    faces, rows = mesh.faces, mesh.vertex_corners
     if solver is None:
         solver = SurfaceLaplacianSolver(surface, points, device=where)
     areas = wp.empty(triangles, dtype=wp.float64, device=where)
@@ -70,12 +70,10 @@ def moser_map(
     sources, mu = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(2))
     wp.launch(face_areas, dim=triangles, inputs=[points, faces], outputs=[areas], device=where)
     sums_for(where, vertices).total(areas, total)
-    masses = wp.array(surface.vertex_areas, dtype=wp.float64, device=where)
-    inputs = [areas, total, wp.float64(SPHERE_AREA), masses, *rows]
+    inputs = [areas, total, wp.float64(SPHERE_AREA), mesh.vertex_areas, *rows]
     wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu], device=where)
     (potential,) = solve_arrays(solver, [sources])
 
-    neighbours = wp.array(surface.face_neighbours, dtype=wp.vec3i, device=where)
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
 
     def field_arguments(part: slice) -> tuple[list[Any], list[Any]]:
@@ -88,8 +86,8 @@ def moser_map(
 
     def arguments(part: slice) -> tuple[list[Any], list[Any]]:
         own = [points[part], rows[0][part]]
-        mesh = [points, faces, neighbours, field, mu, rows[1]]
-        return [*own, *mesh, *limits], [moved[part], steps[part]]
+        shared = [points, faces, mesh.face_neighbours, field, mu, rows[1]]
+        return [*own, *shared, *limits], [moved[part], steps[part]]
 
     launch_parts(integrate_particles, vertices, arguments, where)
     return MoserMap(moved.numpy(), potential.numpy(), int(steps.numpy().max()))

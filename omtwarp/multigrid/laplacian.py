@@ -83,11 +83,10 @@ class DeviceLaplacian:
 
     def _solver_on(self, hierarchy: MeshHierarchy) -> MultigridSolver:
         surface, device = self.surface, self.device
-        corners = surface.edge_corners
+        mesh = surface.on(device)
         diagonal = wp.empty(surface.vertex_count, dtype=wp.float64, device=device)
-        entries = wp.empty(len(corners), dtype=wp.float64, device=device)
-        faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
-        inputs = [self.points, faces, wp.array(corners, dtype=wp.vec2i, device=device)]
+        entries = wp.empty(len(mesh.edge_corners), dtype=wp.float64, device=device)
+        inputs = [self.points, mesh.faces, mesh.edge_corners]
         wp.launch(edge_weight_kernel, dim=entries.size, inputs=inputs, outputs=[entries], device=device)
         inputs = [hierarchy.levels[0].pattern.offsets, hierarchy.source, entries]
         wp.launch(kernels.laplacian_diagonal, dim=diagonal.size, inputs=inputs, outputs=[diagonal], device=device)

@@ -31,12 +31,8 @@ class DeviceNewtonMatrix:
     def __init__(self, energy: DistortionEnergy):
         surface, device = energy.surface, energy.device
         self._surface, self._device = surface, device
-        self._inputs = [
-            *energy.triangles.rows,
-            wp.array(surface.edges, dtype=wp.vec2i, device=device),
-            energy.triangles.faces,
-            wp.array(surface.edge_corners, dtype=wp.vec2i, device=device),
-        ]
+        mesh = surface.on(device)
+        self._inputs = [*mesh.vertex_corners, mesh.edges, mesh.faces, mesh.edge_corners]
         self._rotations = wp.empty(6 * surface.vertex_count, dtype=wp.float64, device=device)
         self._sum, self._trace = DeviceSum(device), wp.empty(1, dtype=wp.float64, device=device)
         self._solver: MultigridSolver | None = None

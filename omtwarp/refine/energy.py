@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,29 +67,24 @@ class TriangleKernels:
     """Launches, on all cores, the kernels of the energy over some triangles.
 
     Args:
-        faces: their corners among the points given, int32, shape [F, 3].
-        frames: see :func:`omtwarp.refine.frames.triangle_frames`, shape [F, 3].
-        areas: on the original surface, shape [F].
-        rows: corners of the triangles around the first points, those with a gradient: offsets and corners.
-        device: a Warp device.
+        faces: their corners among the points given, vec3i, shape [F].
+        frames: see :func:`omtwarp.refine.frames.triangle_frames`, vec3d, shape [F].
+        areas: on the original surface, float64, shape [F].
+        rows: corners of the triangles around the first points, those with a gradient: offsets and corners, int32.
         room: on the CPU, for what :meth:`gradient` and :meth:`hessian` make of triangles. On CUDA, where memory is dear
             and asking for it is not, there is room only while it is used.
     """
 
     def __init__(
         self,
-        faces: NDArray[np.int32],
-        frames: NDArray[np.float64],
-        areas: NDArray[np.float64],
-        rows: Iterable[NDArray[np.int32]],
-        device: wp.Device,
+        faces: wp.array,
+        frames: wp.array,
+        areas: wp.array,
+        rows: list[wp.array],
         room: Room,
     ):
-        self.device, self.count, self._room = device, len(faces), room
-        self.faces = wp.array(faces, dtype=wp.vec3i, device=device, copy=False)
-        self.frames = wp.array(frames, dtype=wp.vec3d, device=device, copy=False)
-        self.areas = wp.array(areas, dtype=wp.float64, device=device, copy=False)
-        self.rows = [wp.array(array, dtype=wp.int32, device=device, copy=False) for array in rows]
+        self.device, self.count, self._room = faces.device, len(faces), room
+        self.faces, self.frames, self.areas, self.rows = faces, frames, areas, rows
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
         """An array for a moment: float64 of shape [rows, columns], or vec3d of shape [rows] where there are three."""
@@ -154,19 +148,23 @@ class DistortionEnergy:
     Args:
         surface: the original surface, V vertices and F faces.
         device: a Warp device.
+        frames: what triangles are measured against, see :func:`omtwarp.refine.frames.triangle_frames`, shape [F, 3];
+            the surface's own by default.
 
     Attributes:
         room: on the host, for what is used up at once: Hessians, fronts of factorisations.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device):
+    def __init__(self, surface: Surface, device: wp.Device, frames: NDArray[np.float64] | None = None):
         self.surface = surface
         self.device = device
         self.areas = surface.face_areas
         count = surface.face_count
         self.room = Room()
-        rows, frames = surface.vertex_corners, triangle_frames(surface)
-        self.triangles = TriangleKernels(surface.faces, frames, self.areas, rows, device, self.room)
+        mesh = surface.on(device)
+        given = triangle_frames(surface) if frames is None else np.ascontiguousarray(frames)
+        own = wp.array(given, dtype=wp.vec3d, device=device, copy=False)
+        self.triangles = TriangleKernels(mesh.faces, own, mesh.face_areas, mesh.vertex_corners, self.room)
         # Beside the CPU's cores NumPy adds faster.
         self._sums = DistortionSums(count, device) if device.is_cuda else None
 

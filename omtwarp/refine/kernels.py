@@ -339,3 +339,27 @@ def newton_decrements(
     decrement[i] = ZERO
     if determinant > ZERO:
         decrement[i] = (c * x0 * x0 - TWO * b * x0 * x1 + a * x1 * x1) / determinant
+
+
+@wp.kernel
+def take_vectors(
+    vectors: wp.array(dtype=wp.vec3d),
+    places: wp.array(dtype=wp.int32),
+    # Data out:
+    taken: wp.array(dtype=wp.vec3d),
+):
+    """The vectors at some places."""
+    i = wp.tid()
+    taken[i] = vectors[places[i]]
+
+
+@wp.kernel
+def put_vectors(
+    places: wp.array(dtype=wp.int32),
+    vectors: wp.array(dtype=wp.vec3d),
+    # Data out:
+    whole: wp.array(dtype=wp.vec3d),
+):
+    """The other way round: vectors to their places, of which none is named twice."""
+    i = wp.tid()
+    whole[places[i]] = vectors[i]

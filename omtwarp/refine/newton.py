@@ -28,10 +28,11 @@ class NewtonMatrix:
     The order of elimination and all storage are kept from one factorisation to the next.
 
     Args:
-        faces: triangles by the unknown vertices at their corners, shape [F, 3]; -1 for a corner that stays where it is.
-        edges: every edge between unknown vertices once, shape [E, 2].
-        edge_corners: the two corners opposite to every edge, shape [E, 2].
-        vertex_corners: corners around every unknown vertex as compressed rows.
+        faces: triangles by the unknown vertices at their corners, vec3i, shape [F]; -1 for a corner that stays where it
+            is. This and what follows is on the host.
+        edges: every edge between unknown vertices once, vec2i, shape [E].
+        edge_corners: the two corners opposite to every edge, vec2i, shape [E].
+        vertex_corners: corners around every unknown vertex as compressed rows, int32.
         dissection: the order of elimination.
         shift: what is added to the diagonal, relative to its mean.
         growth: what is added to every entry of the diagonal, relative to itself.
@@ -40,10 +41,10 @@ class NewtonMatrix:
 
     def __init__(
         self,
-        faces: NDArray[np.int32],
-        edges: NDArray[np.int32],
-        edge_corners: NDArray[np.int32],
-        vertex_corners: tuple[NDArray[np.int32], NDArray[np.int32]],
+        faces: wp.array,
+        edges: wp.array,
+        edge_corners: wp.array,
+        vertex_corners: list[wp.array],
         dissection: Dissection,
         shift: float = REGULARISATION,
         growth: float = 0.0,
@@ -51,20 +52,16 @@ class NewtonMatrix:
     ):
         self._shift, self._growth = shift, growth
         self._factor = MultifrontalCholesky(dissection, block=2, room=room or Room())
-        self._rows: list[Any] = [wp.array(array, dtype=wp.int32, device="cpu", copy=False) for array in vertex_corners]
-        self._sides = [
-            wp.array(edges, dtype=wp.vec2i, device="cpu", copy=False),
-            wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False),
-            wp.array(edge_corners, dtype=wp.vec2i, device="cpu", copy=False),
-        ]
+        self._rows, self._sides = vertex_corners, [edges, faces, edge_corners]
         self._diagonal = wp.empty((len(vertex_corners[0]) - 1, 4), dtype=wp.float64, device="cpu")
         self._off_diagonal = wp.empty((len(edges), 4), dtype=wp.float64, device="cpu")
 
     @classmethod
     def of_surface(cls, surface: Surface, room: Room | None = None) -> NewtonMatrix:
         """The matrix over all vertices of a surface."""
-        mesh = surface.faces, surface.edges, surface.edge_corners, surface.vertex_corners
-        return cls(*mesh, surface.dissection, room=room)
+        mesh = surface.on("cpu")
+        arrays = mesh.faces, mesh.edges, mesh.edge_corners, mesh.vertex_corners
+        return cls(*arrays, surface.dissection, room=room)
 
     @classmethod
     def of_patches(cls, patches: Patches, points: NDArray[np.float64], room: Room | None = None) -> NewtonMatrix:
@@ -87,7 +84,13 @@ class NewtonMatrix:
         order = np.argsort(low.astype(np.int64) * count + high, kind="stable")
         edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
         edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
-        return cls(own, edges, edge_corners, (offsets, corners), dissect(points, edges), 0.0, PATCH_GROWTH, room)
+
+        def shared(values: NDArray[np.int32], dtype: Any) -> wp.array:
+            return wp.array(values, dtype=dtype, device="cpu", copy=False)
+
+        sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
+        rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
+        return cls(*sides, rows, dissect(points, edges), 0.0, PATCH_GROWTH, room)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""

@@ -6,6 +6,8 @@ the whole map bent too far. Their own matrix is small, so that several steps of 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.energy import DistortionEnergy, Terms, TriangleKernels
-from omtwarp.refine.kernels import from_tangent, retract, to_tangent, triangle_trouble
+from omtwarp.refine.kernels import from_tangent, put_vectors, retract, take_vectors, to_tangent, triangle_trouble
 from omtwarp.refine.line_search import search_patches
 from omtwarp.refine.newton import NewtonMatrix
 
@@ -61,16 +63,17 @@ class Relaxation:
     ):
         device, surface = energy.device, energy.surface
         self._device, self._patches, self._caution = device, patches, caution
-        self._whole = points.numpy()
-        self._points = wp.array(self._whole[patches.vertices], dtype=wp.vec3d, device=device)
+        self._whole, self._vertices = points, self._sent(patches.vertices, wp.int32)
+        self._points = self._taken(points, self._vertices)
         # Of the whole map's area patches are a small part: its scale is taken to stay.
         self._pressures = energy.pressures(terms, weight)
         self._areas = surface.face_areas[patches.triangles]
         freed = surface.scaled_vertices[patches.vertices[: patches.free]]
         self._matrix = NewtonMatrix.of_patches(patches, freed, energy.room)
-        frames = energy.triangles.frames.numpy()[patches.triangles]
-        rows = (array.numpy() for array in self._matrix.vertex_corners)
-        self._triangles = TriangleKernels(patches.faces, frames, self._areas, rows, device, energy.room)
+        faces, areas = self._sent(patches.faces, wp.vec3i), self._sent(self._areas, wp.float64)
+        frames = self._taken(energy.triangles.frames, self._sent(patches.triangles, wp.int32))
+        rows = [array.to(device) for array in self._matrix.vertex_corners]
+        self._triangles = TriangleKernels(faces, frames, areas, rows, energy.room)
 
     def run(self) -> wp.array:
         """The map after a few steps, vec3d, shape [V].
@@ -81,10 +84,20 @@ class Relaxation:
         for _ in range(STEPS):
             if not self._step():
                 break
-        free = self._patches.free
-        out = self._whole.copy()
-        out[self._patches.vertices[:free]] = self._points.numpy()[:free]
-        return wp.array(out, dtype=wp.vec3d, device=self._device)
+        out = wp.clone(self._whole)
+        inputs = [self._vertices, self._points]
+        wp.launch(put_vectors, dim=self._patches.free, inputs=inputs, outputs=[out], device=self._device)
+        return out
+
+    def _sent(self, values: NDArray[Any], dtype: Any) -> wp.array:
+        """An array on the device."""
+        return wp.array(values, dtype=dtype, device=self._device, copy=False)
+
+    def _taken(self, vectors: wp.array, places: wp.array) -> wp.array:
+        """The vectors at some places, without leaving the device."""
+        out = wp.empty(len(places), dtype=wp.vec3d, device=self._device)
+        wp.launch(take_vectors, dim=len(places), inputs=[vectors, places], outputs=[out], device=self._device)
+        return out
 
     def _step(self) -> bool:
         """One step of all patches; whether any has moved."""

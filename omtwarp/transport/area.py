@@ -22,8 +22,8 @@ class AreaMonitor:
 
     def __init__(self, surface: Surface, device: Any):
         self.device = device
-        self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
-        self._areas = wp.array(surface.face_areas, dtype=wp.float64, device=device)
+        mesh = surface.on(device)
+        self._faces, self._areas = mesh.faces, mesh.face_areas
         self._errors = wp.empty((surface.face_count, 1), dtype=wp.float64, device=device)
         self._sums = RowSums(surface.face_count, 1, device)
 

@@ -116,9 +116,9 @@ def transport_cost(
     where = resolve_device(device)
     maps = (np.ascontiguousarray(x, dtype=np.float64) for x in (start, sphere))
     points = [wp.array(x, dtype=wp.vec3d, device=where, copy=False) for x in maps]
-    faces = wp.array(surface.faces, dtype=wp.vec3i, device=where, copy=False)
     distance = wp.empty(surface.face_count, dtype=wp.float64, device=where)
-    wp.launch(centre_distance, dim=surface.face_count, inputs=[*points, faces], outputs=[distance], device=where)
+    inputs = [*points, surface.on(where).faces]
+    wp.launch(centre_distance, dim=surface.face_count, inputs=inputs, outputs=[distance], device=where)
     moved = distance.numpy()
     return float((surface.face_areas * (moved * moved if cost == "squared" else moved)).sum())
 
@@ -186,11 +186,11 @@ class _Flow:
         self.history: list[dict[str, Any]] = []
         self.points = wp.array(np.array(initial, dtype=np.float64), dtype=wp.vec3d, device=device)
         self.trial = wp.empty_like(self.points)
-        self.faces = wp.array(surface.faces, dtype=wp.vec3i, device=device)
+        mesh = surface.on(device)
+        self.faces, self.masses = mesh.faces, mesh.face_areas
         self.centres, self.start_centres = (wp.empty(self.face_count, dtype=wp.vec3d, device=device) for _ in range(2))
         begin = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=device)
         self.launch(face_centres, self.face_count, [begin, self.faces], [self.start_centres])
-        self.masses = wp.array(surface.face_areas, dtype=wp.float64, device=device)
         self.hierarchy = sphere_hierarchy(level_for(surface.vertex_count, lowest=2))
         squares = wp.empty(self.face_count, dtype=wp.float64, device=device)
         self.launch(face_centres, self.face_count, [self.points, self.faces], [self.centres])

@@ -77,15 +77,14 @@ def polish_transport(
     """
     where = resolve_device(device)
     count = surface.vertex_count
-    faces = wp.array(surface.faces, dtype=wp.vec3i, device=where)
-    rows = [wp.array(array, dtype=wp.int32, device=where) for array in surface.vertex_corners]
+    mesh = surface.on(where)
+    faces, rows = mesh.faces, mesh.vertex_corners
     origin = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=where)
     points = wp.array(np.array(sphere, dtype=np.float64), dtype=wp.vec3d, device=where)
     moved, pull = wp.empty_like(points), wp.empty_like(points)
     curl, energy, area, missing = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(4))
-    wanted = wp.array(surface.vertex_areas, dtype=wp.float64, device=where)
+    wanted, areas = mesh.vertex_areas, mesh.face_areas
     total, squares = (wp.empty(size, dtype=wp.float64, device=where) for size in (1, 2))
-    areas = wp.array(surface.face_areas, dtype=wp.float64, device=where)
     measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
     face_sums, vertex_sums = RowSums(surface.face_count, 3, where), sums_for(where, count)
 

@@ -11,12 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp._warp import resolve_device, wp
+from omtwarp._warp import resolve_device
 from omtwarp.embedding.predicates import count_flips
 from omtwarp.embedding.untangle import untangle
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser import moser_map
+from omtwarp.refine.frames import triangle_frames
 from omtwarp.refine.solver import Refiner
 
 # The weight of area against angle: enough to hold the areas asked for, and more only costs angle.
@@ -73,12 +74,9 @@ def map_with_density_exponent(
             raise OmtwarpError(f"the density exponent {exponent} leaves {flips} flipped triangles: try a smaller one")
     if weight is None:
         return sphere
-    where = resolve_device(device)
-    refiner = Refiner(target, where)
     # Frames are lengths inverted: each triangle is scaled to the area it is to have.
-    scale = np.sqrt(surface.face_areas / areas)
-    frames = refiner.energy.triangles.frames.numpy() * scale[:, None]
-    refiner.energy.triangles.frames = wp.array(frames, dtype=wp.vec3d, device=where)
+    frames = triangle_frames(surface) * np.sqrt(surface.face_areas / areas)[:, None]
+    refiner = Refiner(target, resolve_device(device), frames)
     return refiner.minimise(sphere, weight, iterations=ITERATIONS, tolerance=TOLERANCE).sphere
 
 

@@ -1,0 +1,44 @@
+"""A surface's arrays on a device are the surface's, and are sent once."""
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+from omtwarp.mesh.shapes import blob
+from omtwarp.mesh.surface import Surface
+
+NAMES = ("faces", "face_areas", "vertex_areas", "face_neighbours", "edges", "edge_corners")
+
+
+def test_arrays_are_those_of_the_surface_and_sent_once(device):
+    surface = blob(1, sphere=640)
+    mesh, again = surface.on(device), surface.on(device)
+    for name in NAMES:
+        np.testing.assert_array_equal(getattr(mesh, name).numpy(), getattr(surface, name))
+        assert getattr(again, name) is getattr(mesh, name)
+    for sent, same, own in zip(mesh.vertex_corners, again.vertex_corners, surface.vertex_corners, strict=True):
+        np.testing.assert_array_equal(sent.numpy(), own)
+        assert same is sent
+    assert str(mesh.faces.device) == device
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_on_the_cpu_nothing_is_copied(name):
+    surface = blob(1, sphere=640)
+    assert np.shares_memory(getattr(surface.on("cpu"), name).numpy(), getattr(surface, name))
+
+
+def test_a_surface_goes_with_its_last_user():
+    """Not when the garbage collector next comes by: on large meshes that would be a map too late."""
+    template = blob(1, sphere=640)
+    gc.collect()
+    gc.disable()
+    try:
+        surface = Surface(template.vertices, template.faces)
+        sent = weakref.ref(surface.on("cpu").face_areas)
+        del surface
+        assert sent() is None
+    finally:
+        gc.enable()
