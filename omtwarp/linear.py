@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 from omtwarp._warp import resolve_device, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
+from omtwarp.points import vectors
 from omtwarp.sums import DeviceSum, HostSum
 
 if TYPE_CHECKING:
@@ -144,11 +145,7 @@ class SurfaceLaplacianSolver:
         if on_device(where, surface.vertex_count):
             from omtwarp.multigrid import DeviceLaplacian
 
-            if isinstance(points, wp.array):
-                own = wp.clone(points, device=where)
-            else:
-                own = wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device=where)
-            self._iterative = DeviceLaplacian(surface, own)
+            self._iterative = DeviceLaplacian(surface, wp.clone(vectors(points, where)))
         else:
             on_host = points.numpy() if isinstance(points, wp.array) else points
             self._direct = _SurfaceFactorization(surface, on_host, pinned)

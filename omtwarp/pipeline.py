@@ -23,6 +23,7 @@ from omtwarp.mesh.validate import require_valid
 from omtwarp.metrics.certificate import certify
 from omtwarp.metrics.distortion import distortion
 from omtwarp.moser import moser_map
+from omtwarp.points import vectors
 from omtwarp.refine.solver import refine_map
 from omtwarp.result import MapResult
 from omtwarp.threads import blas_threads
@@ -132,7 +133,8 @@ class _Run:
         self.device = device
         self.progress = progress
         self.stages: list[dict[str, Any]] = []
-        self.start: NDArray[np.float64] | None = None
+        self.start: wp.array | None = None
+        self.last: tuple[NDArray[np.float64], wp.array] | None = None
         self.begun = time.perf_counter()
         self.stage_begun = self.begun
 
@@ -140,13 +142,20 @@ class _Run:
         if self.progress is not None:
             self.progress(stage, done, total, details)
 
+    def points(self, sphere: NDArray[np.float64]) -> wp.array:
+        """A map where the kernels run; the one asked for last is there already."""
+        if self.last is None or self.last[0] is not sphere:
+            self.last = sphere, vectors(sphere, resolve_device(self.device))
+        return self.last[1]
+
     def finish(self, name: str, sphere: NDArray[np.float64], iterations: int, **more: Any) -> None:
         """Close a stage: its time, and the map it hands on."""
         seconds = time.perf_counter() - self.stage_begun
-        measured = distortion(self.surface.vertices, self.surface.faces, sphere, device=self.device)
+        mesh = self.surface.on(self.device)
+        measured = distortion(mesh.vertices, mesh.faces, sphere, device=self.device)
         cost = 0.0
         if self.start is not None:
-            cost = transport_cost(self.surface, self.start, sphere, device=self.device)
+            cost = transport_cost(self.surface, self.start, self.points(sphere), device=self.device)
         record = {"name": name, "seconds": seconds, "iterations": iterations}
         record |= measured.to_dict() | {"transport_cost": cost} | more
         self.stages.append(record)
@@ -163,7 +172,7 @@ class _Run:
         self.tell("conformal", 0, 1, {})
         start = bijective_start(surface, device=self.device, progress=self.progress)
         start = replace(start, conformal=None)  # its factorisation is large, and not needed again
-        self.start = start.sphere
+        self.start = self.points(start.sphere)
         self.finish("conformal", start.sphere, 1, road=start.road, reason=start.reason, repaired=start.repaired_flips)
         moser = transported = None
         history: list[dict[str, Any]] = []
@@ -171,7 +180,7 @@ class _Run:
         if last >= 1:
             moser = sphere = self.moser(start)
         if last >= 2:
-            sphere, history = self.transport(start.sphere, sphere, cost, scheme)
+            sphere, history = self.transport(sphere, cost, scheme)
             transported = sphere
         if last >= 3 and weight is not None:
             sphere = self.refine(sphere, weight)
@@ -197,18 +206,15 @@ class _Run:
         sphere = start.sphere
         monitor = AreaMonitor(self.surface, resolve_device(self.device))
 
-        def area_error(image: NDArray[np.float64]) -> float:
-            return monitor.error(wp.array(np.ascontiguousarray(image), dtype=wp.vec3d, device=self.device))
-
-        least = area_error(sphere)
+        least = monitor.error(self.points(sphere))
         steps = repaired = 0
         for k in range(MOSER_PASSES):
             self.tell("moser", k, MOSER_PASSES, {})
-            flowed = moser_map(self.surface, sphere, device=self.device)
+            flowed = moser_map(self.surface, self.points(sphere), device=self.device)
             steps += flowed.steps
             mended, flips = self.mend(sphere, flowed.sphere)
             repaired += flips
-            error = area_error(mended)
+            error = monitor.error(self.points(mended))
             if error >= least:
                 break  # where the image is badly stretched, repairs can lose more than the flow gains
             sphere, least = mended, error
@@ -216,29 +222,38 @@ class _Run:
         return sphere
 
     def transport(
-        self, start: NDArray[np.float64], initial: NDArray[np.float64], cost: str, scheme: str
+        self, initial: NDArray[np.float64], cost: str, scheme: str
     ) -> tuple[NDArray[np.float64], list[dict[str, Any]]]:
         """The optimal map, by the scheme asked for."""
 
         def tell(done: int, total: int, details: dict[str, Any]) -> None:
             self.tell("omt", done, total, details)
 
+        assert self.start is not None
         if scheme == "paper":
             from omtwarp.transport.paper import paper_flow
 
             result = paper_flow(
-                start, self.surface.faces, initial, self.surface.face_areas, cost=cost, device=self.device
+                self.start.numpy(), self.surface.faces, initial, self.surface.face_areas, cost=cost, device=self.device
             )
             sphere, repaired = self.mend(initial, result.map_at_vertices)
             history, converged = result.history, result.stopped != "cycles"
         else:
             moved = optimal_transport(
-                self.surface, start, initial, cost=cost, scheme=scheme, device=self.device, progress=tell
+                self.surface,
+                self.start,
+                self.points(initial),
+                cost=cost,
+                scheme=scheme,
+                device=self.device,
+                progress=tell,
             )
             sphere, repaired = self.mend(initial, moved.sphere)
             history, converged = moved.history, moved.converged
             if scheme == "default" and cost == "squared":
-                polished = polish_transport(self.surface, start, sphere, device=self.device, progress=tell)
+                polished = polish_transport(
+                    self.surface, self.start, self.points(sphere), device=self.device, progress=tell
+                )
                 sphere = polished.sphere
                 history = history + [
                     record | {"iteration": len(history) + k} for k, record in enumerate(polished.history[1:])
@@ -260,7 +275,7 @@ class _Run:
 
         solved = solve_barycentric(self.surface, "tutte" if method == "tutte" else "mean-value", device=self.device)
         sphere = solved.sphere
-        self.start = sphere
+        self.start = self.points(sphere)
         self.finish(method, sphere, solved.iterations, converged=solved.converged)
         face_density, vertex_density = density(self.surface, sphere)
         return MapResult(
@@ -279,16 +294,16 @@ class _Run:
         Returns:
             A map without flips, and how many were repaired.
         """
-        flips = count_flips(after, self.surface.faces, device=self.device)
+        faces = self.surface.on(self.device).faces
+        flips = count_flips(self.points(after), faces, device=self.device)
         if flips == 0:
             return after, 0
         repaired = untangle(self.surface, after, device=self.device).sphere
-        if count_flips(repaired, self.surface.faces, device=self.device) == 0:
+        if count_flips(self.points(repaired), faces, device=self.device) == 0:
             return repaired, flips
         device = resolve_device(self.device)
-        held = wp.array(np.ascontiguousarray(after), dtype=wp.vec3d, device=device)
-        old = wp.array(np.ascontiguousarray(before), dtype=wp.vec3d, device=device)
-        StepGuard(self.surface, device).limit(old, held)
+        held = wp.clone(vectors(after, device))
+        StepGuard(self.surface, device).limit(vectors(before, device), held)
         return held.numpy(), flips
 
     def optimality(

@@ -15,6 +15,7 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.conformal.kernels import apply_ball_inversion, moments
 from omtwarp.errors import OmtwarpError
 from omtwarp.linear import on_device
+from omtwarp.points import vectors
 from omtwarp.sums import RowSums, partial_count
 
 TOLERANCE = 1e-13
@@ -38,10 +39,7 @@ def mobius_centring(
         OmtwarpError: the masses are so concentrated that the centre cannot be reached.
     """
     where = resolve_device(device)
-    if isinstance(sphere, wp.array):
-        points = wp.clone(sphere, device=where)
-    else:
-        points = wp.array(np.ascontiguousarray(sphere), dtype=wp.vec3d, device=where)
+    points = wp.clone(vectors(sphere, where))
     moved = wp.empty_like(points)
     weights = masses / masses.sum()
     means: _Moments = (_DeviceMoments if on_device(where, len(weights)) else _HostMoments)(weights, where)

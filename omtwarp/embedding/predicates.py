@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard_kernels import UNCERTAIN, certain_signs
+from omtwarp.points import triangles, vectors
 from omtwarp.threads import launch_parts
 
 # Six triple products, each rounded at most four times, and their sum: 7 units of roundoff would do; 8 leaves the
@@ -24,15 +25,15 @@ _UNDERFLOW_BOUND = 2.0**-1000
 
 
 def orientation_signs(
-    sphere: ArrayLike, faces: ArrayLike, *, device: str | wp.Device | None = "cpu"
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.int8]:
     """Exact sign of det[a, b, c] for every triangle.
 
     The coordinates are taken as they are, so the points need not have unit length.
 
     Args:
-        sphere: float64 points, shape [V, 3].
-        faces: Integer corner indices, shape [F, 3].
+        sphere: float64 points, shape [V, 3]; or a Warp array of vec3d.
+        faces: Integer corner indices, shape [F, 3]; or a Warp array of vec3i.
         device: where floating point is tried.
 
     Returns:
@@ -40,35 +41,36 @@ def orientation_signs(
         points contains the origin) or a corner that is not finite.
     """
     where = resolve_device(device)
-    points = np.ascontiguousarray(sphere, dtype=np.float64)
-    corners = np.ascontiguousarray(faces, dtype=np.int32).reshape(-1, 3)
-    given = wp.array(points, dtype=wp.vec3d, device=where, copy=False)
-    triangles = wp.array(corners, dtype=wp.vec3i, device=where, copy=False)
+    given = vectors(sphere, where)
+    corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
     out = wp.empty(len(corners), dtype=wp.int8, device=where)
 
     def arguments(part: slice) -> tuple[list[Any], list[Any]]:
-        return [given, triangles[part], wp.float64(_RELATIVE_BOUND), wp.float64(_UNDERFLOW_BOUND)], [out[part]]
+        return [given, corners[part], wp.float64(_RELATIVE_BOUND), wp.float64(_UNDERFLOW_BOUND)], [out[part]]
 
     launch_parts(certain_signs, len(corners), arguments, where)
     signs = out.numpy()
     open_cases = np.flatnonzero(signs == UNCERTAIN)
     if len(open_cases):
         signs[open_cases] = 0
-        a, b, c = (points[corners[open_cases, k]] for k in range(3))
+        points, places = given.numpy(), corners.numpy()[open_cases]
+        a, b, c = (points[places[:, k]] for k in range(3))
         usable = np.isfinite(np.hstack([a, b, c])).all(axis=1)
         signs[open_cases[usable]] = _exact_signs(a[usable], b[usable], c[usable])
     return signs
 
 
 def flipped_faces(
-    sphere: ArrayLike, faces: ArrayLike, *, device: str | wp.Device | None = "cpu"
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.bool_]:
     """Whether every triangle has det[a, b, c] <= 0, decided exactly, or a corner that is not finite, shape [F]."""
     flipped: NDArray[np.bool_] = orientation_signs(sphere, faces, device=device) <= 0
     return flipped
 
 
-def count_flips(sphere: ArrayLike, faces: ArrayLike, *, device: str | wp.Device | None = "cpu") -> int:
+def count_flips(
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
+) -> int:
     """Number of triangles with det[a, b, c] <= 0, decided exactly; one with a corner that is not finite counts."""
     return int(flipped_faces(sphere, faces, device=device).sum())
 

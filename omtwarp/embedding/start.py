@@ -72,6 +72,7 @@ def bijective_start(
     Raises:
         OmtwarpError: not even the coarse-to-fine embedding could be made.
     """
+    mesh = surface.on(device)
     conformal: ConformalMap | None = None
     try:
         conformal = conformal_map(surface, device=device)
@@ -79,11 +80,11 @@ def bijective_start(
     except OmtwarpError as error:
         reason = str(error)
     if conformal is not None and not reason:
-        flips = int((orientation_signs(conformal.sphere, surface.faces, device=device) <= 0).sum())
+        flips = int((orientation_signs(conformal.sphere, mesh.faces, device=device) <= 0).sum())
         if flips == 0:
             return Start(conformal.sphere, "conformal", "", conformal, 0)
         repaired = untangle(surface, conformal.sphere, device=device)
-        if not (orientation_signs(repaired.sphere, surface.faces, device=device) <= 0).any():
+        if not (orientation_signs(repaired.sphere, mesh.faces, device=device) <= 0).any():
             return Start(repaired.sphere, "conformal, repaired", "", conformal, flips)
         reason = f"{repaired.flips_after} of {flips} flips of the conformal map could not be repaired"
 
@@ -92,8 +93,8 @@ def bijective_start(
             progress("start", int(100 * done), 100, {})
 
     sphere = tube_map(surface)
-    if not (orientation_signs(sphere, surface.faces, device=device) <= 0).any():
-        judged = distortion(surface.vertices, surface.faces, sphere, device=device)
+    if not (orientation_signs(sphere, mesh.faces, device=device) <= 0).any():
+        judged = distortion(mesh.vertices, mesh.faces, sphere, device=device)
         if judged.area["surface"] < TUBE_AREA:
             return Start(sphere, "tube", reason, conformal, 0)
     sphere = hierarchical_embedding(surface, device=device, progress=report)
@@ -108,7 +109,7 @@ def _defect(surface: Surface, sphere: NDArray[np.float64], device: str | None) -
     small = int((areas < SMALLEST_AREA).sum())
     if small:
         return f"the conformal map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
-    flips = int((orientation_signs(sphere, surface.faces, device=device) <= 0).sum())
+    flips = int((orientation_signs(sphere, surface.on(device).faces, device=device) <= 0).sum())
     if flips > REPAIRABLE * surface.face_count:
         return f"the conformal map flips {flips} of {surface.face_count} triangles"
     return ""

@@ -36,6 +36,11 @@ class SurfaceArrays:
         return self._sent[key]
 
     @property
+    def vertices(self) -> wp.array:
+        """Positions, vec3d, shape [V], in the units of the input."""
+        return self._array("vertices", wp.vec3d)
+
+    @property
     def faces(self) -> wp.array:
         """Corners of the triangles, vec3i, shape [F]."""
         return self._array("faces", wp.vec3i)

@@ -12,6 +12,7 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.predicates import orientation_signs
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
+from omtwarp.points import triangles, vectors
 
 RAYS = 32
 # Rays that pass an edge this closely (as a triple product of unit vectors) are drawn again.
@@ -82,8 +83,7 @@ def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: st
 
 def _ray_degree(faces: NDArray[np.int32], sphere: NDArray[np.float64], device: str | None) -> int | None:
     where = resolve_device(device)
-    points = wp.array(np.ascontiguousarray(sphere), dtype=wp.vec3d, device=where)
-    triangles = wp.array(np.ascontiguousarray(faces, dtype=np.int32), dtype=wp.vec3i, device=where)
+    points, corners = vectors(sphere, where), triangles(faces, where)
     rng = np.random.default_rng(20_240_229)
     wanted, counted = RAYS, []
     for _ in range(8):
@@ -95,7 +95,7 @@ def _ray_degree(faces: NDArray[np.int32], sphere: NDArray[np.float64], device: s
         wp.launch(
             count_crossings,
             dim=(len(faces), wanted),
-            inputs=[points, triangles, directions, wp.float64(CLEARANCE)],
+            inputs=[points, corners, directions, wp.float64(CLEARANCE)],
             outputs=[crossings, doubtful],
             device=where,
         )

@@ -12,10 +12,13 @@ both are at least 2, and 2 is perfect.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from omtwarp._warp import wp
 
 WEIGHTINGS = ("mean", "surface", "sphere")
 
@@ -60,12 +63,14 @@ class Distortion:
         )
 
 
-def distortion(vertices: ArrayLike, faces: ArrayLike, sphere: ArrayLike, *, device: str | None = "auto") -> Distortion:
+def distortion(
+    vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike, *, device: str | None = "auto"
+) -> Distortion:
     """Measure a sphere map.
 
     Args:
-        vertices: the surface, shape [V, 3], any unit.
-        faces: vertex indices, shape [F, 3], counter-clockwise seen from outside.
+        vertices: the surface, shape [V, 3], any unit; or a Warp array of vec3d.
+        faces: vertex indices, shape [F, 3], counter-clockwise seen from outside; or a Warp array of vec3i.
         sphere: the images of the vertices, shape [V, 3]; normalised here.
         device: where the per-triangle kernel runs.
 
@@ -74,14 +79,11 @@ def distortion(vertices: ArrayLike, faces: ArrayLike, sphere: ArrayLike, *, devi
     """
     from omtwarp._warp import resolve_device, wp
     from omtwarp.metrics.kernels import triangle_distortion
+    from omtwarp.points import triangles, vectors
 
     where = resolve_device(device)
-    count = len(np.asarray(faces))
-    inputs = [
-        wp.array(np.ascontiguousarray(vertices, dtype=np.float64), dtype=wp.vec3d, device=where),
-        wp.array(np.ascontiguousarray(sphere, dtype=np.float64), dtype=wp.vec3d, device=where),
-        wp.array(np.ascontiguousarray(faces, dtype=np.int32), dtype=wp.vec3i, device=where),
-    ]
+    inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
+    count = len(inputs[2])
     outputs = [wp.empty(count, dtype=wp.float64, device=where) for _ in range(6)]
     wp.launch(triangle_distortion, dim=count, inputs=inputs, outputs=outputs, device=where)
     surface_area, sphere_area, determinant, angle, triple, solid = (array.numpy() for array in outputs)

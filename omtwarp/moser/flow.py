@@ -12,6 +12,7 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.linear import PoissonSolver, SurfaceLaplacianSolver, solve_arrays, sums_for
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, vertex_field
+from omtwarp.points import vectors
 from omtwarp.threads import blas_threads, launch_parts
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
@@ -38,7 +39,7 @@ class MoserMap:
 @blas_threads(1)
 def moser_map(
     surface: Surface,
-    start: NDArray[np.float64],
+    start: NDArray[np.float64] | wp.array,
     *,
     solver: PoissonSolver | None = None,
     device: str | None = "auto",
@@ -49,7 +50,7 @@ def moser_map(
 
     Args:
         surface: the surface; its areas, scaled to 4π, are the masses.
-        start: a map to the sphere without flips, unit vectors, float64, shape [V, 3].
+        start: a map to the sphere without flips, unit vectors, float64, shape [V, 3]; or a Warp array of vec3d.
         solver: the factorised cotangent Laplacian of the image, made here when left out. For a conformal image the
             surface's own can serve and saves a factorisation, but around the pole a discrete conformal map is not
             conformal: the area error it leaves is three to four times as large, and does not vanish on fine meshes.
@@ -60,7 +61,7 @@ def moser_map(
     """
     where = resolve_device(device)
     vertices, triangles = surface.vertex_count, surface.face_count
-    points = wp.array(np.ascontiguousarray(start, dtype=np.float64), dtype=wp.vec3d, device=where)
+    points = vectors(start, where)
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
     if solver is None:

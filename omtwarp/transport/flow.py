@@ -21,6 +21,7 @@ from omtwarp.embedding.guard import StepGuard
 from omtwarp.errors import OmtwarpError
 from omtwarp.graphs import Graph
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.points import vectors
 from omtwarp.sums import RowSums, partial_count
 from omtwarp.threads import blas_threads, launch_parts
 from omtwarp.transport.area import LARGEST_ERROR
@@ -95,8 +96,8 @@ class TransportMap:
 
 def transport_cost(
     surface: Surface,
-    start: NDArray[np.float64],
-    sphere: NDArray[np.float64],
+    start: NDArray[np.float64] | wp.array,
+    sphere: NDArray[np.float64] | wp.array,
     cost: str = "squared",
     *,
     device: str | None = "auto",
@@ -108,16 +109,14 @@ def transport_cost(
 
     Args:
         surface: the surface whose areas are the masses.
-        start: the points x, unit vectors, shape [V, 3] (the conformal or substitute start).
-        sphere: their images g(x), unit vectors, shape [V, 3].
+        start: the points x, unit vectors, shape [V, 3] (the conformal or substitute start); or a Warp array of vec3d.
+        sphere: their images g(x), in the same way.
         cost: ``squared`` or ``geodesic`` distance.
         device: where distances are taken.
     """
     where = resolve_device(device)
-    maps = (np.ascontiguousarray(x, dtype=np.float64) for x in (start, sphere))
-    points = [wp.array(x, dtype=wp.vec3d, device=where, copy=False) for x in maps]
     distance = wp.empty(surface.face_count, dtype=wp.float64, device=where)
-    inputs = [*points, surface.on(where).faces]
+    inputs = [vectors(start, where), vectors(sphere, where), surface.on(where).faces]
     wp.launch(centre_distance, dim=surface.face_count, inputs=inputs, outputs=[distance], device=where)
     moved = distance.numpy()
     return float((surface.face_areas * (moved * moved if cost == "squared" else moved)).sum())
@@ -126,8 +125,8 @@ def transport_cost(
 @blas_threads(1)
 def optimal_transport(
     surface: Surface,
-    start: NDArray[np.float64],
-    initial: NDArray[np.float64],
+    start: NDArray[np.float64] | wp.array,
+    initial: NDArray[np.float64] | wp.array,
     *,
     cost: str = "squared",
     scheme: str = "default",
@@ -140,8 +139,8 @@ def optimal_transport(
 
     Args:
         surface: the surface; the areas of its triangles, total 4π, are the masses.
-        start: the points x that are transported, unit vectors, shape [V, 3].
-        initial: a mass-preserving map g^0 of them, unit vectors, shape [V, 3]; if it has no flip, no step makes one.
+        start: the points x that are transported, unit vectors, shape [V, 3]; or a Warp array of vec3d.
+        initial: a mass-preserving map g^0 of them, in the same way; if it has no flip, no step makes one.
         cost: ``squared`` geodesic distance (its optimum is unique), or the paper's ``geodesic`` distance.
         scheme: ``default``, wavelet-preconditioned conjugate gradients; ``plain``, steepest descent with H the curl
             itself (equation 12), as far as the mesh resolves it.
@@ -172,8 +171,8 @@ class _Flow:
     def __init__(
         self,
         surface: Surface,
-        start: NDArray[np.float64],
-        initial: NDArray[np.float64],
+        start: NDArray[np.float64] | wp.array,
+        initial: NDArray[np.float64] | wp.array,
         cost: str,
         scheme: str,
         device: Any,
@@ -184,13 +183,12 @@ class _Flow:
         self.scheme = scheme
         self.plain = scheme == "plain"
         self.history: list[dict[str, Any]] = []
-        self.points = wp.array(np.array(initial, dtype=np.float64), dtype=wp.vec3d, device=device)
+        self.points = wp.clone(vectors(initial, device))
         self.trial = wp.empty_like(self.points)
         mesh = surface.on(device)
         self.faces, self.masses = mesh.faces, mesh.face_areas
         self.centres, self.start_centres = (wp.empty(self.face_count, dtype=wp.vec3d, device=device) for _ in range(2))
-        begin = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=device)
-        self.launch(face_centres, self.face_count, [begin, self.faces], [self.start_centres])
+        self.launch(face_centres, self.face_count, [vectors(start, device), self.faces], [self.start_centres])
         self.hierarchy = sphere_hierarchy(level_for(surface.vertex_count, lowest=2))
         squares = wp.empty(self.face_count, dtype=wp.float64, device=device)
         self.launch(face_centres, self.face_count, [self.points, self.faces], [self.centres])

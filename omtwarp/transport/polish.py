@@ -23,6 +23,7 @@ from omtwarp._warp import resolve_device, wp
 from omtwarp.embedding.guard import StepGuard
 from omtwarp.linear import SurfaceLaplacianSolver, sums_for
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.points import vectors
 from omtwarp.sums import RowSums
 from omtwarp.threads import blas_threads, launch_parts
 from omtwarp.transport.area import LARGEST_ERROR
@@ -54,8 +55,8 @@ AREA_SLACK = 1e-4
 @blas_threads(1)
 def polish_transport(
     surface: Surface,
-    start: NDArray[np.float64],
-    sphere: NDArray[np.float64],
+    start: NDArray[np.float64] | wp.array,
+    sphere: NDArray[np.float64] | wp.array,
     *,
     rounds: int = ROUNDS,
     device: str | None = "auto",
@@ -65,8 +66,8 @@ def polish_transport(
 
     Args:
         surface: the surface; its vertex areas, total 4π, are the masses.
-        start: the points x that are transported, unit vectors, shape [V, 3].
-        sphere: a mass-preserving map of them without flips, unit vectors, shape [V, 3].
+        start: the points x that are transported, unit vectors, shape [V, 3]; or a Warp array of vec3d.
+        sphere: a mass-preserving map of them without flips, in the same way.
         rounds: the most rounds.
         device: where the kernels run, and where the systems of a large mesh are solved.
         progress: called after each round with its number, the most there can be, and its record.
@@ -79,8 +80,7 @@ def polish_transport(
     count = surface.vertex_count
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
-    origin = wp.array(np.ascontiguousarray(start), dtype=wp.vec3d, device=where)
-    points = wp.array(np.array(sphere, dtype=np.float64), dtype=wp.vec3d, device=where)
+    origin, points = vectors(start, where), wp.clone(vectors(sphere, where))
     moved, pull = wp.empty_like(points), wp.empty_like(points)
     curl, energy, area, missing = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(4))
     wanted, areas = mesh.vertex_areas, mesh.face_areas
