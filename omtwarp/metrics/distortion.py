@@ -64,30 +64,112 @@ class Distortion:
 
 
 def distortion(
-    vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike, *, device: str | None = "auto"
+    vertices: ArrayLike | wp.array,
+    faces: ArrayLike | wp.array,
+    sphere: ArrayLike | wp.array,
+    *,
+    device: str | None = "auto",
 ) -> Distortion:
     """Measure a sphere map.
 
     Args:
         vertices: the surface, shape [V, 3], any unit; or a Warp array of vec3d.
         faces: vertex indices, shape [F, 3], counter-clockwise seen from outside; or a Warp array of vec3i.
-        sphere: the images of the vertices, shape [V, 3]; normalised here.
+        sphere: the images of the vertices, shape [V, 3]; normalised here. Or a Warp array of vec3d.
         device: where the per-triangle kernel runs.
 
     Returns:
         The distortion, section 6 of the paper, in all three weightings.
     """
     from omtwarp._warp import resolve_device, wp
+
+    arrays = (array.numpy() for array in triangle_quantities(vertices, faces, sphere, resolve_device(device)))
+    surface_area, sphere_area, determinant, angle, triple, solid = arrays
+    finite = bool(np.isfinite(sphere.numpy() if isinstance(sphere, wp.array) else sphere).all())
+    return summarize(surface_area, sphere_area, determinant, angle, triple, solid, finite)
+
+
+def measure(
+    vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike | wp.array, *, device: str | None
+) -> dict[str, Any]:
+    """The aggregates of :func:`distortion` alone, as :meth:`Distortion.to_dict` has them; arguments as there.
+
+    On CUDA they are made on the device, and some twenty numbers come back instead of six for every triangle. Sums
+    differ by rounding.
+    """
+    from omtwarp._warp import resolve_device
+    from omtwarp.points import vectors
+
+    where = resolve_device(device)
+    if where.is_cpu:
+        return distortion(vertices, faces, sphere, device=device).to_dict()
+    return aggregates(triangle_quantities(vertices, faces, sphere, where), vectors(sphere, where))
+
+
+def triangle_quantities(vertices: Any, faces: Any, sphere: Any, where: wp.Device) -> list[wp.array]:
+    """Areas on surface and sphere, determinant, angle distortion, det[s0, s1, s2] and solid angle of every triangle."""
+    from omtwarp._warp import wp
     from omtwarp.metrics.kernels import triangle_distortion
     from omtwarp.points import triangles, vectors
 
-    where = resolve_device(device)
     inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
     count = len(inputs[2])
     outputs = [wp.empty(count, dtype=wp.float64, device=where) for _ in range(6)]
     wp.launch(triangle_distortion, dim=count, inputs=inputs, outputs=outputs, device=where)
-    surface_area, sphere_area, determinant, angle, triple, solid = (array.numpy() for array in outputs)
-    return summarize(surface_area, sphere_area, determinant, angle, triple, solid, bool(np.isfinite(sphere).all()))
+    return outputs
+
+
+def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]:
+    """What :func:`summarize` says of the same quantities, made where they are.
+
+    Args:
+        of_triangles: float64 arrays of Warp, shape [F], in the order of :func:`summarize`.
+        sphere: the map, vec3d, shape [V].
+    """
+    from omtwarp._warp import wp
+    from omtwarp.metrics.kernels import not_finite, pick, weighted_distortions
+    from omtwarp.sums import DeviceSum, RowSums
+
+    surface_area, sphere_area, _, angle, *_ = of_triangles
+    where, count = angle.device, angle.size
+    marks = wp.empty(sphere.size, dtype=wp.float64, device=where)
+    wp.launch(not_finite, dim=sphere.size, inputs=[sphere], outputs=[marks], device=where)
+    totals = [wp.empty(1, dtype=wp.float64, device=where) for _ in range(3)]
+    for total, values in zip(totals, (surface_area, sphere_area, marks), strict=True):
+        DeviceSum(where).total(values, total)
+    area, terms = (wp.empty(shape, dtype=wp.float64, device=where) for shape in (count, (count, 8)))
+    inputs = [*of_triangles, *totals[:2]]
+    wp.launch(weighted_distortions, dim=count, inputs=inputs, outputs=[area, terms], device=where)
+    sums = RowSums(count, terms.shape[1], where)(terms).numpy().sum(axis=0).tolist()
+
+    at = 0.95 * (count - 1)
+    places = [(count - 1) // 2, count // 2, int(at), min(int(at) + 1, count - 1), count - 1]
+    chosen = wp.array(places, dtype=wp.int32, device=where)
+    # The radix sort of Warp wants room for twice the keys.
+    keys = wp.empty(2 * count, dtype=wp.float64, device=where)
+    order = wp.zeros(2 * count, dtype=wp.int32, device=where)
+
+    def aggregate(values: wp.array, means: list[float]) -> dict[str, float]:
+        wp.copy(keys, values, count=count)
+        wp.utils.radix_sort_pairs(keys, order, count)
+        picked = wp.empty(len(places), dtype=wp.float64, device=where)
+        wp.launch(pick, dim=len(places), inputs=[keys, chosen], outputs=[picked], device=where)
+        first, second, low, high, largest = picked.numpy().tolist()
+        # As NumPy interpolates. A sort says nothing of what is not a number; a mean does.
+        part = at - int(at)
+        between = high - (high - low) * (1.0 - part) if part >= 0.5 else low + (high - low) * part
+        ranked = {"median": 0.5 * (first + second), "p95": between, "max": largest}
+        if np.isnan(means[0]):
+            ranked = dict.fromkeys(ranked, float("nan"))
+        return dict(zip(WEIGHTINGS, means, strict=True)) | ranked
+
+    return {
+        "flips": int(sums[6]),
+        "degree": sums[7] / (4 * np.pi),
+        "finite": bool(totals[2].numpy()[0] == 0.0),
+        "area": aggregate(area, [sums[0] / count, *sums[1:3]]),
+        "angle": aggregate(angle, [sums[3] / count, *sums[4:6]]),
+    }
 
 
 def summarize(

@@ -6,9 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import judge, pushed_north, random_rotation, turned, twisted
 
+from omtwarp._warp import resolve_device
 from omtwarp.mesh.shapes import blob, fibonacci_sphere, icosphere, noisy, random_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import WEIGHTINGS, distortion
+from omtwarp.metrics.distortion import aggregates, measure, triangle_quantities
+from omtwarp.points import vectors
 
 
 def by_singular_values(surface: Surface, sphere: np.ndarray) -> dict:
@@ -143,3 +146,35 @@ def test_printed_form_names_flips_degree_area_and_angle():
     surface = icosphere(2)
     text = str(distortion(surface.vertices, surface.faces, surface.vertices))
     assert text.startswith("flips 0  degree 1.000000  area 2.0000")
+
+
+@settings(deadline=None, max_examples=20)
+@given(count=st.integers(4, 300), seed=st.integers(0, 1000), turn=st.floats(0.0, 8.0))
+def test_aggregates_made_on_a_device_are_those_of_numpy(count, seed, turn):
+    """By sorting and tree sums instead of partitions and pairwise ones; strong twists flip triangles."""
+    surface = blob(seed, 0.3, 4, random_sphere(count, seed))
+    sphere = twisted(random_sphere(count, seed).vertices, turn)
+    expected = distortion(surface.vertices, surface.faces, sphere, device="cpu").to_dict()
+    where = resolve_device("cpu")
+    found = aggregates(triangle_quantities(surface.vertices, surface.faces, sphere, where), vectors(sphere, where))
+    assert found["flips"] == expected["flips"] and found["finite"] is expected["finite"]
+    assert found["degree"] == pytest.approx(expected["degree"], rel=1e-12)
+    for name in ("area", "angle"):
+        assert found[name] == pytest.approx(expected[name], rel=1e-12)
+        assert list(found[name]) == list(expected[name])
+
+
+def test_aggregates_say_when_a_map_is_not_finite(device):
+    """A vertex without a place has triangles without orientation around it, and a surface without one no means."""
+    surface, where = icosphere(3), resolve_device(device)
+    sphere = surface.vertices.copy()
+    sphere[5] = np.nan
+    expected = distortion(surface.vertices, surface.faces, sphere, device=device).to_dict()
+    for found in (
+        aggregates(triangle_quantities(surface.vertices, surface.faces, sphere, where), vectors(sphere, where)),
+        measure(surface.vertices, surface.faces, sphere, device=device),
+    ):
+        assert found["finite"] is False and found["flips"] == expected["flips"] > 0
+        assert found["area"] == pytest.approx(expected["area"], rel=1e-12)
+    broken = aggregates(triangle_quantities(sphere, surface.faces, surface.vertices, where), vectors(sphere, where))
+    assert all(np.isnan(broken[name][key]) for name in ("area", "angle") for key in broken[name])
