@@ -29,13 +29,15 @@ def prewarm(device: str = "cpu") -> int:
         device: ``cpu``, ``cuda`` or ``cuda:N``.
     """
     from omtwarp._warp import resolve_device, wp
+    from omtwarp.threads import core_count
 
     target = resolve_device(device)
     names = kernel_modules()
     for name in names:
         importlib.import_module(name)
-    for name in names:
-        wp.load_module(name, device=target, max_workers=0)  # a second thread would make a header of its own
+    # Every thread makes a header of its own, which is a tenth of the work: one core alone does best without.
+    workers = core_count() if core_count() > 1 else 0
+    wp.force_load(target, [wp.get_module(name) for name in names], max_workers=workers)
     return len(names)
 
 
