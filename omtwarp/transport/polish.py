@@ -73,8 +73,9 @@ def polish_transport(
         progress: called after each round with its number, the most there can be, and its record.
 
     Returns:
-        The map of the last round that lowered the curl without harm to the areas, and a record of all rounds, those
-        taken back too: ``iteration``, ``cost``, ``curl``, ``step``, ``held``, ``area_error``.
+        The map of the last round that lowered the curl without harm to the areas, and a record of all rounds:
+        ``iteration``, ``step`` and ``held`` of the round, ``cost``, ``curl`` and ``area_error`` of the map it left,
+        which is the one before where the round was taken back.
     """
     where = resolve_device(device)
     count = surface.vertex_count
@@ -112,6 +113,7 @@ def polish_transport(
     best = wp.clone(points)
     first_cost, *largest = measure()
     potentials: list[Any] = []
+    kept: dict[str, float] = {}
     least, held, step, last = np.inf, 0, STEP, False
     for number in range(rounds + 1):
         wp.launch(displacements, dim=count, inputs=[origin, points], outputs=[pull], device=where)
@@ -126,24 +128,19 @@ def polish_transport(
         relative = removable / max(size, 1e-150)
         cost, *errors = measure()
         slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, 1e-300))
-        record = {
-            "iteration": number,
-            "cost": cost,
-            "curl": relative,
-            "step": step,
-            "held": held,
-            "area_error": errors[0],
-        }
-        history.append(record)
-        if progress is not None:
-            progress(number, rounds, record)
+        tried = step
         if removable < least and errors[0] <= largest[0] + slack and errors[1] <= largest[1] + slack:
             last = removable > (1.0 - WORTHWHILE) * least
             wp.copy(best, points)
             least = removable
             potentials = solved
+            kept = {"cost": cost, "curl": relative, "area_error": errors[0]}
         else:
             step *= 0.5
+        record = {"iteration": number, **kept, "step": tried, "held": held}
+        history.append(record)
+        if progress is not None:
+            progress(number, rounds, record)
         if last or relative <= NEGLIGIBLE or step < SHORTEST_STEP or number == rounds:
             break
         launch_parts(move_by_potentials, count, along_potentials, where)
