@@ -36,8 +36,8 @@ def prewarm(device: str = "cpu") -> int:
     for name in names:
         importlib.import_module(name)
     # Every thread makes a header of its own, which is a tenth of the work: one core alone does best without.
-    workers = core_count() if core_count() > 1 else 0
-    wp.force_load(target, [wp.get_module(name) for name in names], max_workers=workers)
+    cores = core_count()
+    wp.force_load(target, [wp.get_module(name) for name in names], max_workers=cores if cores > 1 else 0)
     return len(names)
 
 

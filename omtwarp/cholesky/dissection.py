@@ -1,9 +1,9 @@
 """Nested dissection of a surface mesh, and the fronts of the elimination that follows from it.
 
-The vertices are halved again and again across the direction in which a part is longest, at the place near the middle
-that the fewest edges cross; the ends of those edges on one side separate the two halves and are eliminated after them
-(George, "Nested dissection of a regular finite element mesh", 1973). All parts of a depth are cut together, so that the
-work is a few sorts of all vertices for every depth.
+The vertices are halved again and again across the direction in which a part is longest, or another where too many edges
+would cross, at the place near the middle that the fewest edges cross; the ends of those edges on one side separate the
+two halves and are eliminated after them (George, "Nested dissection of a regular finite element mesh", 1973). All parts
+of a depth are cut together, so that the work is a few sorts of all vertices for every depth.
 """
 
 from __future__ import annotations
@@ -82,15 +82,6 @@ class Dissection:
         children = np.argsort(self.parent, kind="stable")
         return np.searchsorted(self.parent[children], np.arange(len(self.parent) + 1)), children
 
-    def before_siblings(self, values: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Sums of integers, shape [N], over the siblings that come before every front; roots are siblings, too."""
-        offsets, children = self.families
-        sums = np.cumsum(values[children]) - values[children]
-        begin = np.where(self.parent >= 0, offsets[self.parent], 0)
-        out = np.empty(len(values), dtype=np.int64)
-        out[children] = sums
-        return out - sums[begin]
-
     @cached_property
     def postorder(self) -> NDArray[np.int64]:
         """All fronts, every branch of the tree in one stretch that ends with its root, shape [N]."""
@@ -99,7 +90,12 @@ class Dissection:
             fronts = np.arange(depth.start, depth.stop)
             inner = fronts[self.parent[fronts] >= 0]
             np.add.at(branch, self.parent[inner], branch[inner])
-        first = self.before_siblings(branch)
+        # A branch begins where those of its siblings before it end; roots are siblings, too.
+        offsets, children = self.families
+        before = np.cumsum(branch[children]) - branch[children]
+        first = np.empty(len(branch), dtype=np.int64)
+        first[children] = before
+        first -= before[np.where(self.parent >= 0, offsets[self.parent], 0)]
         for depth in reversed(self.depths):
             fronts = np.arange(depth.start, depth.stop)
             inner = fronts[self.parent[fronts] >= 0]
@@ -205,11 +201,12 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
         pairs = slot[edges]
         second, crossings = _halves(positions, axes[:, :, 2], part, sizes, pairs)
         # Where triangles are long, a part may be longest in the direction that its edges run in.
-        if (crossings > POOR * np.sqrt(sizes))[sizes > leaf].any():
+        many = POOR * np.sqrt(sizes)
+        if (crossings > many)[sizes > leaf].any():
             coordinates = np.broadcast_to(np.eye(3), axes.shape)
             for tried in (axes[:, :, 1], axes[:, :, 0], *(coordinates[:, :, k] for k in range(3))):
                 instead, crossed = _halves(positions, tried, part, sizes, pairs)
-                better = (crossings > POOR * np.sqrt(sizes)) & (crossed < crossings)
+                better = (crossings > many) & (crossed < crossings)
                 second = np.where(better[part], instead, second)
                 crossings = np.where(better, crossed, crossings)
         side[alive] = second & (sizes > leaf)[part]

@@ -145,9 +145,9 @@ def require_no_flips(result: Any, saved: Path) -> None:
     """
     import numpy as np
 
-    from omtwarp.embedding.predicates import orientation_signs
+    from omtwarp.embedding.predicates import flipped_faces
 
-    flips = np.flatnonzero(orientation_signs(result.sphere, result.faces) <= 0)
+    flips = np.flatnonzero(flipped_faces(result.sphere, result.faces))
     if len(flips):
         raise OmtwarpError(
             f"the map has {len(flips)} flipped triangle{'s' * (len(flips) > 1)}, first face {flips[0]}; "

@@ -53,7 +53,7 @@ class StepGuard:
             wp.empty(self.vertex_count, dtype=wp.int32, device=device) for _ in range(3)
         )
         self._wanted = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
-        self._ready: dict[tuple[int, int, int], tuple[Any, Any, list[Any]]] = {}
+        self._ready: dict[tuple[int, int, int], tuple[Any, ...]] = {}
 
     def count(self, points: Any) -> int:
         """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]."""
@@ -71,18 +71,18 @@ class StepGuard:
         """
         for array in (self._counters, self._face_rounds, self._vertex_rounds, self._halvings):
             array.zero_()
-        find, end, shorten = self._launches(old, new, rounds)
+        find, shorten, around, end = self._launches(old, new, rounds)
 
         def again() -> None:
-            for launch in shorten:
-                launch.launch()
+            shorten.launch()
+            around.launch()
             end.launch()
 
         find.launch()
         end.launch()
         wp.capture_while(self._again, again)
 
-    def _launches(self, old: Any, new: Any, rounds: int) -> tuple[Any, Any, list[Any]]:
+    def _launches(self, old: Any, new: Any, rounds: int) -> tuple[Any, ...]:
         """What a step from one array to another launches, made ready once: there are dozens of short rounds.
 
         Only addresses and lengths are kept, so that arrays that come to lie where others were are served as well.
@@ -104,7 +104,7 @@ class StepGuard:
             shorten = prepare(shorten_steps, threads, inputs, [*both, self._changed])
             inputs = [old, new, *mesh, self._offsets, self._corners, self._changed, threads]
             around = prepare(find_bad_around, threads, inputs, [self._counters, self._face_rounds, self._bad])
-            self._ready[key] = find, end, [shorten, around]
+            self._ready[key] = find, shorten, around, end
         return self._ready[key]
 
     def limit(self, old: Any, new: Any) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from omtwarp.conformal import ConformalMap, conformal_map
 from omtwarp.embedding.hierarchical import hierarchical_embedding
-from omtwarp.embedding.predicates import orientation_signs
+from omtwarp.embedding.predicates import count_flips
 from omtwarp.embedding.tube import tube_map
 from omtwarp.embedding.untangle import untangle
 from omtwarp.errors import OmtwarpError
@@ -80,11 +80,11 @@ def bijective_start(
     except OmtwarpError as error:
         reason = str(error)
     if conformal is not None and not reason:
-        flips = int((orientation_signs(conformal.sphere, mesh.faces, device=device) <= 0).sum())
+        flips = count_flips(conformal.sphere, mesh.faces, device=device)
         if flips == 0:
             return Start(conformal.sphere, "conformal", "", conformal, 0)
         repaired = untangle(surface, conformal.sphere, device=device)
-        if not (orientation_signs(repaired.sphere, mesh.faces, device=device) <= 0).any():
+        if count_flips(repaired.sphere, mesh.faces, device=device) == 0:
             return Start(repaired.sphere, "conformal, repaired", "", conformal, flips)
         reason = f"{repaired.flips_after} of {flips} flips of the conformal map could not be repaired"
 
@@ -93,7 +93,7 @@ def bijective_start(
             progress("start", int(100 * done), 100, {})
 
     sphere = tube_map(surface)
-    if not (orientation_signs(sphere, mesh.faces, device=device) <= 0).any():
+    if count_flips(sphere, mesh.faces, device=device) == 0:
         judged = distortion(mesh.vertices, mesh.faces, sphere, device=device)
         if judged.area["surface"] < TUBE_AREA:
             return Start(sphere, "tube", reason, conformal, 0)
@@ -109,7 +109,7 @@ def _defect(surface: Surface, sphere: NDArray[np.float64], device: str | None) -
     small = int((areas < SMALLEST_AREA).sum())
     if small:
         return f"the conformal map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
-    flips = int((orientation_signs(sphere, surface.on(device).faces, device=device) <= 0).sum())
+    flips = count_flips(sphere, surface.on(device).faces, device=device)
     if flips > REPAIRABLE * surface.face_count:
         return f"the conformal map flips {flips} of {surface.face_count} triangles"
     return ""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from omtwarp._warp import wp
 from omtwarp.geometry.edge_weight_kernels import edge_weight_kernel
 from omtwarp.mesh.surface import Surface
+from omtwarp.points import vectors
 
 
 def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -20,13 +21,11 @@ def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDA
         surface: a closed surface.
         points: positions of its vertices, shape [V, 3].
     """
-    weights = np.empty(len(surface.edge_corners))
     mesh = surface.on("cpu")
-    positions = wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device="cpu", copy=False)
-    out = wp.array(weights, dtype=wp.float64, device="cpu", copy=False)
-    inputs = [positions, mesh.faces, mesh.edge_corners]
-    wp.launch(edge_weight_kernel, dim=len(weights), inputs=inputs, outputs=[out], device="cpu")
-    return weights
+    weights = wp.empty(len(mesh.edge_corners), dtype=wp.float64, device="cpu")
+    inputs = [vectors(points, weights.device), mesh.faces, mesh.edge_corners]
+    wp.launch(edge_weight_kernel, dim=weights.size, inputs=inputs, outputs=[weights], device="cpu")
+    return weights.numpy()
 
 
 __all__ = ["cotangent_edge_weights"]

@@ -103,7 +103,8 @@ def measure(
     where = resolve_device(device)
     if where.is_cpu:
         return distortion(vertices, faces, sphere, device=device).to_dict()
-    return aggregates(triangle_quantities(vertices, faces, sphere, where), vectors(sphere, where))
+    points = vectors(sphere, where)
+    return aggregates(triangle_quantities(vertices, faces, points, where), points)
 
 
 def triangle_quantities(vertices: Any, faces: Any, sphere: Any, where: wp.Device) -> list[wp.array]:
@@ -134,9 +135,10 @@ def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]
     where, count = angle.device, angle.size
     marks = wp.empty(sphere.size, dtype=wp.float64, device=where)
     wp.launch(not_finite, dim=sphere.size, inputs=[sphere], outputs=[marks], device=where)
+    add = DeviceSum(where)
     totals = [wp.empty(1, dtype=wp.float64, device=where) for _ in range(3)]
     for total, values in zip(totals, (surface_area, sphere_area, marks), strict=True):
-        DeviceSum(where).total(values, total)
+        add.total(values, total)
     area, terms = (wp.empty(shape, dtype=wp.float64, device=where) for shape in (count, (count, 8)))
     inputs = [*of_triangles, *totals[:2]]
     wp.launch(weighted_distortions, dim=count, inputs=inputs, outputs=[area, terms], device=where)

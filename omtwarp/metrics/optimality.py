@@ -387,13 +387,13 @@ def _curl_part(surface: Surface, log: Array, device: Any) -> tuple[float, Array]
     from omtwarp.linear import LaplacianSolver
     from omtwarp.mesh.surface import triangle_areas
     from omtwarp.metrics import optimality_kernels as kernels
+    from omtwarp.points import vectors
 
     where = resolve_device(device)
-    points: Any = wp.array(surface.vertices, dtype=wp.vec3d, device=where)
-    faces: Any = wp.array(surface.faces, dtype=wp.vec3i, device=where)
-    vectors: Any = wp.array(np.ascontiguousarray(log), dtype=wp.vec3d, device=where)
+    mesh = surface.on(where)
     out: Any = wp.empty(surface.face_count, dtype=wp.vec3d, device=where)
-    wp.launch(kernels.face_displacement, dim=len(out), inputs=[points, faces, vectors, out], device=where)
+    inputs = [mesh.vertices, mesh.faces, vectors(log, where), out]
+    wp.launch(kernels.face_displacement, dim=len(out), inputs=inputs, device=where)
     field = out.numpy()
     norm = float(triangle_areas(surface.vertices, surface.faces) @ (field**2).sum(axis=1))
     if norm == 0.0:

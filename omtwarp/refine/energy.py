@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from omtwarp._warp import wp
 from omtwarp.memory import Room
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.points import vectors
 from omtwarp.refine.frames import triangle_frames
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
 from omtwarp.refine.sums import DistortionSums
@@ -170,7 +171,7 @@ class DistortionEnergy:
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
         """Points on the device, shape [V] of vec3d; on the CPU they are the array given, which must stay as it is."""
-        return wp.array(sphere, dtype=wp.vec3d, device=self.device, copy=False)
+        return vectors(sphere, self.device)
 
     def terms(self, points: wp.array) -> Terms:
         """Distortions and per-triangle ratios of a map."""
