@@ -66,7 +66,7 @@ def test(options: list[str], environment: dict[str, str]) -> int:
         "lint": ["-m", "ruff", "check", "."],
         "types": ["-m", "mypy"],
         # Each test process would compile every kernel for itself: compile them once before.
-        "kernels": ["-m", "omtwarp._prewarm"],
+        "kernels": ["-m", "omtwarp.device.prewarm"],
         "tests": ["-m", "pytest", "-n", "2", *options],
     }
     failed = {}

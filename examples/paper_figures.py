@@ -322,7 +322,7 @@ def globe_on_bucket(path: Path, meshes: Meshes, number: int) -> None:
 
 def four_methods(path: Path, meshes: Meshes, number: int) -> None:
     """Figure 13: circles through mean-value, Tutte, conformal and optimal maps."""
-    from omtwarp.methods import barycentric_map
+    from omtwarp.baselines import barycentric_map
     from omtwarp.texturing import rasterize
 
     name = meshes.name_for(number)
@@ -351,7 +351,7 @@ def cost_curve(path: Path, meshes: Meshes, number: int) -> None:
     """
     import convergence
 
-    from omtwarp.embedding.predicates import count_flips
+    from omtwarp.flips.predicates import count_flips
     from omtwarp.metrics.optimality import optimality
     from omtwarp.transport.flow import MAXIMUM_ITERATIONS
 

@@ -113,7 +113,7 @@ def measure(
     name: str, surface: omtwarp.Surface, options: argparse.Namespace
 ) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
     """One row per method, and the maps."""
-    from omtwarp.methods import solve_barycentric
+    from omtwarp.baselines import solve_barycentric
 
     rows: list[dict[str, Any]] = []
     maps: dict[str, np.ndarray] = {}
@@ -209,7 +209,7 @@ def tradeoff(
     name: str, surface: omtwarp.Surface, maps: dict[str, np.ndarray], device: str
 ) -> list[dict[str, Any]]:
     """Area against angle on the way from the conformal map to ours, and at the paper's area distortion."""
-    from omtwarp.transport.tradeoff import map_with_density_exponent
+    from omtwarp.tradeoff import map_with_density_exponent
 
     def stopped(method: str) -> Callable[[float], np.ndarray]:
         return lambda t: interpolate(maps["start"], maps[method], t)
@@ -329,7 +329,7 @@ def machine() -> str:
 
     import scipy
 
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
 
     processor = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")

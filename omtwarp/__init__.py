@@ -18,12 +18,12 @@ _PUBLIC = {
     "MapResult": "omtwarp.result",
     "OmtwarpError": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
-    "barycentric_map": "omtwarp.methods",
+    "barycentric_map": "omtwarp.baselines",
     "certify": "omtwarp.metrics.certificate",
     "check": "omtwarp.mesh.validate",
     "conformal_map": "omtwarp.conformal",
     "distortion": "omtwarp.metrics",
-    "hierarchical_embedding": "omtwarp.embedding.hierarchical",
+    "hierarchical_embedding": "omtwarp.start.hierarchical",
     "map_to_sphere": "omtwarp.pipeline",
     "mobius_centring": "omtwarp.conformal",
     "moser_map": "omtwarp.moser",
@@ -36,7 +36,7 @@ _PUBLIC = {
     "repair": "omtwarp.mesh.repair",
     "texture": "omtwarp.texturing",
     "transport_cost": "omtwarp.transport",
-    "untangle": "omtwarp.embedding.untangle",
+    "untangle": "omtwarp.untangling.untangle",
     "write_report": "omtwarp.reporting",
 }
 
@@ -44,10 +44,9 @@ _MODULES = {"benchmark": "omtwarp.benchmark", "shapes": "omtwarp.mesh.shapes"}
 
 if TYPE_CHECKING:
     from omtwarp import benchmark as benchmark
+    from omtwarp.baselines import barycentric_map as barycentric_map
     from omtwarp.conformal import conformal_map as conformal_map
     from omtwarp.conformal import mobius_centring as mobius_centring
-    from omtwarp.embedding.hierarchical import hierarchical_embedding as hierarchical_embedding
-    from omtwarp.embedding.untangle import untangle as untangle
     from omtwarp.errors import OmtwarpError as OmtwarpError
     from omtwarp.mesh import shapes as shapes
     from omtwarp.mesh.read import read_mesh as read_mesh
@@ -55,7 +54,6 @@ if TYPE_CHECKING:
     from omtwarp.mesh.surface import Surface as Surface
     from omtwarp.mesh.validate import Defect as Defect
     from omtwarp.mesh.validate import check as check
-    from omtwarp.methods import barycentric_map as barycentric_map
     from omtwarp.metrics import distortion as distortion
     from omtwarp.metrics.certificate import certify as certify
     from omtwarp.metrics.optimality import optimality as optimality
@@ -65,10 +63,12 @@ if TYPE_CHECKING:
     from omtwarp.render import preview as preview
     from omtwarp.reporting import write_report as write_report
     from omtwarp.result import MapResult as MapResult
+    from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
     from omtwarp.texturing import texture as texture
     from omtwarp.transport import optimal_transport as optimal_transport
     from omtwarp.transport import paper_flow as paper_flow
     from omtwarp.transport import transport_cost as transport_cost
+    from omtwarp.untangling.untangle import untangle as untangle
 
 __all__ = [
     "Defect",

@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import resolve_device, wp
 from omtwarp.conformal import density
-from omtwarp.embedding.guard import StepGuard
-from omtwarp.embedding.predicates import count_flips
-from omtwarp.embedding.start import Start, bijective_start
-from omtwarp.embedding.untangle import untangle
+from omtwarp.device.arrays import vectors
+from omtwarp.device.memory import give_back
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.memory import give_back
+from omtwarp.flips.guard import StepGuard
+from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import require_valid
 from omtwarp.metrics.certificate import certify
 from omtwarp.metrics.distortion import measure
 from omtwarp.moser import moser_map
-from omtwarp.points import vectors
 from omtwarp.refine.solver import refine_map
 from omtwarp.result import MapResult
-from omtwarp.threads import blas_threads
+from omtwarp.start.choice import Start, bijective_start
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import COSTS, optimal_transport, transport_cost
 from omtwarp.transport.polish import polish_transport
+from omtwarp.untangling.untangle import untangle
 
 METHODS = ("omt", "haker", "moser", "tutte", "mean-value")
 STAGES = ("conformal", "moser", "omt", "refine")
@@ -271,7 +271,7 @@ class _Run:
         return refined.sphere
 
     def barycentric(self, method: str) -> MapResult:
-        from omtwarp.methods.barycentric import solve_barycentric
+        from omtwarp.baselines.barycentric import solve_barycentric
 
         solved = solve_barycentric(self.surface, "tutte" if method == "tutte" else "mean-value", device=self.device)
         sphere = solved.sphere

@@ -31,7 +31,7 @@ def device(request: pytest.FixtureRequest) -> str:
     """A device to run on: the CPU, and the first CUDA device where there is one."""
     if request.param == "cpu":
         return "cpu"
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
 
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")

@@ -77,9 +77,9 @@ def splu_reference(laplacian: Any, right: NDArray[np.float64]) -> tuple[float, f
 
 def machine(devices: tuple[str, ...]) -> dict[str, Any]:
     """What the figures were measured on."""
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
+    from omtwarp.device.threads import core_count
     from omtwarp.pipeline import versions
-    from omtwarp.threads import core_count
 
     gpus = []
     for name in devices:
@@ -128,7 +128,7 @@ def first_use(device: str = "cpu") -> dict[str, float]:
     """
     with tempfile.TemporaryDirectory(prefix="omtwarp-benchmark-") as folder:
         empty = os.environ | {"WARP_CACHE_PATH": folder}
-        prewarm = ["-m", "omtwarp._prewarm", device]
+        prewarm = ["-m", "omtwarp.device.prewarm", device]
         compiled, compiled_cpu = _run(prewarm, empty)
         loaded, _ = _run(prewarm, empty)
     plain = dict(os.environ)

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from omtwarp._warp import wp
-from omtwarp.graphs import step_by_step
+from omtwarp.device.graphs import step_by_step
+from omtwarp.device.start import wp
 
 PER_THREAD = 16
 MANY_THREADS = 1024
 # Kernels that work through a list whose length only the device knows: next to nothing, and counted as nothing.
-LISTED = ("omtwarp.embedding.guard_kernels.find_bad_around", "omtwarp.embedding.guard_kernels.shorten_steps")
+LISTED = ("omtwarp.flips.guard_kernels.find_bad_around", "omtwarp.flips.guard_kernels.shorten_steps")
 
 
 @dataclass

@@ -62,7 +62,7 @@ def run(
     Raises:
         OmtwarpError: an unknown shape or device, a mesh that cannot be read or mapped, or nothing to measure.
     """
-    from omtwarp._warp import resolve_device
+    from omtwarp.device.start import resolve_device
 
     if repeats < 1 or any(size < 100 for size in sizes):
         raise OmtwarpError("a benchmark needs at least one repeat, and sizes of at least 100 faces")
@@ -146,7 +146,7 @@ def measure_mesh(
 
 def measure_map(surface: Surface, device: str, refine: str | float | None) -> dict[str, Any]:
     """One map from vertices and faces alone, with nothing of an earlier one kept but kernels."""
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
     from omtwarp.pipeline import map_to_sphere
 
     vertices, faces = surface.vertices.copy(), surface.faces.copy()
@@ -209,7 +209,7 @@ def reference_system(surface: Surface) -> tuple[Any, np.ndarray]:
 
 def factor_bytes(surface: Surface, refine: str | float | None) -> int:
     """Bytes of the largest sparse factorisation of a map: of refinement's Newton matrix, else of a Laplacian."""
-    from omtwarp.cholesky import MultifrontalCholesky
+    from omtwarp.solvers.cholesky import MultifrontalCholesky
 
     return MultifrontalCholesky(surface.dissection, block=1 if refine in (None, "none") else 2).storage
 

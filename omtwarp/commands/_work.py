@@ -72,7 +72,7 @@ def start_device(device: str) -> None:
     known = device in ("auto", "cpu", "cuda") or (device.startswith("cuda:") and device[5:].isdigit())
     if not known:  # needs no start of Warp to tell
         raise OmtwarpError(f"unknown device '{device}': use auto, cpu, cuda or cuda:N")
-    from omtwarp._warp import resolve_device
+    from omtwarp.device.start import resolve_device
 
     resolve_device(device)
 
@@ -145,7 +145,7 @@ def require_no_flips(result: Any, saved: Path) -> None:
     """
     import numpy as np
 
-    from omtwarp.embedding.predicates import flipped_faces
+    from omtwarp.flips.predicates import flipped_faces
 
     flips = np.flatnonzero(flipped_faces(result.sphere, result.faces))
     if len(flips):

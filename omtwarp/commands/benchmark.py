@@ -76,8 +76,8 @@ def benchmark(
     wanted = [word.strip() for word in devices.split(",")]
     for name in wanted:
         start_device(name)
-    from omtwarp._warp import wp
     from omtwarp.benchmark import markdown, run
+    from omtwarp.device.start import wp
 
     if wanted == ["auto"]:
         wanted = ["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"]

@@ -11,12 +11,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import resolve_device, wp
 from omtwarp.conformal.kernels import apply_ball_inversion, moments
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.errors import OmtwarpError
-from omtwarp.linear import on_device
-from omtwarp.points import vectors
-from omtwarp.sums import RowSums, partial_count
+from omtwarp.solvers.poisson import on_device
 
 TOLERANCE = 1e-13
 MAXIMUM_STEPS = 100

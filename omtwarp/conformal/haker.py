@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import resolve_device, wp
 from omtwarp.conformal.centring import mobius_centring
 from omtwarp.conformal.kernels import project_to_sphere
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.linear import SurfaceLaplacianSolver
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.threads import blas_threads
+from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Kernel of the cotangent weights of edges; on the CPU, where the matrices they belong to are factorised."""
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.geometry.kernels import corner_cotangent
 
 wp.set_module_options(KERNEL_OPTIONS)

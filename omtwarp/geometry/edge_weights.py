@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import wp
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import wp
 from omtwarp.geometry.edge_weight_kernels import edge_weight_kernel
 from omtwarp.mesh.surface import Surface
-from omtwarp.points import vectors
 
 
 def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ vertex, in one order, so that the same input gives the same bits.
 """
 
 # mypy: ignore-errors
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

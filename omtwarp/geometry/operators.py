@@ -209,7 +209,7 @@ class DifferentialOperators:
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, *, device: str = "auto"):
-        from omtwarp._warp import resolve_device, wp
+        from omtwarp.device.start import resolve_device, wp
 
         surface = Surface(vertices, faces)
         self.device = resolve_device(device)
@@ -223,7 +223,7 @@ class DifferentialOperators:
     def _run(
         self, kernel: Any, at_faces: bool, value: Any, in_dtype: Any, out_dtype: Any, out: Any, gather: bool
     ) -> Any:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         from_numpy = value is not None and not isinstance(value, wp.array)
         source = (
@@ -239,28 +239,28 @@ class DifferentialOperators:
 
     def gradient(self, values: Any, out: Any = None) -> Any:
         """Gradient in each triangle, [V] -> [F, 3]: :func:`gradient_matrix` (appendix A.1)."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
         return self._run(kernels.gradient_kernel, True, values, wp.float64, wp.vec3d, out, False)
 
     def rotate(self, field: Any, out: Any = None) -> Any:
         """J in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
         return self._run(kernels.rotate_kernel, True, field, wp.vec3d, wp.vec3d, out, False)
 
     def divergence(self, field: Any, out: Any = None) -> Any:
         """Outflow of each vertex' cell, [F, 3] -> [V]: :func:`divergence_matrix`, integrated (appendix A.2)."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
         return self._run(kernels.divergence_kernel, False, field, wp.vec3d, wp.float64, out, True)
 
     def laplacian(self, values: Any, out: Any = None) -> Any:
         """:func:`cotangent_laplacian` applied, [V] -> [V] (section 4.1's D; positive semi-definite)."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
         return self._run(kernels.laplacian_kernel, False, values, wp.float64, wp.float64, out, True)
@@ -273,14 +273,14 @@ class DifferentialOperators:
         functions of a flat neighbourhood whether or not triangles are obtuse. The paper says "linear interpolation"
         and no more.
         """
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
         return self._run(kernels.interpolate_dual_kernel, False, field, wp.vec3d, wp.vec3d, out, True)
 
     def voronoi_areas(self) -> Any:
         """:func:`voronoi_areas` by kernel, as a Warp array [V]."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
         return self._run(kernels.voronoi_area_kernel, False, None, None, wp.float64, None, True)

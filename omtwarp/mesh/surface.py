@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from omtwarp._warp import wp
-    from omtwarp.cholesky import Dissection
-    from omtwarp.mesh.on_device import SurfaceArrays
+    from omtwarp.device.start import wp
+    from omtwarp.device.surface_arrays import SurfaceArrays
+    from omtwarp.solvers.cholesky import Dissection
 
 SPHERE_AREA = 4.0 * np.pi
 
@@ -118,14 +118,14 @@ class Surface:
     @cached_property
     def dissection(self) -> Dissection:
         """The order in which sparse matrices on the surface's edges are eliminated."""
-        from omtwarp.cholesky import dissect
+        from omtwarp.solvers.cholesky import dissect
 
         return dissect(self.scaled_vertices, self.edges)
 
     def on(self, device: str | wp.Device | None) -> SurfaceArrays:
         """The arrays below on a device, for kernels; each is sent there once."""
-        from omtwarp._warp import resolve_device
-        from omtwarp.mesh.on_device import SurfaceArrays
+        from omtwarp.device.start import resolve_device
+        from omtwarp.device.surface_arrays import SurfaceArrays
 
         where = resolve_device(device)
         return SurfaceArrays(self, where, self._sent.setdefault(str(where), {}))

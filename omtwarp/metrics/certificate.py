@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.predicates import orientation_signs
+from omtwarp.device.arrays import triangles, vectors
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.flips.predicates import orientation_signs
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
-from omtwarp.points import triangles, vectors
 
 RAYS = 32
 # Rays that pass an edge this closely (as a triple product of unit vectors) are drawn again.

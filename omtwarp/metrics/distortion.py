@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
 
 WEIGHTINGS = ("mean", "surface", "sphere")
 
@@ -81,7 +81,7 @@ def distortion(
     Returns:
         The distortion, section 6 of the paper, in all three weightings.
     """
-    from omtwarp._warp import resolve_device, wp
+    from omtwarp.device.start import resolve_device, wp
 
     arrays = (array.numpy() for array in triangle_quantities(vertices, faces, sphere, resolve_device(device)))
     surface_area, sphere_area, determinant, angle, triple, solid = arrays
@@ -97,8 +97,8 @@ def measure(
     On CUDA they are made on the device, and some twenty numbers come back instead of six for every triangle. Sums
     differ by rounding.
     """
-    from omtwarp._warp import resolve_device
-    from omtwarp.points import vectors
+    from omtwarp.device.arrays import vectors
+    from omtwarp.device.start import resolve_device
 
     where = resolve_device(device)
     if where.is_cpu:
@@ -109,9 +109,9 @@ def measure(
 
 def triangle_quantities(vertices: Any, faces: Any, sphere: Any, where: wp.Device) -> list[wp.array]:
     """Areas on surface and sphere, determinant, angle distortion, det[s0, s1, s2] and solid angle of every triangle."""
-    from omtwarp._warp import wp
+    from omtwarp.device.arrays import triangles, vectors
+    from omtwarp.device.start import wp
     from omtwarp.metrics.kernels import triangle_distortion
-    from omtwarp.points import triangles, vectors
 
     inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
     count = len(inputs[2])
@@ -127,9 +127,9 @@ def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]
         of_triangles: float64 arrays of Warp, shape [F], in the order of :func:`summarize`.
         sphere: the map, vec3d, shape [V].
     """
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
+    from omtwarp.device.sums import DeviceSum, RowSums
     from omtwarp.metrics.kernels import not_finite, pick, weighted_distortions
-    from omtwarp.sums import DeviceSum, RowSums
 
     surface_area, sphere_area, _, angle, *_ = of_triangles
     where, count = angle.device, angle.size

@@ -1,6 +1,6 @@
 """Per-triangle distortion of a sphere map, as float64 kernels."""
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

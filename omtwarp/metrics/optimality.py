@@ -40,9 +40,9 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.threads import blas_threads
 
 Array = NDArray[np.float64]
 
@@ -278,7 +278,7 @@ class _Dual:
     def __init__(
         self, surface: Surface, x: Array, mass: Array, divisions: int, device: str | None, tolerance: float = TOLERANCE
     ):
-        from omtwarp._warp import resolve_device, wp
+        from omtwarp.device.start import resolve_device, wp
         from omtwarp.metrics import optimality_kernels as kernels
 
         self.device = resolve_device(device)
@@ -305,9 +305,9 @@ class _Dual:
 
     def initial_potential(self) -> Array:
         """The ψ that fits the middles of the admissible differences along all edges best."""
-        from omtwarp._warp import wp
-        from omtwarp.linear import LaplacianSolver
+        from omtwarp.device.start import wp
         from omtwarp.metrics import optimality_kernels as kernels
+        from omtwarp.solvers.poisson import LaplacianSolver
 
         edges = self.surface.edges
         ends: Any = wp.array(np.ascontiguousarray(edges), dtype=wp.vec2i, device=self.device)
@@ -330,7 +330,7 @@ class _Dual:
 
     def bound(self, potential: Array) -> _Bound:
         """φ = the c-transform of ψ at every x_i."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.metrics import optimality_kernels as kernels
 
         nodes = 2 * self._leaves
@@ -382,12 +382,12 @@ class _Dual:
 
 def _curl_part(surface: Surface, log: Array, device: Any) -> tuple[float, Array]:
     """The relative curl of the displacement and its stream function H, shape [V]."""
-    from omtwarp._warp import resolve_device, wp
+    from omtwarp.device.arrays import vectors
+    from omtwarp.device.start import resolve_device, wp
     from omtwarp.geometry import DifferentialOperators, cotangent_laplacian
-    from omtwarp.linear import LaplacianSolver
     from omtwarp.mesh.surface import triangle_areas
     from omtwarp.metrics import optimality_kernels as kernels
-    from omtwarp.points import vectors
+    from omtwarp.solvers.poisson import LaplacianSolver
 
     where = resolve_device(device)
     mesh = surface.on(where)
@@ -407,7 +407,7 @@ def _curl_part(surface: Surface, log: Array, device: Any) -> tuple[float, Array]
 
 
 def _log_maps(base: Array, target: Array, device: str | None) -> Array:
-    from omtwarp._warp import resolve_device, wp
+    from omtwarp.device.start import resolve_device, wp
     from omtwarp.metrics import optimality_kernels as kernels
 
     where = resolve_device(device)

@@ -9,7 +9,7 @@ Triangles are the leaves of a complete binary tree in heap order: the children o
 """
 # mypy: ignore-errors
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

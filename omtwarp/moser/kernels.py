@@ -1,6 +1,6 @@
 """Moser's flow on a triangulated sphere: every particle integrates its own path, walking from triangle to triangle."""
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, THREE, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

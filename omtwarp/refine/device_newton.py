@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from omtwarp._warp import wp
-from omtwarp.cholesky import MultifrontalCholesky
-from omtwarp.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
+from omtwarp.device.start import wp
+from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.newton import REGULARISATION, factorise_stiffened
 from omtwarp.refine.step_kernels import add_to_diagonal, gather_rows, rotation_blocks, traces
-from omtwarp.sums import DeviceSum
+from omtwarp.solvers.cholesky import MultifrontalCholesky
+from omtwarp.solvers.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
+from omtwarp.triangle_newton.newton import REGULARISATION, factorise_stiffened
 
 # Of the energy's norm, the one in which steps count. Refinement ends where a step gains a thousandth; this leaves the
 # path of its steps as it is.
@@ -20,7 +20,7 @@ TOLERANCE = 1e-9
 
 
 class DeviceNewtonMatrix:
-    """The matrix of :class:`omtwarp.refine.newton.NewtonMatrix` over all vertices of a surface.
+    """The matrix of :class:`omtwarp.triangle_newton.newton.NewtonMatrix` over all vertices of a surface.
 
     The levels are those of the image's cotangent Laplacian at the first map; later maps are not far from it.
 

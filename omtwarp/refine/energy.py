@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import wp
-from omtwarp.memory import Room
+from omtwarp.device.arrays import vectors
+from omtwarp.device.memory import Room
+from omtwarp.device.start import wp
+from omtwarp.device.threads import launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.points import vectors
-from omtwarp.refine.frames import triangle_frames
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
 from omtwarp.refine.sums import DistortionSums
-from omtwarp.threads import launch_parts
+from omtwarp.triangle_newton.frames import triangle_frames
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class TriangleKernels:
 
     Args:
         faces: their corners among the points given, vec3i, shape [F].
-        frames: see :func:`omtwarp.refine.frames.triangle_frames`, vec3d, shape [F].
+        frames: see :func:`omtwarp.triangle_newton.frames.triangle_frames`, vec3d, shape [F].
         areas: on the original surface, float64, shape [F].
         rows: corners of the triangles around the first points, those with a gradient: offsets and corners, int32.
         room: on the CPU, for what :meth:`gradient` and :meth:`hessian` make of triangles. On CUDA, where memory is dear
@@ -149,8 +149,8 @@ class DistortionEnergy:
     Args:
         surface: the original surface, V vertices and F faces.
         device: a Warp device.
-        frames: what triangles are measured against, see :func:`omtwarp.refine.frames.triangle_frames`, shape [F, 3];
-            the surface's own by default.
+        frames: what triangles are measured against, see :func:`omtwarp.triangle_newton.frames.triangle_frames`,
+            shape [F, 3]; the surface's own by default.
 
     Attributes:
         room: on the host, for what is used up at once: Hessians, fronts of factorisations.

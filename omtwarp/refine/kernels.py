@@ -4,9 +4,16 @@ With c1, c2 the columns of a triangle's Jacobian, fro = |c1|² + |c2|² and D = 
 brings the image's total flat area to 4π. Angle distortion is fro / D, area distortion scale D + 1 / (scale D).
 """
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, THREE, TWO, ZERO, wp
-from omtwarp.refine.newton_kernels import packed
-from omtwarp.refine.triangle import first_column, first_tangent, first_weights, second_column, second_weights, triple
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, THREE, TWO, ZERO, wp
+from omtwarp.triangle_newton.newton_kernels import packed
+from omtwarp.triangle_newton.triangle import (
+    first_column,
+    first_tangent,
+    first_weights,
+    second_column,
+    second_weights,
+    triple,
+)
 
 wp.set_module_options(KERNEL_OPTIONS)
 

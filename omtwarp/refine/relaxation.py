@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import ONE, wp
+from omtwarp.device.start import ONE, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.energy import DistortionEnergy, Terms, TriangleKernels
 from omtwarp.refine.kernels import from_tangent, put_vectors, retract, take_vectors, to_tangent, triangle_trouble
-from omtwarp.refine.line_search import search_patches
-from omtwarp.refine.newton import NewtonMatrix
+from omtwarp.triangle_newton.line_search import search_patches
+from omtwarp.triangle_newton.newton import NewtonMatrix
 
 WORTH = 3.0  # times what a step of all gains for each vertex: those that gain more alone are worth a step of their own
 LARGEST = 0.01  # of what could be gained, that one vertex counts for: the rest would be gained beyond its tangent plane

@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.predicates import flipped_faces
-from omtwarp.embedding.untangle import Schedule, untangle_patches
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import hold_back, retract, triangle_trouble
-from omtwarp.refine.line_search import SUFFICIENT
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
-from omtwarp.threads import blas_threads
+from omtwarp.triangle_newton.line_search import SUFFICIENT
+from omtwarp.untangling.untangle import Schedule, untangle_patches
 
 WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area counts against angle
 # "area" promises mean and 95th percentile of area distortion; λ grows by HARDER until both are met: to HARD, and to
@@ -110,7 +110,7 @@ def refine_map(
         weight: λ, or ``area``, ``balanced`` or ``angle`` for the values in ``WEIGHTS``. With ``area``, λ is raised
             from there where the mean area distortion is above 2.002 or its 95th percentile above 2.01: threefold,
             twice, and twice more where that is seen to bring both below.
-        device: where the kernels run; :func:`omtwarp.linear.on_device` says where the sparse systems are solved.
+        device: where the kernels run; :func:`omtwarp.solvers.poisson.on_device` says where sparse systems are solved.
         iterations: most steps taken.
         tolerance: stop when the expected decrease of angle + λ area falls below this.
         progress: called with (text, step, most steps) after every step.

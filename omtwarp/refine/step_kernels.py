@@ -1,8 +1,8 @@
 """Kernels of Newton steps whose vectors and inner products stay on the device."""
 
-from omtwarp._warp import KERNEL_OPTIONS, ONE, wp
-from omtwarp.refine.newton_kernels import edge_block, vertex_block
-from omtwarp.refine.triangle import first_tangent
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, wp
+from omtwarp.triangle_newton.newton_kernels import edge_block, vertex_block
+from omtwarp.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -125,7 +125,7 @@ def gather_rows(
     # Data out:
     values: wp.array[wp.float64],
 ):
-    """The 2x2 blocks of compressed rows from the Hessians of triangles; see omtwarp.multigrid.kernels.fill_rows.
+    """The 2x2 blocks of compressed rows from the Hessians of triangles; see ``fill_rows`` of the multigrid kernels.
 
     A vertex sums over the triangles around it, an edge over its two.
     """

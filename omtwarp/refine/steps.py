@@ -1,7 +1,7 @@
 """Newton steps of the distortion energy, corrected between factorisations by limited-memory BFGS.
 
 Nocedal and Wright, "Numerical Optimization", algorithm 7.4, with the Newton matrix as initial Hessian. On the host with
-NumPy and a factorisation, or on the device with multigrid; :func:`omtwarp.linear.on_device` says which.
+NumPy and a factorisation, or on the device with multigrid; :func:`omtwarp.solvers.poisson.on_device` says which.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import wp
-from omtwarp.linear import on_device
+from omtwarp.device.start import wp
+from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.device_newton import DeviceNewtonMatrix
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import from_tangent, newton_decrements, to_tangent
-from omtwarp.refine.newton import NewtonMatrix
 from omtwarp.refine.step_kernels import add_share, differences, downhill, largest_of_strides, subtract_share
-from omtwarp.sums import DeviceSum
+from omtwarp.solvers.poisson import on_device
+from omtwarp.triangle_newton.newton import NewtonMatrix
 
 MEMORY = 8  # pairs kept by limited-memory BFGS
 CURVED = 1e-12  # of the product of its lengths: pairs with less curvature than that are forgotten

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from omtwarp._warp import wp
+from omtwarp.device.start import wp
+from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.step_kernels import distortion_summands
-from omtwarp.sums import DeviceSum
 
 
 class DistortionSums:

@@ -297,7 +297,7 @@ class _Options:
             as_light(self.light)
         backdrop(self.background, 1, 2)
         if self.device != "auto":
-            from omtwarp._warp import resolve_device
+            from omtwarp.device.start import resolve_device
 
             resolve_device(self.device)
         if self.backend != "warp":
@@ -379,7 +379,7 @@ def _render(job: RenderJob, backend: str, device: str) -> tuple[list[NDArray[np.
             if str(failure) not in _told:
                 _told.add(str(failure))
                 logger.warning("%s; drawing with the Warp ray caster instead", failure)
-    from omtwarp._warp import resolve_device
+    from omtwarp.device.start import resolve_device
     from omtwarp.render import ray_caster
 
     return ray_caster.draw(job, device), f"warp ({resolve_device(device)})"

@@ -5,7 +5,7 @@ takes nothing else.
 """
 
 # mypy: ignore-errors
-from omtwarp._warp import KERNEL_OPTIONS, wp
+from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -120,9 +120,9 @@ def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACE
     """The mesh itself, or a simplified one on a part of its vertices, numbered as before."""
     if len(faces) <= most:
         return vertices, faces
-    from omtwarp._warp import resolve_device
-    from omtwarp.embedding.decimation import simplify
+    from omtwarp.device.start import resolve_device
     from omtwarp.mesh.surface import Surface
+    from omtwarp.start.decimation import simplify
 
     for level in simplify(Surface(vertices, faces), resolve_device("cpu")).levels:
         if len(level.face_masses) <= most:

@@ -18,7 +18,7 @@ KNOWN = (
     ("transported", "omt", "Optimal transport", "--transport"),
     ("sphere", "refine", "Refined", "--after"),
 )
-# Labels of the first map by the road that led to it (see :mod:`omtwarp.embedding.start`) or by its method.
+# Labels of the first map by the road that led to it (see :mod:`omtwarp.start.choice`) or by its method.
 ROADS = {
     "conformal": "Conformal",
     "conformal, repaired": "Conformal",

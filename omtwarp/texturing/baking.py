@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp._warp import resolve_device, wp
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
@@ -26,7 +27,6 @@ from omtwarp.texturing.image import as_floats, read_image
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection
 from omtwarp.texturing.seams import Unwrapped, unwrap
-from omtwarp.threads import launch_parts
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]

@@ -1,7 +1,7 @@
 # mypy: ignore-errors
 """Kernels between texels and directions: where a texel looks, what a picture shows, which triangle owns a texel."""
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, PI, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, TWO, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import wp
+from omtwarp.device.start import wp
 from omtwarp.texturing.openness_kernels import openness_kernel
 
 RAYS = 24

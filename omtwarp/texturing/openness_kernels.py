@@ -1,7 +1,7 @@
 # mypy: ignore-errors
 """Kernel for the openness of a surface. Single precision: it is an estimate, and ray queries have no other."""
 
-from omtwarp._warp import KERNEL_OPTIONS, wp
+from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -4,7 +4,7 @@
 Every pattern is a function of the direction alone, exact at any resolution: nothing here knows of texels.
 """
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp._warp import resolve_device, wp
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import pattern_kernels as kernels
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.coastlines import coastline_segments
 from omtwarp.texturing.cutting import normalised
 from omtwarp.texturing.projection import direction_from_angles, longitude_latitude
-from omtwarp.threads import launch_parts
 
 Floats = NDArray[np.float64]
 

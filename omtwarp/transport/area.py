@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from omtwarp._warp import wp
+from omtwarp.device.start import wp
+from omtwarp.device.sums import RowSums
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.sums import RowSums
 from omtwarp.transport.kernels import capped_area_error
 
 # A triangle's area error D + 1/D - 2 counts at most this much: a few hopeless triangles decide nothing.

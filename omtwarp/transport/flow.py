@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.guard import StepGuard
+from omtwarp.device.arrays import vectors
+from omtwarp.device.graphs import Graph
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.sums import RowSums, partial_count
+from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.errors import OmtwarpError
-from omtwarp.graphs import Graph
+from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.points import vectors
-from omtwarp.sums import RowSums, partial_count
-from omtwarp.threads import blas_threads, launch_parts
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
     FlowState,

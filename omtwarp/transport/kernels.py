@@ -1,6 +1,6 @@
 """Kernels of the Lagrangian transport flow: its cost, its force and the motion along a stream function."""
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.transport.descent_kernels import FlowState
 from omtwarp.wavelets.sampling_kernels import spherical_coordinates, triple
 

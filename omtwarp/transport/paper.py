@@ -109,7 +109,7 @@ class PaperFlow:
         butterfly: bool = False,
         device: str = "auto",
     ) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.transport import paper_kernels as kernels
 
         if cost not in ("geodesic", "squared"):
@@ -177,7 +177,7 @@ class PaperFlow:
         self.mean_displacement = mean
 
     def _launch(self, kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 

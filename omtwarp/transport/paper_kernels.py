@@ -1,7 +1,7 @@
 """Warp kernels of the paper's own flow (Algorithm 1): one thread per triangle or per vertex of the conformal mesh."""
 
 # mypy: ignore-errors
-from omtwarp._warp import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.guard import StepGuard
-from omtwarp.linear import SurfaceLaplacianSolver, sums_for
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.sums import RowSums
+from omtwarp.device.threads import blas_threads, launch_parts
+from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.points import vectors
-from omtwarp.sums import RowSums
-from omtwarp.threads import blas_threads, launch_parts
+from omtwarp.solvers.poisson import SurfaceLaplacianSolver, sums_for
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, TransportMap
 from omtwarp.transport.polish_kernels import (

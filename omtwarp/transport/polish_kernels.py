@@ -1,6 +1,6 @@
 """Kernels of the last step of transport, on the image mesh itself."""
 
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.metrics.kernels import solid_angle
 from omtwarp.transport.kernels import TINY, area_error, centre, logarithm
 

@@ -33,7 +33,7 @@ class WaveletFilter:
         butterfly: bool = False,
         device: str = "auto",
     ) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.device = self.wavelets.device
@@ -54,7 +54,7 @@ class WaveletFilter:
         self.wavelets.analyse_adjoint(values)
 
     def _scale(self, values: Any) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
         wp.launch(kernels.scale_kernel, dim=len(values), inputs=[self._factors, values], device=self.device)

@@ -5,7 +5,7 @@ A thread adds to its own element alone, spelt out: ``+=`` on an array is an atom
 """
 
 # mypy: ignore-errors
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -75,7 +75,7 @@ class WaveletPreconditioner:
         damping: NDArray[np.float64] | None = None,
         device: str = "auto",
     ) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         self.hierarchy = hierarchy
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
@@ -97,7 +97,7 @@ class WaveletPreconditioner:
         The constant part of the right-hand side is ignored, and H is defined up to a constant. With Warp arrays, H can
         be written to ``out``.
         """
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
         from_numpy = not isinstance(right_hand_side, wp.array)

@@ -41,7 +41,7 @@ class SphereSampler:
     def __init__(
         self, hierarchy: SphereHierarchy, points: Any, *, level: int | None = None, device: str = "auto"
     ) -> None:
-        from omtwarp._warp import resolve_device, wp
+        from omtwarp.device.start import resolve_device, wp
 
         self.hierarchy = hierarchy
         self.level = hierarchy.level if level is None else int(level)
@@ -85,7 +85,7 @@ class SphereSampler:
         self.locate(points)
 
     def _launch(self, kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
@@ -93,7 +93,7 @@ class SphereSampler:
         self, kernel: Any, size: int, rows: list[Any], sliced: list[Any], whole: list[Any], out: Any
     ) -> None:
         """Launch on all cores a kernel of compressed rows (or none), arrays with an element per thread, and others."""
-        from omtwarp.threads import launch_parts
+        from omtwarp.device.threads import launch_parts
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             own = [rows[0][part.start : part.stop + 1], rows[1]] if rows else []
@@ -102,14 +102,14 @@ class SphereSampler:
         launch_parts(kernel, size, arguments, self.device)
 
     def _take(self, array: Any, dtype: Any) -> tuple[Any, bool]:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         if isinstance(array, wp.array):
             return array, False
         return wp.array(np.asarray(array, dtype=np.float64), dtype=dtype, device=self.device), True
 
     def _room(self, out: Any, size: int, dtype: Any) -> Any:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         return wp.empty(size, dtype=dtype, device=self.device) if out is None else out
 
@@ -118,8 +118,8 @@ class SphereSampler:
 
         A Warp array is kept by reference, not copied.
         """
-        from omtwarp._warp import wp
-        from omtwarp.threads import launch_parts
+        from omtwarp.device.start import wp
+        from omtwarp.device.threads import launch_parts
         from omtwarp.wavelets import sampling_kernels as kernels
 
         if len(points) != self.point_count:
@@ -151,7 +151,7 @@ class SphereSampler:
 
     def interpolate(self, values: Any, out: Any = None) -> Any:
         """A function of the nodes, [N], at the points, [P]: linear in each triangle, constants exact."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import sampling_kernels as kernels
 
         source, from_numpy = self._take(values, wp.float64)
@@ -162,7 +162,7 @@ class SphereSampler:
 
     def adjoint(self, at_points: Any, out: Any = None) -> Any:
         """The transpose of :meth:`interpolate`, [P] -> [N]; the sum is kept."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import sampling_kernels as kernels
 
         source, from_numpy = self._take(at_points, wp.float64)
@@ -174,7 +174,7 @@ class SphereSampler:
 
     def set_masses(self, masses: Any) -> None:
         """Give the (positive) masses of the points, shape [P], that :meth:`restrict` divides by."""
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         source, _ = self._take(masses, wp.float64)
         self._prepare_levels()
@@ -187,7 +187,7 @@ class SphereSampler:
         edge, from the finest level that has points near it, so that the result is defined everywhere; constants are
         exact. Call :meth:`set_masses` first.
         """
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import sampling_kernels as kernels
 
         if not self._level_masses:
@@ -208,7 +208,7 @@ class SphereSampler:
         return out.numpy() if from_numpy else out
 
     def _prepare_levels(self) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         if self._edge_rows is not None:
             return
@@ -239,7 +239,7 @@ class SphereSampler:
             smooth: interpolate linearly between area-weighted means of the gradients around each node (continuous over
                 the sphere); else take the constant gradient of the triangle each point is in.
         """
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import sampling_kernels as kernels
 
         source, from_numpy = self._take(values, wp.float64)
@@ -272,7 +272,7 @@ class SphereSampler:
 
         The array is the sampler's own and holds until the next call.
         """
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import sampling_kernels as kernels
 
         source, _ = self._take(values, wp.float64)
@@ -288,7 +288,7 @@ class SphereSampler:
         With field = c × y (c the derivative of a cost with respect to the point y) it is that cost's derivative with
         respect to the stream function of a motion dy/dt = y × grad H: the weak curl.
         """
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import sampling_kernels as kernels
 
         source, from_numpy = self._take(field, wp.vec3d)

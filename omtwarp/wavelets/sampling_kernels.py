@@ -1,7 +1,7 @@
 """Warp kernels between points anywhere on the sphere and the nodes of a subdivided sphere."""
 
 # mypy: ignore-errors
-from omtwarp._warp import HALF, KERNEL_OPTIONS, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 

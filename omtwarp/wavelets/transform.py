@@ -56,8 +56,8 @@ class SphericalWavelets:
     def __init__(
         self, hierarchy: SphereHierarchy, *, butterfly: bool = False, lifted: bool = True, device: str = "auto"
     ) -> None:
-        from omtwarp._warp import resolve_device, wp
-        from omtwarp.graphs import GraphsByArray
+        from omtwarp.device.graphs import GraphsByArray
+        from omtwarp.device.start import resolve_device, wp
 
         self.hierarchy, self.butterfly, self.lifted = hierarchy, butterfly, lifted
         self.device = resolve_device(device)
@@ -95,14 +95,14 @@ class SphericalWavelets:
             )
 
     def _predict(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
         inputs = [level["coarse"], level["stencil"], level["weights"], sign, values]
         wp.launch(kernels.predict_kernel, dim=level["added"], inputs=inputs, device=self.device)
 
     def _update(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
         if self.lifted:
@@ -110,14 +110,14 @@ class SphericalWavelets:
             wp.launch(kernels.update_kernel, dim=level["coarse"], inputs=inputs, device=self.device)
 
     def _predict_adjoint(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
         inputs = [level["coarse"], *level["stencil_rows"], level["width"], level["weights"], sign, values]
         wp.launch(kernels.predict_adjoint_kernel, dim=level["coarse"], inputs=inputs, device=self.device)
 
     def _update_adjoint(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
         if self.lifted:
@@ -165,7 +165,7 @@ class SphericalWavelets:
 
         What is left is a function of the nodes K(resolution + 1); -1 leaves the solid's scaling functions alone.
         """
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
         first = self.hierarchy.node_counts[min(max(int(resolution) + 1, 0), self.hierarchy.level)]
@@ -174,7 +174,7 @@ class SphericalWavelets:
             wp.launch(kernels.clear_from_kernel, dim=count, inputs=[first, coefficients], device=self.device)
 
     def _on_copy(self, values: ArrayLike, transform: Any) -> NDArray[np.float64]:
-        from omtwarp._warp import wp
+        from omtwarp.device.start import wp
 
         array = np.array(values, dtype=np.float64)
         if array.shape != (self.hierarchy.node_count,):

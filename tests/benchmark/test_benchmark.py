@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from omtwarp._warp import wp
 from omtwarp.benchmark import markdown, run
 from omtwarp.benchmark.measure import PeakMemory, first_use, splu_reference
 from omtwarp.benchmark.meshes import label, made, subdivided
@@ -15,6 +14,7 @@ from omtwarp.benchmark.roofline import LISTED, LaunchRecorder, copy_bandwidth, m
 from omtwarp.benchmark.runner import fitted_exponent, growth_exponents, reference_system
 from omtwarp.benchmark.tables import table
 from omtwarp.commands.benchmark import parse_sizes
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.shapes import blob, icosphere
@@ -164,7 +164,7 @@ def test_first_use_runs_in_processes_of_its_own(monkeypatch):
     monkeypatch.setattr("omtwarp.benchmark.measure._run", fake)
     measured = first_use("cpu")
     assert measured["compile_seconds"] == 1.0 and measured["load_seconds"] == 2.0
-    assert commands[0][0] == commands[1][0] == ("-m", "omtwarp._prewarm", "cpu")
+    assert commands[0][0] == commands[1][0] == ("-m", "omtwarp.device.prewarm", "cpu")
     assert commands[0][1] == commands[1][1] != commands[2][1]
 
 

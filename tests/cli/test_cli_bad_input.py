@@ -157,7 +157,7 @@ def test_unknown_devices(tmp_path, capsys, device, words):
 
 
 def test_cuda_where_there_is_none(tmp_path, capsys):
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
 
     if wp.is_cuda_available():
         pytest.skip("this machine has a CUDA device")

@@ -7,12 +7,12 @@ import inspect
 import pkgutil
 
 import omtwarp
-from omtwarp._prewarm import kernel_modules
+from omtwarp.device.prewarm import kernel_modules
 
 
 def test_every_module_with_kernels_is_found():
     """Found by reading the files; checked against the kernels that the imported modules really hold."""
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
 
     holding = set()
     for module in pkgutil.walk_packages(omtwarp.__path__, "omtwarp."):

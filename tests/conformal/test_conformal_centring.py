@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import apart, random_rotation
 
-from omtwarp._warp import wp
 from omtwarp.conformal import mobius_centring
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, fibonacci_sphere
 

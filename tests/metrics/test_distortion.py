@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import judge, pushed_north, random_rotation, turned, twisted
 
-from omtwarp._warp import resolve_device
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import resolve_device
 from omtwarp.mesh.shapes import blob, fibonacci_sphere, icosphere, noisy, random_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import WEIGHTINGS, distortion
 from omtwarp.metrics.distortion import aggregates, measure, triangle_quantities
-from omtwarp.points import vectors
 
 
 def by_singular_values(surface: Surface, sphere: np.ndarray) -> dict:

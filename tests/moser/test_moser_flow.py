@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 from sphere_truths import height_and_longitude, mean_edge, pushed_north, random_rotation, rms, turned
 
-from omtwarp._warp import wp
 from omtwarp.conformal import conformal_map
+from omtwarp.device.start import wp
 from omtwarp.geometry import cotangent_laplacian
-from omtwarp.linear import LaplacianSolver, SurfaceLaplacianSolver
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere
 from omtwarp.metrics import distortion
 from omtwarp.moser import moser_map
+from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver
 
 
 def potential_of_latitude(heights: np.ndarray, amount: float) -> np.ndarray:

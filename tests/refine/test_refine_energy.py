@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from omtwarp._warp import resolve_device
-from omtwarp.embedding.tube import tube_map
-from omtwarp.embedding.untangle import untangle
+from omtwarp.device.start import resolve_device
 from omtwarp.mesh.shapes import blob, icosphere, needle, noisy
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.energy import DistortionEnergy, needle_weight
-from omtwarp.refine.frames import triangle_frames
+from omtwarp.start.tube import tube_map
+from omtwarp.triangle_newton.frames import triangle_frames
+from omtwarp.untangling.untangle import untangle
 
 
 def singular_values(points, faces):
@@ -128,7 +128,7 @@ def test_gradient_of_the_needle_barrier():
 
 def tangent_bases(sphere):
     """The bases that the kernels use, read off the kernel that leads back from them."""
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
     from omtwarp.refine.kernels import from_tangent
 
     device, count = resolve_device("cpu"), len(sphere)

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from omtwarp._warp import wp
-from omtwarp.embedding.predicates import flipped_faces
-from omtwarp.embedding.tube import tube_map
-from omtwarp.embedding.untangle import untangle
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, noisy
-from omtwarp.multigrid import MultigridSolver, Outcome
 from omtwarp.refine import steps
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.solver import refine_map
 from omtwarp.refine.steps import DeviceSteps, HostSteps, flat
 from omtwarp.refine.sums import DistortionSums
+from omtwarp.solvers.multigrid import MultigridSolver, Outcome
+from omtwarp.start.tube import tube_map
+from omtwarp.untangling.untangle import untangle
 
 
 @pytest.fixture(scope="module")

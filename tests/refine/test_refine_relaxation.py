@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omtwarp._warp import resolve_device
-from omtwarp.embedding.predicates import flipped_faces
-from omtwarp.embedding.tube import tube_map
-from omtwarp.embedding.untangle import untangle
+from omtwarp.device.start import resolve_device
+from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.patches import grow
 from omtwarp.mesh.shapes import blob, noisy
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.relaxation import MOST_CHOSEN, RINGS, relax, stiff_vertices
 from omtwarp.refine.solver import refine_map
 from omtwarp.refine.steps import HostSteps
+from omtwarp.start.tube import tube_map
+from omtwarp.untangling.untangle import untangle
 
 
 @pytest.fixture(scope="module")

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omtwarp.embedding.predicates import flipped_faces
-from omtwarp.embedding.tube import tube_map
-from omtwarp.embedding.untangle import untangle
 from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, noisy, plate, tube
 from omtwarp.metrics.distortion import distortion
 from omtwarp.pipeline import map_to_sphere
-from omtwarp.refine.newton import NewtonMatrix
 from omtwarp.refine.solver import HARD, refine_map, refinement_weight
+from omtwarp.start.tube import tube_map
+from omtwarp.triangle_newton.newton import NewtonMatrix
+from omtwarp.untangling.untangle import untangle
 
 
 def start_map(surface):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from sphere_truths import pushed_north, turned, twisted
 
-from omtwarp._warp import resolve_device, wp
-from omtwarp.embedding.guard import StepGuard
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.transport.flow import COSTS, SCHEMES, _Flow, optimal_transport
 

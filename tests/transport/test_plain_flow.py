@@ -2,7 +2,7 @@
 
 from sphere_truths import pushed_north, turned, twisted
 
-from omtwarp.embedding.predicates import count_flips
+from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.metrics import distortion
 from omtwarp.transport.flow import optimal_transport, transport_cost

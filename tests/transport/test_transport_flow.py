@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import at_height, height_and_longitude, mean_edge, pushed_north, rms, turned, twisted
 
-from omtwarp.embedding.predicates import count_flips
 from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.metrics import distortion
 from omtwarp.transport.flow import COSTS, optimal_transport, transport_cost

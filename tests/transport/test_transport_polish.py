@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import at_height, mean_edge, pushed_north, random_rotation, rms, turned, twisted
 
-from omtwarp._warp import wp
-from omtwarp.embedding.predicates import count_flips
+from omtwarp.device.start import wp
+from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere, sphere_from_directions
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import distortion

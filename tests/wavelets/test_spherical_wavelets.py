@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omtwarp._warp import wp
+from omtwarp.device.graphs import GraphsByArray, step_by_step
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
-from omtwarp.graphs import GraphsByArray, step_by_step
 from omtwarp.wavelets import (
     SphereSampler,
     SphericalWavelets,
@@ -153,7 +153,7 @@ def test_coefficients_of_a_smooth_function_fall_by_four_per_level():
 
 def test_lifting_keeps_the_mean_of_a_truncated_function():
     """With zero integrals, clearing wavelets leaves the integral alone; without lifting it does not."""
-    from omtwarp._warp import wp
+    from omtwarp.device.start import wp
 
     hierarchy = sphere_hierarchy(4)
     values = smooth_function(hierarchy.vertices) + np.random.default_rng(0).normal(size=hierarchy.node_count)

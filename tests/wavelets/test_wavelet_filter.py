@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omtwarp._warp import wp
+from omtwarp.device.start import wp
 from omtwarp.wavelets import SphericalWavelets, sphere_hierarchy
 from omtwarp.wavelets.filter import WaveletFilter
 

@@ -1,0 +1,435 @@
+"""Spherical barycentric maps (Gotsman, Gu and Sheffer 2003), solved in the manner of Saba et al. (2005).
+
+Every vertex is to be the normalised positive-weighted mean of its neighbours,
+
+    Σ_j w_ij x_j = α_i x_i,   |x_i| = 1,   w_ij = w_ji > 0,
+
+a quadratic system whose non-collapsed solutions are embeddings. Its solutions are the stationary points of the spring
+energy E = ½ Σ_ij w_ij |x_i - x_j|² / 2 on the product of V spheres. The least value of E is the collapse to a point,
+and an embedding is a saddle: E hardly changes, and in the end falls, as the map slides towards a point along the
+Möbius transformations. Saba et al. start from a planar Tutte embedding put on the sphere, relax it, and solve the full
+system from there; so does this module, in two stages.
+
+``balance="centroid"`` (the default): E is minimised among maps with Σ a_i x_i = 0, as in Gu et al. (2003), which takes
+the three sliding directions away, so that nothing collapses: first by preconditioned gradient steps, then by Newton's
+method on the constrained system. What is left over of the full system is a_i λ with one vector λ; the residual is
+reported. The start is centred by surface area (by vertices for Tutte's weights, which take all triangles for equal),
+and a_i is the share of the sphere that vertex i covers there: any a_i that gives mass to limbs that have shrunk on the
+sphere would pull them about as λ's weight does a rope, and fold them (1042 flips on a bunny's ears).
+
+``balance="free"``: Newton's method on the full system from there, with three degrees of freedom pinned against
+rotation. It converges quadratically to round-off where there is a solution nearby. Where the system is balanced is then
+decided by the largest triangles of the image alone, which can be far from the centroid: area distortion suffers, and on
+some meshes there is no solution nearby at all; ``converged`` tells.
+
+Mean-value weights (Floater 2003) are not symmetric. With weights that are not (up to a factor per row) the system has
+three equations more than unknowns, since Σ x_i × Σ w_ij x_j no longer vanishes identically, and has no solution in
+general; the mean of w_ij and w_ji is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import Surface
+
+Array = NDArray[np.float64]
+Weights = Literal["tutte", "mean-value"]
+Balance = Literal["centroid", "free"]
+Progress = Callable[[str, int, float], None]
+
+RELAXATION_STEPS = 300
+NEWTON_STEPS = 40
+RELAXATION_TOLERANCE = 1e-6
+"""The relaxation ends when the root mean square force at right angles to the constraint is below this."""
+NEWTON_TOLERANCE = 1e-12
+"""Newton's method ends at this force on any vertex; a vertex' mean weight sum is 1."""
+_LONGEST_STEP = 0.3  # radians: Newton's steps are no use beyond where a tangent plane resembles the sphere
+
+
+@dataclass(frozen=True)
+class BarycentricMap:
+    """A spherical barycentric map and how it was reached.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3].
+        weights: ``tutte`` or ``mean-value``.
+        balance: ``centroid`` or ``free``.
+        residual: largest distance from a vertex to the normalised mean of its neighbours.
+        multiplier: the vector λ of the centroid constraint, where the mean weight sum of a vertex is 1; zero for a
+            free solution.
+        shares: the a_i of the centroid constraint, float64, shape [V], summing to 1.
+        energy: E over the mean weight sum of a vertex.
+        converged: whether the tolerance of the last stage was met.
+        relaxation_steps: gradient steps with the centroid held.
+        newton_steps: iterations of Newton's method, constrained and free together.
+        history: residual after every iteration of both stages.
+    """
+
+    sphere: Array
+    weights: str
+    balance: str
+    residual: float
+    multiplier: Array
+    shares: Array
+    energy: float
+    converged: bool
+    relaxation_steps: int
+    newton_steps: int
+    history: list[float] = field(default_factory=list)
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of all stages together."""
+        return self.relaxation_steps + self.newton_steps
+
+
+def barycentric_map(
+    surface: Surface,
+    weights: Weights = "tutte",
+    *,
+    balance: Balance = "centroid",
+    device: str | None = "auto",
+    progress: Progress | None = None,
+) -> Array:
+    """Map a closed genus-0 surface to the sphere so that vertices are means of their neighbours.
+
+    The maps ``Saba Tutte`` and ``Saba Mean`` of the paper's Tables 1 and 2 and Figure 13. See
+    :func:`solve_barycentric`, which gives the residual and the iterations too.
+
+    Returns:
+        Unit vectors, float64, shape [V, 3].
+    """
+    return solve_barycentric(surface, weights, balance=balance, device=device, progress=progress).sphere
+
+
+def solve_barycentric(
+    surface: Surface,
+    weights: Weights = "tutte",
+    *,
+    balance: Balance = "centroid",
+    device: str | None = "auto",
+    progress: Progress | None = None,
+) -> BarycentricMap:
+    """Solve the quadratic system of Gotsman, Gu and Sheffer (2003); see the module's text for the method.
+
+    Args:
+        surface: a valid closed mesh of genus 0.
+        weights: ``tutte`` (all 1) or ``mean-value`` (Floater 2003, made symmetric).
+        balance: ``centroid`` or ``free``, see above.
+        device: where the sweeps over vertices run.
+        progress: called with the stage, the iteration and the residual.
+
+    Returns:
+        The map with its residual and iterations. For any positive weights and any mesh the planar start is a valid
+        embedding; flips of the result are measured by :func:`omtwarp.metrics.distortion`, not assumed away.
+
+    Raises:
+        OmtwarpError: unknown option, or weights that are not finite (triangles without area).
+    """
+    if weights not in ("tutte", "mean-value"):
+        raise OmtwarpError(f"unknown weights '{weights}': use tutte or mean-value")
+    if balance not in ("centroid", "free"):
+        raise OmtwarpError(f"unknown balance '{balance}': use centroid or free")
+    matrix = barycentric_weights(surface, weights, device=device)
+    springs = _Springs(matrix, device)
+    start, masses = _planar_start(surface, springs, weights)
+    history: list[float] = []
+
+    def report(stage: str, step: int, residual: float) -> None:
+        history.append(residual)
+        if progress is not None:
+            progress(stage, step, residual)
+
+    sphere = _relax(springs, start, masses, report)
+    relaxation_steps = len(history)
+    sphere, multiplier, converged = _newton(springs, sphere, masses, report)
+    if balance == "free":
+        sphere, multiplier, converged = _newton(springs, sphere, None, report)
+    state = springs.sweep(sphere)
+    return BarycentricMap(
+        sphere=sphere,
+        weights=weights,
+        balance=balance,
+        residual=state.residual,
+        multiplier=multiplier,
+        shares=masses,
+        energy=state.energy,
+        converged=converged,
+        relaxation_steps=relaxation_steps,
+        newton_steps=len(history) - relaxation_steps,
+        history=history,
+    )
+
+
+def barycentric_weights(
+    surface: Surface, weights: Weights = "tutte", *, device: str | None = "auto"
+) -> sparse.csr_matrix:
+    """The symmetric positive weights w_ij as a matrix, shape [V, V], zero diagonal.
+
+    ``mean-value``: ½ (w_ij + w_ji) with w_ij = (tan(γ/2) + tan(δ/2)) / |x_i - x_j|, γ and δ the angles at i on both
+    sides of the edge (Floater, "Mean value coordinates", 2003).
+
+    Raises:
+        OmtwarpError: a triangle without area.
+    """
+    faces = surface.faces
+    if weights == "tutte":
+        per_edge = np.full((len(faces), 3), 0.5)
+    else:
+        from omtwarp.baselines.kernels import mean_value_edge_weights
+        from omtwarp.device.start import resolve_device, wp
+
+        where = resolve_device(device)
+        vertices: Any = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=where)
+        triangles: Any = wp.array(faces, dtype=wp.int32, device=where)
+        out = wp.empty((len(faces), 3), dtype=wp.float64, device=where)
+        wp.launch(mean_value_edge_weights, dim=len(faces), inputs=[vertices, triangles, out], device=where)
+        per_edge = out.numpy()
+        # tan(θ/2) explodes at angles of π: a triangle folded flat.
+        bad = ~(np.isfinite(per_edge) & (per_edge > 0) & (per_edge < 1e15)).all(axis=1)
+        if bad.any():
+            raise OmtwarpError(
+                f"mean-value weights need triangles with area: {int(bad.sum())} have none, first face "
+                f"{int(np.argmax(bad))}; collapse or remesh them"
+            )
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    half = sparse.csr_matrix((per_edge.ravel(), (tail, head)), shape=(surface.vertex_count,) * 2)
+    matrix = sparse.csr_matrix(half + half.T)
+    matrix.sort_indices()
+    return matrix
+
+
+@dataclass(frozen=True)
+class _State:
+    """What one sweep over the vertices finds."""
+
+    force: Array
+    tension: Array
+    residual: float
+    energy: float
+
+
+class _Springs:
+    """The weights on a device, scaled so that the mean weight sum of a vertex is 1, and the sweeps over them."""
+
+    def __init__(self, matrix: sparse.csr_matrix, device: str | None):
+        from omtwarp.device.start import resolve_device, wp
+
+        self.matrix = sparse.csr_matrix(matrix / (matrix.sum() / matrix.shape[0]))
+        self.degree = np.asarray(self.matrix.sum(axis=1)).ravel()
+        self.count: int = self.matrix.shape[0]
+        self.device = resolve_device(device)
+        rows = np.repeat(np.arange(self.count), np.diff(self.matrix.indptr))
+        self._offsets: Any = wp.array(self.matrix.indptr.astype(np.int32), dtype=wp.int32, device=self.device)
+        self._columns: Any = wp.array(self.matrix.indices.astype(np.int32), dtype=wp.int32, device=self.device)
+        self._rows: Any = wp.array(rows.astype(np.int32), dtype=wp.int32, device=self.device)
+        self._weights: Any = wp.array(self.matrix.data, dtype=wp.float64, device=self.device)
+
+    def _upload(self, points: Array):
+        from omtwarp.device.start import wp
+
+        return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device=self.device)
+
+    def sweep(self, points: Array) -> _State:
+        from omtwarp.baselines import kernels
+        from omtwarp.device.start import wp
+
+        force = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
+        tension = wp.empty(self.count, dtype=wp.float64, device=self.device)
+        deviation = wp.empty_like(tension)
+        wp.launch(
+            kernels.sweep,
+            dim=self.count,
+            inputs=[self._offsets, self._columns, self._weights, self._upload(points), force, tension, deviation],
+            device=self.device,
+        )
+        stretch = tension.numpy()
+        # E = ½ Σ_ij w_ij (1 - x_i·x_j); the difference is taken per vertex, before anything large is summed.
+        energy = 0.5 * float((self.degree - stretch).sum())
+        return _State(force.numpy(), stretch, float(deviation.numpy().max()), energy)
+
+    def move(self, points: Array, direction: Array, step: float) -> Array:
+        """Step along the tangential part of a direction and return to the sphere."""
+        from omtwarp.baselines import kernels
+        from omtwarp.device.start import wp
+
+        out = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
+        inputs = [self._upload(points), self._upload(direction), wp.float64(step), out]
+        wp.launch(kernels.move_on_sphere, dim=self.count, inputs=inputs, device=self.device)
+        return out.numpy()
+
+    def newton_system(
+        self, points: Array, tension: Array, aligned: int, axis: Array
+    ) -> tuple[sparse.csc_matrix, Array]:
+        """The second derivative of E in tangent coordinates, [2V, 2V], and the frames, shape [V, 2, 3].
+
+        The first vector of the frame of vertex ``aligned`` is ``axis``.
+        """
+        from omtwarp.baselines import kernels
+        from omtwarp.device.start import wp
+
+        u = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
+        v = wp.empty_like(u)
+        blocks = wp.empty(len(self._rows), dtype=wp.mat22d, device=self.device)
+        wp.launch(kernels.tangent_frames, dim=self.count, inputs=[self._upload(points), u, v], device=self.device)
+        frames = np.stack([u.numpy(), v.numpy()], axis=1)
+        frames[aligned] = axis, np.cross(points[aligned], axis)
+        u, v = self._upload(frames[:, 0]), self._upload(frames[:, 1])
+        inputs = [self._rows, self._columns, self._weights, u, v, blocks]
+        wp.launch(kernels.newton_blocks, dim=len(self._rows), inputs=inputs, device=self.device)
+        size = 2 * self.count
+        off = sparse.bsr_matrix((blocks.numpy(), self.matrix.indices, self.matrix.indptr), shape=(size, size))
+        matrix = sparse.csc_matrix(off.tocsc() + sparse.diags(np.repeat(tension, 2)))
+        return matrix, frames
+
+
+def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Array, Array]:
+    """Tutte's embedding of all but one triangle in the plane, on the sphere and centred, and each vertex' share of it.
+
+    The equations are those of section 4.1 with these weights for the cotangents: every vertex but three is a positive
+    mean of its neighbours, so the planar drawing is an embedding (Tutte 1963), and the right-hand side gives the outer
+    triangle the shape that suits the weights instead of an arbitrary one.
+    """
+    from omtwarp.conformal.centring import mobius_centring
+    from omtwarp.conformal.haker import most_regular_face
+    from omtwarp.mesh.surface import triangle_areas
+    from omtwarp.solvers.poisson import LaplacianSolver
+
+    points = surface.scaled_vertices
+    a, b, c = surface.faces[most_regular_face(points, surface.faces)]
+    if weights == "tutte":
+        length, foot, height = 1.0, 0.5, np.sqrt(0.75)
+    else:
+        ab = points[b] - points[a]
+        length = float(np.linalg.norm(ab))
+        foot = float(ab @ (points[c] - points[a])) / length
+        height = float(np.linalg.norm(points[c] - points[a] - foot / length * ab))
+    right = np.zeros((springs.count, 2))
+    theta = foot / length
+    right[[a, b, c], 0] = [-1.0 / length, 1.0 / length, 0.0]
+    right[[a, b, c], 1] = [-(1.0 - theta) / height, -theta / height, 1.0 / height]
+    laplacian = sparse.diags(springs.degree) - springs.matrix
+    plane = LaplacianSolver(laplacian, pinned=int(a)).solve(right)
+    plane = plane - np.median(plane, axis=0)
+    plane /= np.median(np.linalg.norm(plane, axis=1))
+    squares = (plane**2).sum(axis=1)
+    sphere = np.column_stack([2.0 * plane, squares - 1.0]) / (1.0 + squares)[:, None]
+    p0, p1, p2 = (sphere[surface.faces[:, k]] for k in range(3))
+    if np.median(np.einsum("ij,ij->i", p0, np.cross(p1, p2))) < 0:
+        sphere[:, 2] *= -1.0
+    masses = surface.vertex_areas if weights == "mean-value" else np.ones(springs.count)
+    sphere = mobius_centring(sphere, masses)[0]
+    shares = surface.sum_to_vertices(triangle_areas(sphere, surface.faces))
+    shares /= shares.sum()
+    return mobius_centring(sphere, shares)[0], shares
+
+
+def _relax(springs: _Springs, points: Array, masses: Array, report: Progress) -> Array:
+    """Minimise E with Σ a_i x_i = 0, by gradient steps preconditioned with the weights' Laplacian.
+
+    Steps are taken at right angles to the Möbius transformations and followed by the one that restores the centroid.
+    """
+    from omtwarp.conformal.centring import mobius_centring
+    from omtwarp.solvers.poisson import Factorization
+
+    solver = Factorization(sparse.diags(1.001 * springs.degree) - springs.matrix)
+    state = springs.sweep(points)
+    step = 1.0
+    for iteration in range(RELAXATION_STEPS):
+        force = state.force - _tangential(points, masses[:, None] * _multiplier(points, masses, state.force))
+        if np.sqrt((force**2).sum() / springs.count) <= RELAXATION_TOLERANCE:
+            break
+        direction = _tangential(points, solver.solve(force))
+        # Take out the part along Möbius transformations: centring would undo it.
+        inertia = np.eye(3) - np.einsum("v,vi,vj->ij", masses, points, points)
+        boost = np.linalg.solve(inertia, masses @ direction)
+        direction -= _tangential(points, np.broadcast_to(boost, points.shape))
+        slope = float((force * direction).sum())
+        while step > 1e-6:
+            trial, _ = mobius_centring(springs.move(points, direction, step), masses)
+            new = springs.sweep(trial)
+            if new.energy <= state.energy - 1e-4 * step * slope:
+                break
+            step *= 0.5
+        else:
+            break  # no decrease left that float64 can see
+        points, state = trial, new
+        report("relax", iteration, state.residual)
+        step = min(1.0, 1.5 * step)
+    return points
+
+
+def _newton(
+    springs: _Springs, points: Array, masses: Array | None, report: Progress
+) -> tuple[Array, Array, bool]:
+    """Newton's method for the stationary points of E, rotations pinned; with masses, of E where Σ a_i x_i = 0.
+
+    Returns:
+        The points, the multiplier λ and whether the tolerance was met.
+    """
+    multiplier = np.zeros(3)
+    for iteration in range(NEWTON_STEPS + 1):
+        state = springs.sweep(points)
+        if iteration:
+            report("newton", iteration - 1, state.residual)
+        force, tension = state.force, state.tension
+        if masses is not None:
+            multiplier = _multiplier(points, masses, force)
+            pull = masses[:, None] * multiplier
+            tension = tension - (pull * points).sum(axis=1)
+            force = force - _tangential(points, pull)
+        if np.abs(force).max() <= NEWTON_TOLERANCE:
+            return points, multiplier, True
+        if iteration == NEWTON_STEPS:
+            break
+        pinned, second, axis = _pins(points)
+        matrix, frames = springs.newton_system(points, tension, second, axis)
+        free = np.ones(2 * springs.count, dtype=bool)
+        free[[2 * pinned, 2 * pinned + 1, 2 * second]] = False
+        factor = splu(matrix[free][:, free].tocsc())
+
+        def solve(right: Array, free: NDArray[np.bool_] = free, factor=factor) -> Array:
+            out = np.zeros_like(right)
+            out[free] = factor.solve(right[free])
+            return out
+
+        solution = solve(np.einsum("vkd,vd->vk", frames, force).ravel())
+        if masses is not None:
+            constraint = (masses[:, None, None] * frames).reshape(-1, 3)
+            answers = solve(constraint)
+            solution -= answers @ np.linalg.solve(constraint.T @ answers, constraint.T @ solution + masses @ points)
+        direction = np.einsum("vk,vkd->vd", solution.reshape(-1, 2), frames)
+        longest = float(np.linalg.norm(direction, axis=1).max())
+        if not np.isfinite(longest):
+            break
+        points = springs.move(points, direction, min(1.0, _LONGEST_STEP / max(longest, 1e-300)))
+    return points, multiplier, False
+
+
+def _multiplier(points: Array, masses: Array, force: Array) -> Array:
+    """The λ whose pull a_i λ comes nearest to the forces, in the least squares sense."""
+    gram = np.einsum("v,vij->ij", masses**2, np.eye(3) - points[:, :, None] * points[:, None, :])
+    return np.linalg.solve(gram, masses @ force)
+
+
+def _pins(points: Array) -> tuple[int, int, Array]:
+    """A vertex to hold, a second a right angle away, and the direction in which the second is held too.
+
+    The forces add up to no torque, so that the three equations left out hold by themselves.
+    """
+    second = int(np.argmin(np.abs(points @ points[0])))
+    axis = np.cross(points[0], points[second])
+    return 0, second, axis / np.linalg.norm(axis)
+
+
+def _tangential(points: Array, vectors: Array) -> Array:
+    return np.asarray(vectors - (points * vectors).sum(axis=1)[:, None] * points)

@@ -1,6 +1,0 @@
-"""Sparse Cholesky factors of matrices whose pattern is the edges of a surface: one analysis, many factorisations."""
-
-from omtwarp.cholesky.dissection import Dissection, dissect
-from omtwarp.cholesky.multifrontal import MultifrontalCholesky, NotPositiveDefinite
-
-__all__ = ["Dissection", "MultifrontalCholesky", "NotPositiveDefinite", "dissect"]

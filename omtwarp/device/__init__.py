@@ -1,0 +1,1 @@
+"""Where kernels run: Warp's start, arrays, sums, recorded graphs, threads and memory."""

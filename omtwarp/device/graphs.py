@@ -1,0 +1,98 @@
+"""Loops that stay on the device: recorded once as a CUDA graph and replayed, or called as they are on the CPU.
+
+Work that is to be recorded launches kernels, copies and clears arrays, and decides with ``wp.capture_while`` and
+``wp.capture_if``, whose conditions are arrays on the device. It must not read anything back, nor allocate inside of a
+loop. Not recorded, the same work runs step by step: the conditions are then read by the host, which on the CPU is free,
+and large launches can be cut into parts for its cores.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+from omtwarp.device.start import wp
+
+# So many graphs of one kind of work are kept.
+ROOM = 8
+
+_recording = True
+
+
+def _records(device: Any, record: bool | None) -> bool:
+    return bool(device.is_cuda and wp.is_conditional_graph_supported()) if record is None else record
+
+
+class Graph:
+    """Work that can be done again and again on the same arrays.
+
+    Args:
+        work: what to do; whatever it reads and writes has to live as long as the graph.
+        device: a Warp device.
+        record: whether to record it. Left out, on CUDA where its driver knows conditions in graphs (12.4); never on the
+            CPU, where other threads' launches would end up in the recording.
+
+    Attributes:
+        recorded: whether it will be, or is, recorded.
+    """
+
+    def __init__(self, work: Callable[[], None], device: Any, record: bool | None = None):
+        self._work = work
+        self._device = wp.get_device(device)
+        self.recorded = _records(self._device, record)
+        self._graph: Any = None
+
+    def __call__(self) -> None:
+        """Do the work, or put it into the graph that is being recorded at the moment."""
+        if not self.recorded or not _recording or self._device.is_capturing:
+            self._work()
+            return
+        with wp.ScopedDevice(self._device):
+            if self._graph is None:
+                with wp.ScopedCapture(self._device) as capture:
+                    self._work()
+                self._graph = capture.graph
+            wp.capture_launch(self._graph)
+
+
+class GraphsByArray:
+    """Graphs of work that is done in place on arrays of the caller: one for each kind of work and each array.
+
+    Args:
+        device: a Warp device.
+        record: as in :class:`Graph`.
+    """
+
+    def __init__(self, device: Any, record: bool | None = None):
+        self._device = wp.get_device(device)
+        self._record = _records(self._device, record)
+        self._graphs: dict[tuple[str, int], Graph] = {}
+
+    def __call__(self, work: Callable[[Any], None], array: Any) -> None:
+        """work(array), recorded when the array comes for the first time; what is recorded keeps it alive."""
+        if not (self._record and _recording) or self._device.is_capturing:
+            work(array)
+            return
+        key = (work.__name__, array.ptr)
+        if key not in self._graphs:
+            if len(self._graphs) >= ROOM:
+                wp.synchronize_device(self._device)  # none of them may still be running
+                self._graphs.clear()
+            self._graphs[key] = Graph(partial(work, array), self._device, True)
+        self._graphs[key]()
+
+
+@contextlib.contextmanager
+def step_by_step() -> Iterator[None]:
+    """Record and replay nothing for a while, so that every launch can be seen and timed by itself."""
+    global _recording
+    before, _recording = _recording, False
+    try:
+        yield
+    finally:
+        _recording = before
+
+
+__all__ = ["Graph", "GraphsByArray", "step_by_step"]

@@ -1,0 +1,109 @@
+"""Independent work on all cores: Warp runs a launch on one, and lets other threads go on meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+# Fewer elements than this are done sooner than a thread is woken.
+WORTHWHILE = 4096
+
+_pool: tuple[int, ThreadPoolExecutor] | None = None
+_loaded: set[tuple[Any, str]] = set()
+
+
+def core_count() -> int:
+    """Cores that this process may use; ``OMTWARP_THREADS`` lowers it."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    wanted = os.environ.get("OMTWARP_THREADS", "")
+    return min(cores, max(int(wanted), 1)) if wanted.isdigit() else cores
+
+
+def pool() -> ThreadPoolExecutor:
+    """The threads of this process; a forked one has its own."""
+    global _pool
+    if _pool is None or _pool[0] != os.getpid():
+        _pool = (os.getpid(), ThreadPoolExecutor(core_count(), thread_name_prefix="omtwarp"))
+    return _pool[1]
+
+
+def run_all(work: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
+    """``work`` of every job, side by side; not to be used inside of such work."""
+    if len(jobs) < 2 or core_count() < 2:
+        return [work(job) for job in jobs]
+    return list(pool().map(work, jobs))
+
+
+def load(kernel: Any, device: Any) -> None:
+    """Load a kernel here, compiled where it never was, before several threads launch it.
+
+    Each of them would compile it for itself, and the header before it once more.
+    """
+    from omtwarp.device.start import wp
+
+    if (kernel, str(device)) not in _loaded:
+        # Not by the module's own method, which takes the blocks of CUDA and compiles what no launch here runs.
+        wp.load_module(kernel.module, device=device, max_workers=0)
+        _loaded.add((kernel, str(device)))
+
+
+def launch_parts(
+    kernel: Any,
+    count: int,
+    arguments: Callable[[slice], tuple[list[Any], list[Any]]],
+    device: Any,
+    least: int = WORTHWHILE,
+) -> None:
+    """Launch a kernel whose threads are independent, in one part for every core of a CPU.
+
+    The result is the same, to the bit, as that of one launch.
+
+    Args:
+        kernel: writes to the elements of its thread alone.
+        count: number of threads.
+        arguments: inputs and outputs of a launch over a slice: arrays with an element per thread cut to that slice.
+        device: a Warp device; on CUDA there is one launch.
+        least: launches with fewer threads are left whole.
+    """
+    from omtwarp.device.start import wp
+
+    def launch(part: slice) -> None:
+        inputs, outputs = arguments(part)
+        wp.launch(kernel, dim=part.stop - part.start, inputs=inputs, outputs=outputs, device=device)
+
+    cores = core_count() if wp.get_device(device).is_cpu and count >= least else 1
+    if cores == 1:
+        launch(slice(0, count))
+        return
+    load(kernel, device)
+    bounds = [count * k // cores for k in range(cores + 1)]
+    run_all(launch, [slice(a, b) for a, b in pairwise(bounds)])
+
+
+@contextlib.contextmanager
+def blas_threads(count: int) -> Iterator[None]:
+    """Let the linear algebra of NumPy and SciPy use so many threads for a while; also a decorator.
+
+    OpenBLAS's threads wait for one another by spinning: beside threads of ours, or other programs, a product of two
+    vectors can take a hundred times as long as alone. And sums of one thread have the same bits on every machine.
+    """
+    with _controller().limit(limits=count, user_api="blas"):
+        yield
+
+
+@lru_cache(maxsize=1)
+def _controller() -> Any:
+    import scipy.linalg  # noqa: F401 (its library has to be loaded to be found)
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+__all__ = ["blas_threads", "core_count", "launch_parts", "load", "pool", "run_all"]

@@ -1,0 +1,1 @@
+"""Finding and preventing flipped triangles: exact predicates and a guard for steps."""

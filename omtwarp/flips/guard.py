@@ -1,0 +1,113 @@
+"""Steps that cannot flip: a motion shortened only where it would turn a triangle over."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from omtwarp.device.start import wp
+from omtwarp.flips.guard_kernels import HELD, count_flips, end_round, find_bad, find_bad_around, shorten_steps
+from omtwarp.mesh.surface import Surface
+
+# A vertex whose step was halved this often stays where it was.
+HALVINGS = 6
+MAXIMUM_ROUNDS = 500
+# Lists of unknown length are shared between so many threads on CUDA.
+THREADS = 16384
+# A step that leaves a triangle a hundredth of its area is as good as a flip: on scanned shapes a single such triangle
+# costs the whole map's area distortion more than the step gains.
+SMALLEST_PART = 0.2
+
+
+class StepGuard:
+    """Keeps every triangle of a moving sphere map positive, and from all but vanishing.
+
+    A vertex of a triangle that a step would flip has its own step halved, again and again, and is held in the end; its
+    neighbours follow only where that in turn would flip one of theirs. Since the map before the step has no flip,
+    holding vertices always ends in a map without one, and a few bad triangles slow nobody but themselves.
+
+    Args:
+        surface: the surface; its triangles' areas, total 4π, are what they should have on the sphere.
+        device: where the kernels run.
+        smallest: a step may shrink no triangle below this part of its area on the surface; a triangle that is smaller
+            already may only grow. With 0 only flips count.
+
+    Attributes:
+        held: how many vertices the last step was shortened for, Warp int32 [1] on the device.
+    """
+
+    def __init__(self, surface: Surface, device: Any, smallest: float = SMALLEST_PART):
+        self.device = device
+        self.vertex_count = surface.vertex_count
+        self.face_count = surface.face_count
+        mesh = surface.on(device)
+        self._faces = mesh.faces
+        self._offsets, self._corners = mesh.vertex_corners
+        # det[s0, s1, s2] of a small triangle is twice its area.
+        self._floors = wp.array(2.0 * smallest * surface.face_areas, dtype=wp.float64, device=device)
+        self._counters = wp.zeros(5, dtype=wp.int32, device=device)
+        self.held = self._counters[HELD : HELD + 1]
+        self._again = wp.empty(1, dtype=wp.int32, device=device)
+        self._bad = wp.empty((2, self.face_count), dtype=wp.int32, device=device)
+        self._face_rounds = wp.empty(self.face_count, dtype=wp.int32, device=device)
+        self._vertex_rounds, self._halvings, self._changed = (
+            wp.empty(self.vertex_count, dtype=wp.int32, device=device) for _ in range(3)
+        )
+        self._wanted = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
+        self._ready: dict[tuple[int, int, int], tuple[Any, ...]] = {}
+
+    def count(self, points: Any) -> int:
+        """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]."""
+        self._counters.zero_()
+        wp.launch(
+            count_flips, dim=self.face_count, inputs=[points, self._faces], outputs=[self._counters], device=self.device
+        )
+        return int(self._counters.numpy()[0])
+
+    def hold(self, old: Any, new: Any, rounds: int = MAXIMUM_ROUNDS) -> None:
+        """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips or shrinks too far.
+
+        Where so many rounds of it do not suffice, everything stays at ``old``. All happens on the device and can be
+        part of a graph; :attr:`held` says how many vertices it touched.
+        """
+        for array in (self._counters, self._face_rounds, self._vertex_rounds, self._halvings):
+            array.zero_()
+        find, shorten, around, end = self._launches(old, new, rounds)
+
+        def again() -> None:
+            shorten.launch()
+            around.launch()
+            end.launch()
+
+        find.launch()
+        end.launch()
+        wp.capture_while(self._again, again)
+
+    def _launches(self, old: Any, new: Any, rounds: int) -> tuple[Any, ...]:
+        """What a step from one array to another launches, made ready once: there are dozens of short rounds.
+
+        Only addresses and lengths are kept, so that arrays that come to lie where others were are served as well.
+        """
+        key = (old.ptr, new.ptr, rounds)
+        if key not in self._ready:
+            threads = THREADS if wp.get_device(self.device).is_cuda else 1
+            mesh = [self._faces, self._floors]
+
+            def prepare(kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> Any:
+                return wp.launch(
+                    kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
+                )
+
+            end = prepare(end_round, 1, [rounds], [self._counters, self._again])
+            find = prepare(find_bad, self.face_count, [old, new, *mesh], [self._counters, self._bad])
+            inputs = [old, self._faces, self._bad, HALVINGS, rounds, threads]
+            both = [self._counters, self._vertex_rounds, self._halvings, self._wanted, new]
+            shorten = prepare(shorten_steps, threads, inputs, [*both, self._changed])
+            inputs = [old, new, *mesh, self._offsets, self._corners, self._changed, threads]
+            around = prepare(find_bad_around, threads, inputs, [self._counters, self._face_rounds, self._bad])
+            self._ready[key] = find, shorten, around, end
+        return self._ready[key]
+
+    def limit(self, old: Any, new: Any) -> int:
+        """:meth:`hold`, and the number of vertices whose step was shortened."""
+        self.hold(old, new)
+        return int(self.held.numpy()[0])

@@ -1,0 +1,97 @@
+"""Exact orientation of spherical triangles: what floating point cannot decide is decided in integers.
+
+A map is flip-free where det[a, b, c] > 0 for every spherical triangle. The determinant of three float64 points is a
+rational number with a definite sign; a forward error bound (Shewchuk, "Adaptive precision floating-point arithmetic and
+fast robust geometric predicates", 1997) certifies the sign of all but the smallest, and Python's integers settle those.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.device.arrays import triangles, vectors
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.threads import launch_parts
+from omtwarp.flips.guard_kernels import UNCERTAIN, certain_signs
+
+# Six triple products, each rounded at most four times, and their sum: 7 units of roundoff would do; 8 leaves the
+# rounding of the bound itself room. A product and a sum that are rounded once together only err less.
+_RELATIVE_BOUND = 8.0 * 2.0**-53
+# Products below this may have lost bits to gradual underflow, which a relative bound does not see.
+_UNDERFLOW_BOUND = 2.0**-1000
+
+
+def orientation_signs(
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
+) -> NDArray[np.int8]:
+    """Exact sign of det[a, b, c] for every triangle.
+
+    The coordinates are taken as they are, so the points need not have unit length.
+
+    Args:
+        sphere: float64 points, shape [V, 3]; or a Warp array of vec3d.
+        faces: Integer corner indices, shape [F, 3]; or a Warp array of vec3i.
+        device: where floating point is tried.
+
+    Returns:
+        int8, shape [F]: 1 counter-clockwise seen from outside, -1 flipped, 0 exactly degenerate (the plane of the three
+        points contains the origin) or a corner that is not finite.
+    """
+    where = resolve_device(device)
+    given = vectors(sphere, where)
+    corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
+    out = wp.empty(len(corners), dtype=wp.int8, device=where)
+
+    def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        return [given, corners[part], wp.float64(_RELATIVE_BOUND), wp.float64(_UNDERFLOW_BOUND)], [out[part]]
+
+    launch_parts(certain_signs, len(corners), arguments, where)
+    signs = out.numpy()
+    open_cases = np.flatnonzero(signs == UNCERTAIN)
+    if len(open_cases):
+        signs[open_cases] = 0
+        points, places = given.numpy(), corners.numpy()[open_cases]
+        a, b, c = (points[places[:, k]] for k in range(3))
+        usable = np.isfinite(np.hstack([a, b, c])).all(axis=1)
+        signs[open_cases[usable]] = _exact_signs(a[usable], b[usable], c[usable])
+    return signs
+
+
+def flipped_faces(
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
+) -> NDArray[np.bool_]:
+    """Whether every triangle has det[a, b, c] <= 0, decided exactly, or a corner that is not finite, shape [F]."""
+    flipped: NDArray[np.bool_] = orientation_signs(sphere, faces, device=device) <= 0
+    return flipped
+
+
+def count_flips(
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
+) -> int:
+    """Number of triangles with det[a, b, c] <= 0, decided exactly; one with a corner that is not finite counts."""
+    return int(flipped_faces(sphere, faces, device=device).sum())
+
+
+def _exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Signs of the determinants of finite points, shape [n, 3] each, in integer arithmetic."""
+    if len(a) == 0:
+        return np.zeros(0, dtype=np.int8)
+    ia, ib, ic = (_common_integers(x) for x in (a, b, c))
+    value = (
+        ia[:, 0] * (ib[:, 1] * ic[:, 2] - ib[:, 2] * ic[:, 1])
+        + ia[:, 1] * (ib[:, 2] * ic[:, 0] - ib[:, 0] * ic[:, 2])
+        + ia[:, 2] * (ib[:, 0] * ic[:, 1] - ib[:, 1] * ic[:, 0])
+    )
+    return (value > 0).astype(np.int8) - (value < 0).astype(np.int8)
+
+
+def _common_integers(points: NDArray[np.float64]) -> NDArray[np.object_]:
+    """Every point times a power of two of its own that makes its coordinates integers, as Python integers."""
+    mantissa, exponent = np.frexp(points)
+    exponent = np.where(points == 0.0, exponent.max(initial=0), exponent)
+    shift = exponent - exponent.min(axis=1, keepdims=True)
+    integers = np.ldexp(mantissa, 53).astype(np.int64).astype(object)
+    return integers << shift.astype(object)

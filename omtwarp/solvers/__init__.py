@@ -1,0 +1,1 @@
+"""Sparse symmetric systems on surfaces: Poisson problems, the built-in Cholesky factorisation, multigrid."""

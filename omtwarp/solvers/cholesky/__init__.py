@@ -1,0 +1,6 @@
+"""Sparse Cholesky factors of matrices whose pattern is the edges of a surface: one analysis, many factorisations."""
+
+from omtwarp.solvers.cholesky.dissection import Dissection, dissect
+from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky, NotPositiveDefinite
+
+__all__ = ["Dissection", "MultifrontalCholesky", "NotPositiveDefinite", "dissect"]

@@ -1,0 +1,328 @@
+"""Kernels of the factorisation, front by front, and of the triangular solves.
+
+They run on the CPU, beside LAPACK. Fronts are stored by columns, of which only the lower triangle is used.
+"""
+
+from omtwarp.device.start import KERNEL_OPTIONS, wp
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+# Raw pointers, because the compiler turns loops over them into vector instructions and loops over Warp's arrays not:
+# three times as fast. Left alone it unrolls them besides, which is no faster and takes about half of the time to
+# compile this file: hence the pragmas. LAPACK and BLAS are called by address (see lapack.py), so that no front passes
+# through Python.
+ASSEMBLE = """
+    const int rows_count = starts.data[f + 1] - starts.data[f];
+    const int size = block * rows_count, width = block * block;
+    double* __restrict__ front = room.data + offsets.data[f];
+    for (int j = 0; j < size; ++j)
+        #pragma clang loop interleave(disable) unroll(disable)
+        for (long long i = j; i < size; ++i) front[i + (long long)j * size] = 0.0;
+    for (int k = 0; k < owned.data[f]; ++k) {
+        const double* value = diagonal.data + (long long)width * order.data[first.data[f] + k];
+        double* into = front + (long long)block * k * size + block * k;
+        #pragma clang loop vectorize(disable) unroll(disable)
+        for (int v = 0; v < block; ++v)
+            #pragma clang loop vectorize(disable) unroll(disable)
+            for (int u = v; u < block; ++u) into[(long long)v * size + u] = value[block * u + v];
+    }
+    for (int e = edge_starts.data[f]; e < edge_starts.data[f + 1]; ++e) {
+        const double* value = off_diagonal.data + (long long)width * edges.data[e];
+        double* into = front + (long long)block * edge_columns.data[e] * size + block * edge_rows.data[e];
+        const bool transposed = turned.data[e];
+        #pragma clang loop vectorize(disable) unroll(disable)
+        for (int v = 0; v < block; ++v)
+            #pragma clang loop vectorize(disable) unroll(disable)
+            for (int u = 0; u < block; ++u)
+                into[(long long)v * size + u] = transposed ? value[block * v + u] : value[block * u + v];
+    }
+    for (int k = family_starts.data[f]; k < family_starts.data[f + 1]; ++k) {
+        const int c = families.data[k];
+        const int child_rows = starts.data[c + 1] - starts.data[c], child_size = block * child_rows;
+        const int* __restrict__ to = upward.data + starts.data[c];
+        const double* __restrict__ column = room.data + offsets.data[c];
+        for (int j = block * owned.data[c]; j < child_size; ++j) {
+            const int row = j / block;
+            const double* source = column + (long long)j * child_size;
+            double* into = front + (long long)(block * to[row] + j % block) * size;
+            if (block == 1) {
+                #pragma clang loop interleave(disable) unroll(disable)
+                for (int i = row; i < child_rows; ++i) into[to[i]] += source[i];
+            } else {
+                #pragma clang loop interleave(disable) unroll(disable)
+                for (int i = row; i < child_rows; ++i) {
+                    into[2 * to[i]] += source[2 * i];
+                    into[2 * to[i] + 1] += source[2 * i + 1];
+                }
+            }
+        }
+    }
+"""
+
+ELIMINATE = """
+    typedef void (*Potrf)(const char*, const int*, double*, const int*, int*);
+    typedef void (*Trsm)(const char*, const char*, const char*, const char*, const int*, const int*, const double*,
+                         const double*, const int*, double*, const int*);
+    typedef void (*Syrk)(const char*, const char*, const int*, const int*, const double*, const double*, const int*,
+                         const double*, double*, const int*);
+    const char lower = 'L', right = 'R', transposed = 'T', plain = 'N';
+    const double one = 1.0, minus = -1.0;
+    const int size = block * (starts.data[f + 1] - starts.data[f]), own = block * owned.data[f], rest = size - own;
+    double* front = room.data + offsets.data[f];
+    int info = 0;
+    if (own > 0) {
+        ((Potrf)routines.data[0])(&lower, &own, front, &size, &info);
+        if (info == 0 && rest > 0) {
+            double* side = front + own;
+            ((Trsm)routines.data[1])(&right, &lower, &transposed, &plain, &rest, &own, &one, front, &size, side, &size);
+            ((Syrk)routines.data[2])(&lower, &plain, &rest, &own, &minus, side, &size, &one,
+                                     front + own + (long long)own * size, &size);
+        }
+        double* __restrict__ kept = factor.data + factor_offsets.data[f];
+        for (int j = 0; j < own; ++j)
+            #pragma clang loop interleave(disable) unroll(disable)
+            for (long long i = j; i < size; ++i) kept[i + (long long)j * size] = front[i + (long long)j * size];
+    }
+    return info;
+"""
+
+
+@wp.func_native(ASSEMBLE)
+def assemble_front(
+    f: int,
+    block: int,
+    first: wp.array[wp.int32],
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    upward: wp.array[wp.int32],
+    family_starts: wp.array[wp.int32],
+    families: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    edge_starts: wp.array[wp.int32],
+    edges: wp.array[wp.int32],
+    edge_rows: wp.array[wp.int32],
+    edge_columns: wp.array[wp.int32],
+    turned: wp.array[wp.bool],
+    offsets: wp.array[wp.int64],
+    diagonal: wp.array[wp.float64],
+    off_diagonal: wp.array[wp.float64],
+    room: wp.array[wp.float64],
+): ...
+
+
+@wp.func_native(ELIMINATE)
+def eliminate_front(  # type: ignore[empty-body]
+    f: int,
+    block: int,
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    offsets: wp.array[wp.int64],
+    factor_offsets: wp.array[wp.int64],
+    routines: wp.array[wp.uint64],
+    room: wp.array[wp.float64],
+    factor: wp.array[wp.float64],
+) -> int: ...
+
+
+@wp.kernel
+def factorise_fronts(
+    fronts: wp.array[wp.int32],
+    eliminate: int,
+    block: int,
+    first: wp.array[wp.int32],
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    upward: wp.array[wp.int32],
+    family_starts: wp.array[wp.int32],
+    families: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    edge_starts: wp.array[wp.int32],
+    edges: wp.array[wp.int32],
+    edge_rows: wp.array[wp.int32],
+    edge_columns: wp.array[wp.int32],
+    turned: wp.array[wp.bool],
+    offsets: wp.array[wp.int64],
+    factor_offsets: wp.array[wp.int64],
+    routines: wp.array[wp.uint64],
+    diagonal: wp.array[wp.float64],
+    off_diagonal: wp.array[wp.float64],
+    # Data in and out:
+    room: wp.array[wp.float64],
+    # Data out:
+    factor: wp.array[wp.float64],
+    failed: wp.array[wp.int32],
+):
+    """Put fronts together, each from the matrix and its children, and eliminate them, one after another.
+
+    One thread does all of them, since a front may follow from the one before; ``failed`` is the first whose pivots are
+    not positive, or -1. Where ``eliminate`` is 0 they are only put together.
+    """
+    failed[0] = wp.int32(-1)
+    for k in range(fronts.shape[0]):
+        f = fronts[k]
+        assemble_front(
+            f, block, first, owned, starts, upward, family_starts, families, order, edge_starts, edges, edge_rows,
+            edge_columns, turned, offsets, diagonal, off_diagonal, room,
+        )  # fmt: skip
+        if eliminate == 1:
+            info = eliminate_front(f, block, owned, starts, offsets, factor_offsets, routines, room, factor)
+            if info != 0:
+                failed[0] = f
+                return
+
+
+# A front's own rows are consecutive in x. What its columns take from the rows above goes from child to parent, as in
+# the factorisation: branches can be done side by side, and every sum has the same order whoever does them.
+DOWN = """
+    for (int k = 0; k < fronts.shape[0]; ++k) {
+        const int f = fronts.data[k];
+        const int rows_count = starts.data[f + 1] - starts.data[f];
+        const int size = block * rows_count, own = block * owned.data[f], rest = size - own;
+        double* __restrict__ y = x.data + (long long)r * unknowns + block * first.data[f];
+        double* mine = carried.data + (long long)r * stride;
+        double* __restrict__ w = mine + block * starts.data[f];
+        #pragma clang loop vectorize(disable) unroll(disable)
+        for (int i = 0; i < size; ++i) w[i] = 0.0;
+        for (int n = family_starts.data[f]; n < family_starts.data[f + 1]; ++n) {
+            const int c = families.data[n];
+            const int child_rows = starts.data[c + 1] - starts.data[c];
+            const int* __restrict__ to = upward.data + starts.data[c];
+            const double* __restrict__ source = mine + block * starts.data[c];
+            for (int i = owned.data[c]; i < child_rows; ++i)
+                #pragma clang loop vectorize(disable) unroll(disable)
+                for (int u = 0; u < block; ++u) w[block * to[i] + u] += source[block * i + u];
+        }
+        #pragma clang loop vectorize(disable) unroll(disable)
+        for (int i = 0; i < own; ++i) y[i] -= w[i];
+        w += own;
+        const double* column = factor.data + offsets.data[f];
+        int j = 0;
+        for (; j + 1 < own; j += 2) {
+            const double* __restrict__ a = column + (long long)j * size;
+            const double* __restrict__ b = a + size;
+            const double u = y[j] / a[j];
+            const double v = (y[j + 1] - a[j + 1] * u) / b[j + 1];
+            y[j] = u;
+            y[j + 1] = v;
+            #pragma clang loop interleave(disable) unroll(disable)
+            for (int i = j + 2; i < own; ++i) y[i] -= a[i] * u + b[i] * v;
+            a += own;
+            b += own;
+            #pragma clang loop interleave(disable) unroll(disable)
+            for (int i = 0; i < rest; ++i) w[i] += a[i] * u + b[i] * v;
+        }
+        for (; j < own; ++j) {
+            const double* __restrict__ a = column + (long long)j * size;
+            const double u = y[j] / a[j];
+            y[j] = u;
+            #pragma clang loop vectorize(disable) unroll(disable)
+            for (int i = j + 1; i < own; ++i) y[i] -= a[i] * u;
+            a += own;
+            #pragma clang loop vectorize(disable) unroll(disable)
+            for (int i = 0; i < rest; ++i) w[i] += a[i] * u;
+        }
+    }
+"""
+
+# The rows above are gathered once for all columns of a front, behind its own, so that a column meets one stretch.
+UP = """
+    for (int k = (int)fronts.shape[0] - 1; k >= 0; --k) {
+        const int f = fronts.data[k];
+        const int rows_count = starts.data[f + 1] - starts.data[f];
+        const int size = block * rows_count, own = block * owned.data[f], rest = size - own;
+        double* __restrict__ w = carried.data + (long long)r * stride + block * starts.data[f];
+        double* all = x.data + (long long)r * unknowns;
+        const int* row = rows.data + starts.data[f] + owned.data[f];
+        #pragma clang loop vectorize(disable) unroll(disable)
+        for (int i = 0; i < rest; ++i) w[own + i] = all[block * row[i / block] + i % block];
+        double* y = all + block * first.data[f];
+        const double* column = factor.data + offsets.data[f];
+        for (int j = own - 1; j >= 0; --j) {
+            const double* __restrict__ a = column + (long long)j * size;
+            double s[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+            int i = j + 1;
+            for (; i + 7 < size; i += 8)
+                for (int k = 0; k < 8; ++k) s[k] += a[i + k] * w[i + k];
+            double total = ((s[0] + s[1]) + (s[2] + s[3])) + ((s[4] + s[5]) + (s[6] + s[7]));
+            #pragma clang loop vectorize(disable) unroll(disable)
+            for (; i < size; ++i) total += a[i] * w[i];
+            w[j] = (y[j] - total) / a[j];
+        }
+        #pragma clang loop vectorize(disable) unroll(disable)
+        for (int j = 0; j < own; ++j) y[j] = w[j];
+    }
+"""
+
+
+@wp.func_native(DOWN)
+def substitute_down(
+    r: int,
+    fronts: wp.array[wp.int32],
+    unknowns: int,
+    stride: int,
+    block: int,
+    first: wp.array[wp.int32],
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    upward: wp.array[wp.int32],
+    family_starts: wp.array[wp.int32],
+    families: wp.array[wp.int32],
+    factor: wp.array[wp.float64],
+    offsets: wp.array[wp.int64],
+    carried: wp.array[wp.float64],
+    x: wp.array[wp.float64],
+): ...
+
+
+@wp.func_native(UP)
+def substitute_up(
+    r: int,
+    fronts: wp.array[wp.int32],
+    unknowns: int,
+    stride: int,
+    block: int,
+    first: wp.array[wp.int32],
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    rows: wp.array[wp.int32],
+    factor: wp.array[wp.float64],
+    offsets: wp.array[wp.int64],
+    carried: wp.array[wp.float64],
+    x: wp.array[wp.float64],
+): ...
+
+
+@wp.kernel
+def solve_triangular(
+    fronts: wp.array[wp.int32],
+    transposed: int,
+    unknowns: int,
+    stride: int,
+    block: int,
+    first: wp.array[wp.int32],
+    owned: wp.array[wp.int32],
+    starts: wp.array[wp.int64],
+    rows: wp.array[wp.int32],
+    upward: wp.array[wp.int32],
+    family_starts: wp.array[wp.int32],
+    families: wp.array[wp.int32],
+    factor: wp.array[wp.float64],
+    offsets: wp.array[wp.int64],
+    # Data in and out, one thread per right-hand side:
+    carried: wp.array[wp.float64],
+    x: wp.array[wp.float64],
+):
+    """The part of x <- L^-1 x, or x <- L^-T x where ``transposed`` is 1, that falls to some fronts, one after another.
+
+    Their children have to be done before, or their parents; ``carried`` has room for ``stride`` numbers, one for every
+    row of every front, for each right-hand side.
+    """
+    r, _ = wp.tid()
+    if transposed == 1:
+        substitute_up(r, fronts, unknowns, stride, block, first, owned, starts, rows, factor, offsets, carried, x)
+    else:
+        substitute_down(
+            r, fronts, unknowns, stride, block, first, owned, starts, upward, family_starts, families, factor, offsets,
+            carried, x,
+        )  # fmt: skip

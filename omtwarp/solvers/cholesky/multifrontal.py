@@ -1,0 +1,242 @@
+"""Sparse Cholesky factors by dense eliminations in a tree of fronts (Duff and Reid 1983; Liu 1992).
+
+SuperLU, which SciPy brings, treats a symmetric matrix as a general one, orders it anew for every factorisation and
+works with small dense blocks. Here the order comes from the mesh, once, the work is dense Cholesky of LAPACK, and
+independent fronts run on as many threads as there are cores.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.memory import Room
+from omtwarp.device.start import wp
+from omtwarp.device.threads import blas_threads, core_count, load, run_all
+from omtwarp.solvers.cholesky.dissection import Dissection
+from omtwarp.solvers.cholesky.kernels import factorise_fronts, solve_triangular
+from omtwarp.solvers.cholesky.lapack import eliminate_together, routine
+
+# Below so many operations in all a second thread costs more than it saves.
+THREADED = 1e7
+# Operations per thread from which on threads share a front, where there are fewer fronts than threads.
+TOGETHER = 5e7
+# Branches of the tree for every thread: with several of them their work evens out.
+BRANCHES = 4
+
+
+class NotPositiveDefinite(ArithmeticError):
+    """A matrix has a pivot that is not positive, to round-off."""
+
+
+class MultifrontalCholesky:
+    """Factorises matrices with ``block`` unknowns per vertex whose pattern is the mesh's edges.
+
+    Args:
+        dissection: the order of elimination.
+        block: unknowns per vertex, 1 or 2.
+        threads: shares that independent fronts are cut into; one per core by default. On large meshes, where the last
+            fronts are given to several threads together, results depend on it by rounding.
+        room: what fronts are eliminated in; by default it is made for each factorisation, and let go of after it.
+    """
+
+    def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None, room: Room | None = None):
+        self.dissection = dissection
+        self.block = block
+        self.threads = threads or core_count()
+        sizes = block * dissection.sizes
+        own = block * dissection.owned
+        self._sizes, self._own = sizes, own
+        self._factor_offsets = np.cumsum(own * sizes) - own * sizes
+        self._factor = np.empty(int((own * sizes).sum()))
+        costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
+        self._operations = float(costs.sum())
+        self._jobs, self._trunk = self._divide(costs)
+        self._offsets, self._length = self._places()
+        self._room = room
+        if room is not None:
+            room.numbers(self._length)  # now: what is asked for sooner would leave a hole where it was
+        self._carried = room or Room()
+        few = [fronts for fronts in self._trunk if len(fronts) < self.threads]
+        self._shared = {int(f) for fronts in few for f in fronts if costs[f] > TOGETHER * self.threads}
+        self._upload()
+
+    def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
+        """Fronts of whole branches of the tree, one job for every thread, and the trunk above them, depth by depth."""
+        d = self.dissection
+        every = d.postorder.astype(np.int32)
+        if self.threads == 1 or self._operations < THREADED:
+            return [every], []
+        depth_of = d.front_depths
+        enough = [k for k, depth in enumerate(d.depths) if depth.stop - depth.start >= BRANCHES * self.threads]
+        if not enough:
+            return [every], []
+        top = max(enough)  # depths are deepest first
+        # The branch of a front: that of its parent, or its own where the trunk begins above it.
+        branch = np.arange(len(costs))
+        for k in reversed(range(len(d.depths))):
+            fronts = np.arange(d.depths[k].start, d.depths[k].stop)
+            if k < top:
+                parents = d.parent[fronts]
+                branch[fronts] = np.where(parents >= 0, branch[parents], fronts)
+        inside = depth_of <= top
+        work = np.bincount(branch[inside], costs[inside], minlength=len(costs))
+        thread_of = np.zeros(len(costs), dtype=np.int64)
+        load = np.zeros(self.threads)
+        roots = np.unique(branch[inside])
+        for root in roots[np.argsort(-work[roots], kind="stable")]:
+            thread_of[root] = int(load.argmin())
+            load[thread_of[root]] += work[root]
+        jobs = [every[(inside & (thread_of[branch] == t))[every]] for t in range(self.threads)]
+        trunk = [np.arange(depth.start, depth.stop, dtype=np.int32) for depth in d.depths[top + 1 :]]
+        return [job for job in jobs if len(job)], trunk
+
+    def _places(self) -> tuple[NDArray[np.int64], int]:
+        """Where fronts begin in the room, and how large it is.
+
+        A job does branch after branch in postorder, so that little is there at a time and most of it in cache. Its
+        fronts lie on two stacks, one for even depths and one for odd: on top of the one are a front's children when it
+        is put together on the other. The few fronts of the trunk have places of their own.
+        """
+        d = self.dissection
+        squares = self._sizes**2
+        odd = d.front_depths % 2 == 1
+        of_children = np.zeros(len(squares), dtype=np.int64)
+        inner = d.parent >= 0
+        np.add.at(of_children, d.parent[inner], squares[inner])
+        offsets = np.zeros(len(squares), dtype=np.int64)
+        length = 0
+        for job in self._jobs:
+            for parity in (False, True):
+                here = odd[job] == parity
+                put = np.where(here, squares[job], 0)
+                taken = np.where(here, 0, of_children[job])
+                tops = np.cumsum(put - taken)
+                offsets[job[here]] = (length + tops - put)[here]
+                length += int(tops[here].max(initial=0))
+        for fronts in self._trunk:
+            ends = np.cumsum(squares[fronts])
+            offsets[fronts] = length + ends - squares[fronts]
+            length += int(ends[-1])
+        return offsets, length
+
+    def _upload(self) -> None:
+        d = self.dissection
+
+        def keep(values: Any, dtype: type) -> wp.array:
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
+
+        self._first, self._owned = keep(d.first, wp.int32), keep(d.owned, wp.int32)
+        self._starts, self._rows = keep(d.starts, wp.int64), keep(d.rows, wp.int32)
+        self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
+        self._w_factor = wp.array(self._factor, device="cpu", copy=False)
+        family_starts, families = d.families
+        self._families = [keep(d.upward, wp.int32), keep(family_starts, wp.int32), keep(families, wp.int32)]
+        self._symbolic = [
+            self.block,
+            self._first,
+            self._owned,
+            self._starts,
+            *self._families,
+            keep(d.order, wp.int32),
+            keep(d.edge_starts, wp.int32),
+            keep(d.entering, wp.int32),
+            keep(d.edge_row, wp.int32),
+            keep(d.edge_column, wp.int32),
+            keep(d.edge_turned, wp.bool),
+            self._w_offsets,
+            self._w_factor_offsets,
+            wp.array([routine(name) for name in ("dpotrf", "dtrsm", "dsyrk")], dtype=wp.uint64, device="cpu"),
+        ]
+
+    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+        """Factorise a symmetric positive definite matrix.
+
+        Args:
+            diagonal: of every vertex, shape [V], or its block, shape [V, 2, 2].
+            off_diagonal: of every edge (i, j) of the dissection, shape [E], or its block with rows of i and columns
+                of j, shape [E, 2, 2].
+
+        Raises:
+            NotPositiveDefinite: it is not, to round-off.
+        """
+        room = (self._room or Room()).numbers(self._length)
+        values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in (diagonal, off_diagonal)]
+        data = [wp.array(array, device="cpu", copy=False) for array in (*values, room, self._factor)]
+
+        load(factorise_fronts, "cpu")
+
+        def run(fronts: NDArray[np.int32], eliminate: int = 1) -> int:
+            failed = wp.empty(1, dtype=wp.int32, device="cpu")
+            inputs = [wp.array(fronts, dtype=wp.int32, device="cpu", copy=False), eliminate, *self._symbolic, *data]
+            wp.launch(factorise_fronts, dim=1, inputs=[*inputs, failed], device="cpu")
+            return int(failed.numpy()[0])
+
+        # Small matrices are done before a library has been told how many threads to use.
+        with blas_threads(1) if self._operations > TOGETHER else contextlib.nullcontext():
+            failed = max(run_all(run, self._jobs))
+            for fronts in self._trunk:
+                if failed >= 0:
+                    break
+                if self._shared.intersection(fronts.tolist()):
+                    failed = max(self._share(f, run, room) for f in fronts.tolist())
+                else:
+                    failed = max(run_all(run, np.array_split(fronts, min(self.threads, len(fronts)))))
+        if failed >= 0:
+            raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
+
+    def _share(self, front: int, run: Any, room: NDArray[np.float64]) -> int:
+        """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
+        run(np.array([front], dtype=np.int32), eliminate=0)
+        own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
+        if not eliminate_together(own, size, room.ctypes.data + 8 * begin):
+            return front
+        target = int(self._factor_offsets[front])
+        self._factor[target : target + own * size] = room[begin : begin + own * size]
+        return -1
+
+    @property
+    def storage(self) -> int:
+        """Bytes of the factor and of the room that it is made in."""
+        return 8 * (len(self._factor) + self._length)
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for right-hand sides, shape [V, 2] or [V, 2, K]; [V] or [V, K] for one unknown per vertex."""
+        d, block = self.dissection, self.block
+        flat = np.asarray(right, dtype=np.float64).reshape(d.vertex_count, block, -1)
+        count = flat.shape[2]
+        x = np.ascontiguousarray(flat[d.order].transpose(2, 0, 1).reshape(-1))
+        stride = block * len(d.rows)
+        inputs = [
+            block * d.vertex_count,
+            stride,
+            block,
+            self._first,
+            self._owned,
+            self._starts,
+            self._rows,
+            *self._families,
+            self._w_factor,
+            self._w_factor_offsets,
+            wp.array(self._carried.numbers(count * stride), dtype=wp.float64, device="cpu", copy=False),
+            wp.array(x, dtype=wp.float64, device="cpu", copy=False),
+        ]
+        load(solve_triangular, "cpu")
+
+        def run(fronts: NDArray[np.int32], transposed: int) -> None:
+            own = wp.array(fronts, dtype=wp.int32, device="cpu", copy=False)
+            wp.launch(solve_triangular, dim=count, inputs=[own, transposed, *inputs], device="cpu")
+
+        run_all(partial(run, transposed=0), self._jobs)
+        if self._trunk:
+            trunk = np.concatenate(self._trunk)
+            run(trunk, 0)
+            run(trunk, 1)
+        run_all(partial(run, transposed=1), self._jobs)
+        out = np.empty_like(flat)
+        out[d.order] = x.reshape(count, d.vertex_count, block).transpose(1, 2, 0)
+        return out.reshape(np.shape(right))

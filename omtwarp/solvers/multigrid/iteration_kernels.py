@@ -1,0 +1,106 @@
+"""Kernels of conjugate gradients whose scalars stay on the device; they finish the sums that they need."""
+
+from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
+from omtwarp.device.sum_kernels import column_sum
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+# Places of the scalars of an iteration.
+ENERGY = wp.constant(0)  # r · z
+STEP = wp.constant(1)
+TURN = wp.constant(2)
+TARGET = wp.constant(3)  # what r · z has to fall below
+# Places of its counters.
+ACTIVE = wp.constant(0)
+DONE = wp.constant(1)
+BROKEN = wp.constant(2)
+
+
+@wp.kernel
+def begin(
+    products: wp.array2d[wp.float64],
+    tolerance: wp.array[wp.float64],
+    # Data out:
+    scalars: wp.array[wp.float64],
+    counters: wp.array[wp.int32],
+):
+    """Take r · z of the start, and stop at once where it is nothing."""
+    energy = column_sum(products, 0)
+    scalars[ENERGY] = energy
+    scalars[TARGET] = tolerance[0] * tolerance[0] * energy
+    counters[ACTIVE] = wp.int32(0)
+    counters[DONE] = wp.int32(0)
+    counters[BROKEN] = wp.int32(0)
+    if energy > ZERO and energy < wp.float64(1e300):
+        counters[ACTIVE] = wp.int32(1)
+    elif not (energy == ZERO):
+        counters[BROKEN] = wp.int32(1)
+
+
+@wp.kernel
+def choose_step(
+    products: wp.array2d[wp.float64],
+    # Data in and out:
+    scalars: wp.array[wp.float64],
+    counters: wp.array[wp.int32],
+):
+    """The step to the minimum along the direction, from p · A p; none where the matrix is not positive along it."""
+    curvature = column_sum(products, 0)
+    scalars[STEP] = ZERO
+    if counters[ACTIVE] > 0:
+        if curvature > ZERO and curvature < wp.float64(1e300):
+            scalars[STEP] = scalars[ENERGY] / curvature
+        else:
+            counters[ACTIVE] = wp.int32(0)
+            counters[BROKEN] = wp.int32(1)
+
+
+@wp.kernel
+def advance(
+    scalars: wp.array[wp.float64],
+    direction: wp.array[wp.float64],
+    image: wp.array[wp.float64],
+    # Data in and out:
+    x: wp.array[wp.float64],
+    rest: wp.array[wp.float64],
+):
+    i = wp.tid()
+    x[i] = x[i] + scalars[STEP] * direction[i]
+    rest[i] = rest[i] - scalars[STEP] * image[i]
+
+
+@wp.kernel
+def choose_turn(
+    products: wp.array2d[wp.float64],
+    most: int,
+    # Data in and out:
+    scalars: wp.array[wp.float64],
+    counters: wp.array[wp.int32],
+):
+    """How much of the last direction the next one keeps, from the new r · z; and whether there is a next one."""
+    energy = column_sum(products, 0)
+    scalars[TURN] = ZERO
+    if counters[ACTIVE] > 0:
+        scalars[TURN] = energy / scalars[ENERGY]
+        scalars[ENERGY] = energy
+        counters[DONE] = counters[DONE] + 1
+        # Written so that a NaN ends the iteration and counts as broken.
+        if energy > scalars[TARGET]:
+            if counters[DONE] >= most:
+                counters[ACTIVE] = wp.int32(0)
+                counters[BROKEN] = wp.int32(1)
+        else:
+            counters[ACTIVE] = wp.int32(0)
+            if not (energy >= ZERO):
+                counters[BROKEN] = wp.int32(1)
+
+
+@wp.kernel
+def turn(
+    scalars: wp.array[wp.float64],
+    smoothed: wp.array[wp.float64],
+    # Data in and out:
+    direction: wp.array[wp.float64],
+):
+    i = wp.tid()
+    direction[i] = smoothed[i] + scalars[TURN] * direction[i]

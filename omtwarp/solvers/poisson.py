@@ -1,0 +1,248 @@
+"""Sparse symmetric positive definite systems, factorised once and solved many times.
+
+Here it is also decided where a system on a surface is solved: by a factorisation on the host, or by conjugate gradients
+and multigrid on the device (:mod:`omtwarp.solvers.multigrid`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.sums import DeviceSum, HostSum
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import Surface
+
+if TYPE_CHECKING:
+    from omtwarp.solvers.multigrid import DeviceLaplacian
+
+
+SOLVERS = ("auto", "host", "device")
+# An iteration on the device is a hundred launches or more, whatever the size of the mesh: below so many vertices they
+# have next to nothing to do, and the host has factorised a Laplacian in 0.03 s.
+DEVICE_VERTICES = 30_000
+
+
+def on_device(device: wp.Device, vertices: int) -> bool:
+    """Whether systems on a surface of so many vertices are solved on the device.
+
+    They are on CUDA where the surface is large. The environment variable ``OMTWARP_SOLVER`` overrides that: ``host`` or
+    ``device`` everywhere, the CPU included; ``auto`` is the rule above.
+
+    Raises:
+        OmtwarpError: the variable holds something else.
+    """
+    wanted = os.environ.get("OMTWARP_SOLVER") or "auto"
+    if wanted not in SOLVERS:
+        raise OmtwarpError(f"unknown OMTWARP_SOLVER '{wanted}': use {', '.join(SOLVERS)}")
+    return wanted == "device" or (wanted == "auto" and device.is_cuda and vertices > DEVICE_VERTICES)
+
+
+def sums_for(device: wp.Device, vertices: int) -> DeviceSum | HostSum:
+    """What adds for systems on a surface: the device where they are solved there, or where the host cannot read."""
+    return DeviceSum(device) if device.is_cuda or on_device(device, vertices) else HostSum()
+
+
+class PoissonSolver(Protocol):
+    """What solves L u = b for a Laplacian L, b projected onto sum zero and u with mean zero."""
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
+
+
+class Factorization:
+    """A direct factorisation of a symmetric positive definite matrix.
+
+    CHOLMOD (scikit-sparse) does it where it is installed, SuperLU otherwise; both give the same solution to round-off.
+
+    Raises:
+        OmtwarpError: the matrix is singular.
+    """
+
+    def __init__(self, matrix: sparse.spmatrix):
+        matrix = sparse.csc_matrix(matrix)
+        self.size: int = matrix.shape[0]
+        self._cholmod = _cholmod_factor(matrix)
+        if self._cholmod is None:
+            # Minimum degree on A + A' halves the fill of SuperLU's default column ordering, but is pathologically slow
+            # on regularly numbered meshes; a fixed random numbering first makes it fast on every mesh. Pivoting on the
+            # diagonal is safe for positive definite matrices and keeps that ordering.
+            self._order: NDArray[np.intp] = np.random.default_rng(0).permutation(self.size)
+            shuffled = matrix[self._order][:, self._order].tocsc()
+            try:
+                self._lu = splu(
+                    shuffled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+                )
+            except RuntimeError as error:
+                raise OmtwarpError(f"a sparse system of {self.size} unknowns is singular") from error
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for one right-hand side, shape [N], or several, shape [N, K]."""
+        if self._cholmod is not None:
+            return np.asarray(self._cholmod(right))
+        out = np.empty_like(right, dtype=np.float64)
+        out[self._order] = self._lu.solve(np.ascontiguousarray(right[self._order]))
+        return out
+
+
+class LaplacianSolver:
+    """Solves L u = b for a Laplacian whose null space is the constants.
+
+    The right-hand side is projected onto sum zero, one vertex is pinned to make the matrix definite, and the solution
+    is returned with mean zero.
+
+    Args:
+        laplacian: symmetric positive semidefinite, shape [V, V], rows summing to zero.
+        pinned: the vertex held at zero while solving.
+    """
+
+    def __init__(self, laplacian: sparse.spmatrix, pinned: int = 0):
+        matrix = sparse.csr_matrix(laplacian)
+        self._free = np.flatnonzero(np.arange(matrix.shape[0]) != pinned)
+        self._factorization = Factorization(matrix[self._free][:, self._free])
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
+        right = right - right.mean(axis=0)
+        out = np.zeros_like(right)
+        out[self._free] = self._factorization.solve(right[self._free])
+        return out - out.mean(axis=0)
+
+
+class SurfaceLaplacianSolver:
+    """Solves L u = b for the cotangent Laplacian of a surface at its own or other positions of its vertices.
+
+    The same as :class:`LaplacianSolver` of :func:`omtwarp.geometry.cotangent_laplacian` to round-off. On the host the
+    order of elimination belongs to the surface: it is worked out once for all positions, and the factorisation is
+    several times faster than SuperLU's. See :func:`on_device` for when it is not the host.
+
+    Args:
+        surface: a closed surface, V vertices.
+        points: positions, shape [V, 3]; or a Warp array of vec3d on the device, which may change afterwards.
+        pinned: the vertex held at zero while solving on the host.
+        device: where the stage that asks runs.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        points: NDArray[np.float64] | wp.array,
+        pinned: int = 0,
+        device: str | wp.Device | None = "cpu",
+    ):
+        where = resolve_device(device)
+        self._pinned = pinned
+        self._iterative: DeviceLaplacian | None = None
+        self._direct: PoissonSolver | None = None
+        if on_device(where, surface.vertex_count):
+            from omtwarp.solvers.multigrid import DeviceLaplacian
+
+            self._iterative = DeviceLaplacian(surface, wp.clone(vectors(points, where)))
+        else:
+            on_host = points.numpy() if isinstance(points, wp.array) else points
+            self._direct = _SurfaceFactorization(surface, on_host, pinned)
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
+        if self._iterative is None:
+            assert self._direct is not None
+            return self._direct.solve(right)
+        device = self._iterative.device
+        columns = np.ascontiguousarray(right.reshape(len(right), -1).T, dtype=np.float64)
+        given = [wp.array(column, dtype=wp.float64, device=device) for column in columns]
+        return np.stack([solved.numpy() for solved in self.solve_arrays(given)], axis=1).reshape(right.shape)
+
+    def solve_arrays(self, rights: Sequence[wp.array]) -> list[wp.array]:
+        """Solve for right-hand sides that are Warp arrays, float64, shape [V]; solutions are where they are."""
+        if self._iterative is not None:
+            solutions = []
+            for right in rights:
+                given = right.to(self._iterative.device)
+                solved = wp.empty(right.size, dtype=wp.float64, device=given.device)
+                if not self._iterative.solve(given, solved).converged:
+                    points = self._iterative.points.numpy()
+                    self._direct = _SurfaceFactorization(self._iterative.surface, points, self._pinned)
+                    self._iterative = None
+                    break
+                solutions.append(solved.to(right.device))
+            else:
+                return solutions
+        assert self._direct is not None
+        return _solve_on_host(self._direct, rights)
+
+
+def solve_arrays(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp.array]:
+    """Solve for right-hand sides that are Warp arrays, float64, shape [V], with any solver.
+
+    They leave the device where the solver is on the host, and only there; solutions are on the device again.
+    """
+    if isinstance(solver, SurfaceLaplacianSolver):
+        return solver.solve_arrays(rights)
+    return _solve_on_host(solver, rights)
+
+
+def _solve_on_host(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp.array]:
+    if len(rights) == 1:
+        solutions = [solver.solve(rights[0].numpy())]
+    else:
+        solutions = list(solver.solve(np.stack([right.numpy() for right in rights], axis=1)).T)
+    # On the CPU these are the solver's own arrays, without a copy.
+    return [wp.array(values, dtype=wp.float64, device=rights[0].device, copy=False) for values in solutions]
+
+
+class _SurfaceFactorization:
+    """The direct solution on the host; arguments as of :class:`SurfaceLaplacianSolver`."""
+
+    def __init__(self, surface: Surface, points: NDArray[np.float64], pinned: int = 0):
+        from omtwarp.geometry.edge_weights import cotangent_edge_weights
+        from omtwarp.solvers.cholesky import MultifrontalCholesky, NotPositiveDefinite
+
+        edges = surface.edges
+        weights = cotangent_edge_weights(surface, points)
+        count = surface.vertex_count
+        diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)
+        # The pinned vertex keeps its place, joined to nothing: its unknown is its right-hand side, zero.
+        joined = (edges[:, 0] != pinned) & (edges[:, 1] != pinned)
+        self._pinned = pinned
+        self._fallback: LaplacianSolver | None = None
+        self._factor = MultifrontalCholesky(surface.dissection)
+        try:
+            typical = float(np.median(diagonal))
+            self._factor.factorise(
+                np.where(np.arange(count) == pinned, typical, diagonal), np.where(joined, -weights, 0.0)
+            )
+        except NotPositiveDefinite:  # to round-off, on very thin triangles: without square roots it goes on
+            i, j = edges[:, 0], edges[:, 1]
+            off = sparse.coo_matrix((np.r_[weights, weights], (np.r_[i, j], np.r_[j, i])), shape=(count, count))
+            self._fallback = LaplacianSolver(sparse.diags(diagonal) - off.tocsr(), pinned)
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
+        if self._fallback is not None:
+            return self._fallback.solve(right)
+        right = right - right.mean(axis=0)
+        right[self._pinned] = 0.0
+        out = self._factor.solve(right)
+        return out - out.mean(axis=0)
+
+
+def _cholmod_factor(matrix: sparse.csc_matrix) -> Callable[[NDArray[np.float64]], NDArray[np.float64]] | None:
+    """CHOLMOD's solution of systems with this matrix, or None where it is not installed or finds it not definite."""
+    try:
+        from sksparse import cholmod
+    except ImportError:
+        return None
+    try:
+        if hasattr(cholmod, "cho_factor"):  # scikit-sparse 0.5; it keeps the given order unless told otherwise
+            return cholmod.cho_factor(matrix, order="default").solve
+        return cholmod.cholesky(matrix)
+    except cholmod.CholmodError:  # semidefinite to round-off: SuperLU goes on where it can
+        return None

@@ -1,0 +1,230 @@
+"""Kernels of the coarse-to-fine embedding: a place for a new vertex, and moves that cannot flip a triangle."""
+
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.start.decimation_kernels import MAX_VALENCE
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+_MAX_VALENCE = wp.constant(MAX_VALENCE)
+_TINY = wp.constant(wp.float64(1.0e-300))
+_INFEASIBLE = wp.constant(wp.float64(1.0e300))
+# det[a, b, c] evaluated in float64 from unit vectors is right to about 3e-16: no move may bring a triangle nearer to 0
+# than this, unless it is already nearer.
+_SAFE_DETERMINANT = wp.constant(wp.float64(1.0e-12))
+_SUFFICIENT_DECREASE = wp.constant(wp.float64(1.0e-4))
+
+
+@wp.func
+def least_dot(x: wp.vec3d, normals: wp.array[wp.vec3d], begin: wp.int32, count: wp.int32) -> wp.float64:
+    """Sine of the angle between ``x`` and the nearest of the great circles with these normals, signed."""
+    least = wp.float64(2.0)
+    for k in range(count):
+        least = wp.min(least, wp.dot(x, normals[begin + k]))
+    return least
+
+
+@wp.kernel
+def insert_vertices(
+    removed: wp.array[wp.int32],
+    rings: wp.array2d[wp.int32],
+    valences: wp.array[wp.int32],
+    normals: wp.array[wp.vec3d],
+    # Data in and out:
+    sphere: wp.array[wp.vec3d],
+    colours: wp.array[wp.int32],
+    # Data out:
+    least_determinants: wp.array[wp.float64],
+):
+    """Put every vertex at the centre of the largest cap inside its ring's kernel, and colour it unlike its ring.
+
+    The kernel of a spherical polygon is where all its edges' great circles are on the left. Its largest cap is centred
+    where the smallest cap around the edges' unit normals is: a point that two or three of the normals determine. All of
+    these are tried, so that rounding in a nearly degenerate one cannot mislead.
+    """
+    i, _ = wp.tid()
+    v = removed[i]
+    count = valences[i]
+    begin = i * _MAX_VALENCE
+    used = int(0)
+    for k in range(count):
+        used = used | (1 << colours[rings[i, k]])
+        a = sphere[rings[i, k]]
+        b = sphere[rings[i, (k + 1) % count]]
+        normals[begin + k] = wp.normalize(wp.cross(a, b - a))
+    colour = int(0)
+    while ((used >> colour) & 1) == 1:
+        colour += 1
+    colours[v] = colour
+
+    best = wp.vec3d()
+    best_margin = wp.float64(-2.0)
+    for p in range(count):
+        first = normals[begin + p]
+        for q in range(p + 1, count):
+            second = normals[begin + q]
+            x = wp.normalize(first + second)
+            margin = least_dot(x, normals, begin, count)
+            if margin > best_margin:
+                best_margin = margin
+                best = x
+            for r in range(q + 1, count):
+                y = wp.normalize(wp.cross(second - first, normals[begin + r] - first))
+                if wp.dot(y, first) < ZERO:
+                    y = -y
+                margin = least_dot(y, normals, begin, count)
+                if margin > best_margin:
+                    best_margin = margin
+                    best = y
+    sphere[v] = best
+    least = wp.float64(2.0)
+    for k in range(count):
+        least = wp.min(least, wp.dot(best, wp.cross(sphere[rings[i, k]], sphere[rings[i, (k + 1) % count]])))
+    least_determinants[i] = least
+
+
+@wp.kernel
+def triangle_coefficients(
+    vertices: wp.array[wp.int32],
+    offsets: wp.array[wp.int32],
+    heads: wp.array[wp.int32],
+    thirds: wp.array[wp.int32],
+    half_edge_faces: wp.array[wp.int32],
+    face_masses: wp.array[wp.float64],
+    points: wp.array[wp.vec3d],
+    rounding: wp.float64,
+    # Data out:
+    coefficients: wp.array[wp.vec4d],
+):
+    """Cotangents at vertex, head and third of the triangle in space, and its target area, for every half-edge.
+
+    Adding one number to all three squared lengths adds an equilateral triangle's metric: slivers, and the flattened
+    limbs of coarse levels, become triangles whose shape can be asked for.
+    """
+    i, _ = wp.tid()
+    p = points[vertices[i]]
+    for h in range(offsets[i], offsets[i + 1]):
+        q = points[heads[h]]
+        r = points[thirds[h]]
+        a = wp.length_sq(r - q)
+        b = wp.length_sq(p - r)
+        c = wp.length_sq(q - p)
+        extra = rounding * (a + b + c) + _TINY
+        a += extra
+        b += extra
+        c += extra
+        # Heron: 16 area^2; the added metric keeps it away from 0.
+        root = wp.sqrt(wp.max(TWO * (a * b + b * c + c * a) - (a * a + b * b + c * c), _TINY))
+        coefficients[h] = wp.vec4d(
+            (b + c - a) / root, (c + a - b) / root, (a + b - c) / root, face_masses[half_edge_faces[h]]
+        )
+
+
+@wp.func
+def star_energy(
+    x: wp.vec3d,
+    begin: wp.int32,
+    end: wp.int32,
+    heads: wp.array[wp.int32],
+    thirds: wp.array[wp.int32],
+    coefficients: wp.array[wp.vec4d],
+    sphere: wp.array[wp.vec3d],
+    area_weight: wp.float64,
+    least_determinant: wp.float64,
+) -> wp.float64:
+    """Energy of the triangles around a vertex at ``x``; infeasible where one's determinant is not above the bound.
+
+    A triangle of target area A contributes A (|J|^2 + w (D^2 + 1)) / D with D = det / (2A) and A |J|^2 half the sum of
+    cotangents times squared opposite edges. det and not the area is linear in ``x`` and negative where flipped; the two
+    agree for small triangles.
+    """
+    energy = wp.float64(0.0)
+    for h in range(begin, end):
+        a = sphere[heads[h]]
+        b = sphere[thirds[h]]
+        k = coefficients[h]
+        det = wp.dot(x, wp.cross(a, b - a))
+        if det <= least_determinant:
+            return _INFEASIBLE
+        stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
+        energy += k[3] * (stretch + TWO * area_weight * k[3]) / det + HALF * area_weight * det
+    return energy
+
+
+@wp.kernel
+def relax_vertices(
+    slots: wp.array[wp.int32],
+    vertices: wp.array[wp.int32],
+    offsets: wp.array[wp.int32],
+    heads: wp.array[wp.int32],
+    thirds: wp.array[wp.int32],
+    coefficients: wp.array[wp.vec4d],
+    area_weight: wp.float64,
+    # Data in and out:
+    sphere: wp.array[wp.vec3d],
+):
+    """One Newton step with a line search for vertices no two of which are neighbours.
+
+    The energy of ``star_energy`` is a sum of quadratics over positive linear functions of ``x``, hence convex: its
+    Hessian needs no mending and the step is a descent direction.
+    """
+    slot, _ = wp.tid()
+    i = slots[slot]
+    v = vertices[i]
+    begin = offsets[i]
+    end = offsets[i + 1]
+    x = sphere[v]
+    energy = wp.float64(0.0)
+    gradient = wp.vec3d()
+    hessian = wp.mat33d()
+    least = wp.float64(2.0)
+    for h in range(begin, end):
+        a = sphere[heads[h]]
+        b = sphere[thirds[h]]
+        k = coefficients[h]
+        normal = wp.cross(a, b - a)
+        det = wp.dot(x, normal)
+        least = wp.min(least, det)
+        stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
+        top = k[3] * (stretch + TWO * area_weight * k[3])
+        slope = TWO * k[3] * (k[1] * (x - b) + k[2] * (x - a))
+        inverse = ONE / det
+        energy += top * inverse + HALF * area_weight * det
+        gradient += inverse * slope + (HALF * area_weight - top * inverse * inverse) * normal
+        cross_term = wp.outer(slope, normal)
+        hessian += inverse * (
+            TWO * k[3] * (k[1] + k[2]) * wp.identity(n=3, dtype=wp.float64)
+            - inverse * (cross_term + wp.transpose(cross_term))
+            + (TWO * top * inverse * inverse) * wp.outer(normal, normal)
+        )
+    if least <= ZERO:
+        return
+    axis = wp.vec3d(ONE, ZERO, ZERO)
+    if wp.abs(x[0]) > HALF:
+        axis = wp.vec3d(ZERO, ONE, ZERO)
+    t1 = wp.normalize(wp.cross(x, axis))
+    t2 = wp.cross(x, t1)
+    g1 = wp.dot(gradient, t1)
+    g2 = wp.dot(gradient, t2)
+    # The sphere bends away from the tangent plane: the radial part of the gradient is curvature, used where it helps.
+    bend = wp.max(-wp.dot(gradient, x), ZERO)
+    h11 = wp.dot(t1, hessian * t1) + bend
+    h12 = wp.dot(t1, hessian * t2)
+    h22 = wp.dot(t2, hessian * t2) + bend
+    det2 = h11 * h22 - h12 * h12
+    if not (det2 > ZERO):
+        return
+    s1 = (h12 * g2 - h22 * g1) / det2
+    s2 = (h12 * g1 - h11 * g2) / det2
+    descent = s1 * g1 + s2 * g2
+    if not (descent < ZERO):
+        return
+    direction = s1 * t1 + s2 * t2
+    bound = wp.min(_SAFE_DETERMINANT, HALF * least)
+    step = ONE / wp.max(ONE, wp.length(direction))
+    for _ in range(12):
+        trial = wp.normalize(x + step * direction)
+        value = star_energy(trial, begin, end, heads, thirds, coefficients, sphere, area_weight, bound)
+        if value < energy + _SUFFICIENT_DECREASE * step * descent:
+            sphere[v] = trial
+            return
+        step *= HALF

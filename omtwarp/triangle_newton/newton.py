@@ -1,0 +1,168 @@
+"""The Newton matrix of the distortion energy: gathered from triangles and factorised in an order kept for the mesh."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.memory import Room
+from omtwarp.device.start import wp
+from omtwarp.device.threads import launch_parts
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.patches import Patches
+from omtwarp.mesh.surface import Surface
+from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect
+from omtwarp.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
+
+REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
+PATCH_GROWTH = 1e-9  # of every entry of the diagonal of patches: the Hessian is only semidefinite
+# Where rounding still leaves a pivot that is not positive, the diagonal grows by these parts of itself.
+STIFFER = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
+
+
+class NewtonMatrix:
+    """Sums per-triangle blocks into a sparse matrix over two tangent coordinates per vertex, and solves with it.
+
+    The order of elimination and all storage are kept from one factorisation to the next.
+
+    Args:
+        faces: triangles by the unknown vertices at their corners, vec3i, shape [F]; -1 for a corner that stays where it
+            is. This and what follows is on the host.
+        edges: every edge between unknown vertices once, vec2i, shape [E].
+        edge_corners: the two corners opposite to every edge, vec2i, shape [E].
+        vertex_corners: corners around every unknown vertex as compressed rows, int32.
+        dissection: the order of elimination.
+        shift: what is added to the diagonal, relative to its mean.
+        growth: what is added to every entry of the diagonal, relative to itself.
+        room: what fronts are eliminated in; the blocks of triangles may be there until then.
+    """
+
+    def __init__(
+        self,
+        faces: wp.array,
+        edges: wp.array,
+        edge_corners: wp.array,
+        vertex_corners: list[wp.array],
+        dissection: Dissection,
+        shift: float = REGULARISATION,
+        growth: float = 0.0,
+        room: Room | None = None,
+    ):
+        self._shift, self._growth = shift, growth
+        self._factor = MultifrontalCholesky(dissection, block=2, room=room or Room())
+        self._rows, self._sides = vertex_corners, [edges, faces, edge_corners]
+        self._diagonal = wp.empty((len(vertex_corners[0]) - 1, 4), dtype=wp.float64, device="cpu")
+        self._off_diagonal = wp.empty((len(edges), 4), dtype=wp.float64, device="cpu")
+
+    @classmethod
+    def of_surface(cls, surface: Surface, room: Room | None = None) -> NewtonMatrix:
+        """The matrix over all vertices of a surface."""
+        mesh = surface.on("cpu")
+        arrays = mesh.faces, mesh.edges, mesh.edge_corners, mesh.vertex_corners
+        return cls(*arrays, surface.dissection, room=room)
+
+    @classmethod
+    def of_patches(cls, patches: Patches, points: NDArray[np.float64], room: Room | None = None) -> NewtonMatrix:
+        """The matrix over the freed vertices of patches.
+
+        Args:
+            patches: V of their vertices are freed.
+            points: positions of those on the surface, shape [V, 3].
+            room: see :class:`NewtonMatrix`.
+        """
+        count = patches.free
+        own = np.where(patches.faces < count, patches.faces, -1)
+        flat = own.ravel()
+        corners = np.argsort(flat, kind="stable").astype(np.int32)[int((flat < 0).sum()) :]
+        offsets = np.zeros(count + 1, dtype=np.int32)
+        np.cumsum(np.bincount(flat[flat >= 0], minlength=count), out=offsets[1:])
+        one, other = np.roll(own, -1, axis=1).ravel(), np.roll(own, -2, axis=1).ravel()
+        inner = np.flatnonzero((one >= 0) & (other >= 0))
+        low, high = np.minimum(one, other)[inner], np.maximum(one, other)[inner]
+        order = np.argsort(low.astype(np.int64) * count + high, kind="stable")
+        edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
+        edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
+
+        def shared(values: NDArray[np.int32], dtype: Any) -> wp.array:
+            return wp.array(values, dtype=dtype, device="cpu", copy=False)
+
+        sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
+        rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
+        return cls(*sides, rows, dissect(points, edges), 0.0, PATCH_GROWTH, room)
+
+    def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""
+        source = wp.array(np.ascontiguousarray(blocks), dtype=wp.float64, device="cpu", copy=False)
+        (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
+
+        def of_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+            return [offsets[part.start : part.stop + 1], corners, source], [self._diagonal[part]]
+
+        def of_edges(part: slice) -> tuple[list[Any], list[Any]]:
+            return [edges[part], faces, edge_corners[part], source], [self._off_diagonal[part]]
+
+        launch_parts(gather_vertex_blocks, self._diagonal.shape[0], of_vertices, "cpu")
+        launch_parts(gather_edge_blocks, self._off_diagonal.shape[0], of_edges, "cpu")
+        return self._diagonal.numpy().reshape(-1, 2, 2), self._off_diagonal.numpy().reshape(-1, 2, 2)
+
+    def factorise(self, blocks: NDArray[np.float64] | None = None) -> None:
+        """Factorise, what blocks of triangles make or else what was assembled last.
+
+        Raises:
+            OmtwarpError: the blocks are not finite, or far from semidefinite.
+        """
+        if blocks is not None:
+            self.assemble(blocks)
+        diagonal, off_diagonal = (array.numpy().reshape(-1, 2, 2) for array in (self._diagonal, self._off_diagonal))
+        factorise_stiffened(self._factor, diagonal, off_diagonal, self._shift, self._growth)
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for tangent coordinates, shape [V, 2]."""
+        return self._factor.solve(right)
+
+    @property
+    def vertex_corners(self) -> list[wp.array]:
+        """Corners of triangles around every unknown vertex as compressed rows: offsets and corners, on the host."""
+        return self._rows
+
+    @property
+    def diagonal_blocks(self) -> wp.array:
+        """The blocks of the vertices, shape [V, 4], on the host."""
+        return self._diagonal
+
+    @property
+    def diagonal(self) -> NDArray[np.float64]:
+        """The diagonal of the matrix that was factorised last, shape [V, 2]."""
+        return self._diagonal.numpy()[:, [0, 3]]
+
+
+def factorise_stiffened(
+    factor: MultifrontalCholesky,
+    diagonal: NDArray[np.float64],
+    off_diagonal: NDArray[np.float64],
+    shift: float,
+    growth: float,
+) -> None:
+    """Factorise a matrix whose diagonal grows, in place, by as little as makes it definite.
+
+    Args:
+        factor: what is made.
+        diagonal: blocks of the vertices, shape [V, 2, 2].
+        off_diagonal: blocks of the edges, shape [E, 2, 2].
+        shift, growth: what is added to the diagonal in any case, relative to its mean and to each entry.
+
+    Raises:
+        OmtwarpError: the blocks are not finite, or far from semidefinite.
+    """
+    own = diagonal[:, [0, 1], [0, 1]]
+    more = shift * own.mean()
+    for part in STIFFER:
+        diagonal[:, [0, 1], [0, 1]] = own * (1.0 + growth + part) + more
+        try:
+            factor.factorise(diagonal, off_diagonal)
+            return
+        except NotPositiveDefinite:
+            continue
+    raise OmtwarpError("the distortion of the map is not finite")

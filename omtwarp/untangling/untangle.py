@@ -1,0 +1,314 @@
+"""Remove the flipped triangles of a sphere map by moving the fewest vertices.
+
+Around every flipped triangle a patch of a few rings is freed and its distortion minimised with an energy that is finite
+on flipped triangles and tends to a barrier as ε falls (Garanzha et al., "Foldover-free maps in 50 lines of code",
+2021). Patches that do not touch are independent problems: they share one sparse matrix but each has its own step
+length. Patches that stay tangled grow, up to the whole sphere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.threads import blas_threads
+from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.patches import Patches, grow
+from omtwarp.mesh.surface import Surface
+from omtwarp.triangle_newton.frames import triangle_frames
+from omtwarp.triangle_newton.line_search import search_patches
+from omtwarp.triangle_newton.newton import NewtonMatrix
+from omtwarp.untangling.kernels import move_in_tangent, untangle_newton, untangle_value
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How one attempt lowers ε.
+
+    Attributes:
+        rings: rings of vertices freed around every flipped triangle.
+        factor: what ε is multiplied by from one round to the next.
+        steps: Newton steps in a round, at most.
+        thinnest: see :func:`omtwarp.triangle_newton.frames.triangle_frames`.
+        weight: λ, how much area counts against angle.
+        largest: the first ε; the larger, the freer are triangles to pass through one another.
+        most: flipped triangles of a patch, at most; patches with more are left to the attempts after it.
+    """
+
+    rings: int
+    factor: float
+    steps: int
+    thinnest: float
+    weight: float = 5.0
+    largest: float = 1.0
+    most: float = np.inf
+
+
+SCHEDULES = (
+    Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, most=30),
+    Schedule(rings=3, factor=0.5, steps=3, thinnest=0.02, most=100),
+    Schedule(rings=5, factor=0.7, steps=4, thinnest=0.1, weight=10.0),
+    Schedule(rings=9, factor=0.7, steps=6, thinnest=0.2, weight=10.0),
+    Schedule(rings=17, factor=0.7, steps=8, thinnest=0.3),
+    Schedule(rings=10**9, factor=0.7, steps=10, thinnest=0.3),
+)
+SMALLEST_EPSILON = 1e-4
+HALVINGS = 20
+SETTLED = 0.01  # of its energy: a patch that expects to gain less than half of that waits for a smaller ε
+NARROWING = 0.7  # of the triangles: when fewer are left in tangled patches, the others are dropped
+
+
+@dataclass
+class UntangleResult:
+    """A map without flipped triangles, or the best one found.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3].
+        flips_before: triangles with det[s0, s1, s2] <= 0 in the map given.
+        flips_after: the same in ``sphere``.
+        rounds: rounds of minimisation over all attempts.
+        vertices_moved: vertices that are not where they were.
+        history: one record per attempt: rings, vertices freed, patches, rounds, flips left.
+    """
+
+    sphere: NDArray[np.float64]
+    flips_before: int
+    flips_after: int
+    rounds: int
+    vertices_moved: int
+    history: list[dict[str, int]] = field(default_factory=list)
+
+
+@blas_threads(1)
+def untangle(
+    surface: Surface,
+    sphere: ArrayLike,
+    *,
+    device: str | None = "auto",
+    schedules: tuple[Schedule, ...] = SCHEDULES,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> UntangleResult:
+    """Move as few vertices as possible until no triangle is flipped.
+
+    Args:
+        surface: the original surface, V vertices and F faces.
+        sphere: images of its vertices, unit vectors, shape [V, 3]; triangles may be flipped or of area zero.
+        device: where the kernels run; the sparse systems are solved on the host.
+        schedules: attempts, each from what the one before it left, until one leaves no flip.
+        progress: called with (text, attempt, attempts) before every attempt.
+
+    Returns:
+        The map and what was done. ``flips_after`` is 0 unless every attempt failed.
+    """
+    where = resolve_device(device)
+    start = np.array(sphere, dtype=np.float64)
+    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    points, faces = start.copy(), surface.faces
+    flipped = flipped_faces(points, faces)
+    before = int(flipped.sum())
+    rounds = 0
+    history: list[dict[str, int]] = []
+    for attempt, schedule in enumerate(schedules):
+        if not flipped.any():
+            break
+        seeds = _of_small_patches(faces, flipped, schedule)
+        if not seeds.any():
+            continue
+        if progress is not None:
+            progress(f"untangling {int(flipped.sum())} triangles", attempt, len(schedules))
+        untangling = _Untangling(surface, points, seeds, schedule, where)
+        points, done = untangling.solve()
+        flipped = flipped_faces(points, faces)
+        rounds += done
+        history.append(
+            {
+                "rings": min(schedule.rings, surface.vertex_count),
+                "vertices": untangling.whole.free,
+                "patches": untangling.whole.count,
+                "rounds": done,
+                "flips": int(flipped.sum()),
+            }
+        )
+    moved = int(np.any(points != start, axis=1).sum())
+    return UntangleResult(points, before, int(flipped.sum()), rounds, moved, history)
+
+
+def untangle_patches(
+    surface: Surface,
+    sphere: NDArray[np.float64],
+    seeds: NDArray[np.bool_],
+    schedule: Schedule,
+    device: wp.Device,
+) -> tuple[NDArray[np.float64], int]:
+    """One attempt to untangle the patches around given triangles.
+
+    Args:
+        surface: the original surface, V vertices and F faces.
+        sphere: unit vectors, shape [V, 3].
+        seeds: the triangles to free, shape [F].
+        schedule: how.
+        device: a Warp device.
+
+    Returns:
+        The map, shape [V, 3], and the number of vertices freed.
+    """
+    untangling = _Untangling(surface, sphere, seeds, schedule, device)
+    points, _ = untangling.solve()
+    return points, untangling.whole.free
+
+
+def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], schedule: Schedule) -> NDArray[np.bool_]:
+    """The flipped triangles of those patches that have no more of them than the schedule takes on, shape [F]."""
+    if schedule.most >= flipped.sum():
+        return flipped
+    seed = np.zeros(int(faces.max()) + 1, dtype=bool)
+    seed[faces[flipped].ravel()] = True
+    patches = Patches.of_vertices(faces, grow(faces, seed, schedule.rings))
+    patch = patches.face_patch[flipped[patches.triangles]]
+    out = flipped.copy()
+    out[flipped] = np.bincount(patch)[patch] <= schedule.most
+    return out
+
+
+class _Untangling:
+    """Minimises over the patches around flipped triangles."""
+
+    def __init__(self, surface: Surface, sphere, flipped: NDArray[np.bool_], schedule: Schedule, device):
+        self.device = device
+        self.schedule = schedule
+        self.surface = surface
+        self.sphere = sphere
+        self.result = sphere.copy()
+        seed = np.zeros(surface.vertex_count, dtype=bool)
+        seed[surface.faces[flipped].ravel()] = True
+        self.whole = Patches.of_vertices(surface.faces, grow(surface.faces, seed, schedule.rings))
+        self.frames = triangle_frames(surface, schedule.thinnest, surface.faces[self.whole.triangles])
+        self._take(self.whole)
+
+    def _take(self, patches: Patches) -> None:
+        """Work on these patches: their matrix, where triangles enter their gradient, and room on the device."""
+        self.patches = patches
+        points = self.surface.scaled_vertices[patches.vertices[: patches.free]]
+        self.matrix = NewtonMatrix.of_patches(patches, points)
+        corner = np.repeat(patches.faces, 2, axis=1)
+        index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
+        self.gradient_kept = np.flatnonzero(index >= 0)
+        self.gradient_slot = index[self.gradient_kept]
+        count, device = len(patches.faces), self.device
+        self.d_faces = wp.array(patches.faces, dtype=wp.vec3i, device=device)
+        self.d_frames = wp.array(self.frames, dtype=wp.vec3d, device=device)
+        self.d_areas = wp.array(self.surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
+        self.d_value = wp.empty(count, dtype=wp.float64, device=device)
+        self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
+        self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
+
+    def _narrow(self, active: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Go on with the active patches alone; their points.
+
+        Patches share nothing, so that those which are done need not be carried along.
+        """
+        self._keep(points)
+        self.frames = np.ascontiguousarray(self.frames[active[self.patches.face_patch]])
+        patches, places = self.patches.only(active)
+        self._take(patches)
+        return points[places]
+
+    def _keep(self, points: NDArray[np.float64]) -> None:
+        free = self.patches.free
+        self.result[self.patches.vertices[:free]] = points[:free]
+
+    def solve(self) -> tuple[NDArray[np.float64], int]:
+        """Lower ε until no patch has a flipped triangle, or it is at its smallest; the map and the number of rounds."""
+        points = wp.array(self.sphere[self.patches.vertices], dtype=wp.vec3d, device=self.device)
+        epsilon = np.full(self.whole.count, self.schedule.largest)
+        active = np.ones(self.whole.count, dtype=bool)
+        rounds = 0
+        while True:
+            rounds += 1
+            for _ in range(self.schedule.steps):
+                points, settled = self._newton_step(points, epsilon, active)
+                if settled:
+                    break
+            flipped = flipped_faces(points.numpy(), self.patches.faces)
+            tangled = np.bincount(self.patches.face_patch[flipped], minlength=self.patches.count) > 0
+            active &= tangled & (epsilon > SMALLEST_EPSILON)
+            if not active.any():
+                break
+            epsilon[active] = np.maximum(epsilon[active] * self.schedule.factor, SMALLEST_EPSILON)
+            if active[self.patches.face_patch].mean() < NARROWING:
+                points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
+                epsilon, active = epsilon[active], active[active]
+        self._keep(points.numpy())
+        self._take_back()
+        return self.result, rounds
+
+    def _take_back(self) -> None:
+        """Leave patches as they were that ended with no fewer flips: the next attempt frees more around them.
+
+        A patch too small for its triangles can end far more tangled than it was.
+        """
+        whole = self.whole
+        faces = self.surface.faces[whole.triangles]
+        before, after = (
+            np.bincount(whole.face_patch[flipped_faces(sphere, faces)], minlength=whole.count)
+            for sphere in (self.sphere, self.result)
+        )
+        back = whole.vertices[: whole.free][((after > 0) & (after >= before))[whole.vertex_patch]]
+        self.result[back] = self.sphere[back]
+
+    def _newton_step(self, points, epsilon, active) -> tuple[wp.array, bool]:
+        """The points after a step of the active patches, and whether none of these had much left to gain."""
+        patches = self.patches
+        face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device)
+        energy = self._energy(points, face_epsilon)
+        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
+        wp.launch(
+            untangle_newton, dim=len(patches.faces), inputs=inputs, outputs=[self.d_gradient, self.d_hessian],
+            device=self.device,
+        )
+        entries = self.d_gradient.numpy().ravel()[self.gradient_kept]
+        gradient = np.bincount(self.gradient_slot, entries, minlength=2 * patches.free).astype(np.float64, copy=False)
+        gradient = gradient.reshape(-1, 2)
+        try:
+            self.matrix.factorise(self.d_hessian.numpy())
+            direction = -self.matrix.solve(gradient)
+        except OmtwarpError:
+            direction = np.full_like(gradient, np.nan)
+        if not np.isfinite(direction).all():
+            with np.errstate(all="ignore"):
+                direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
+        slope = patches.sum_of_vertices((direction * gradient).sum(axis=1))
+        settled = bool((-slope <= SETTLED * energy)[active].all())
+        # No vertex moves farther than a radian: beyond that its tangent plane says nothing about the sphere.
+        longest = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)
+        moved, _ = search_patches(
+            lambda length: self._moved(points, direction * length[patches.vertex_patch][:, None]),
+            lambda moved: self._energy(moved, face_epsilon),
+            energy,
+            slope,
+            longest,
+            HALVINGS,
+        )
+        return moved, settled
+
+    def _moved(self, points, step: NDArray[np.float64]):
+        """The points after the freed ones have gone by coordinates [free, 2] in their tangent planes."""
+        moved = wp.clone(points)
+        inputs = [points, wp.array(step, dtype=wp.float64, device=self.device)]
+        wp.launch(move_in_tangent, dim=self.patches.free, inputs=inputs, outputs=[moved], device=self.device)
+        return moved
+
+    def _energy(self, points, face_epsilon) -> NDArray[np.float64]:
+        """Energy of every patch."""
+        patches = self.patches
+        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
+        wp.launch(
+            untangle_value, dim=len(patches.faces), inputs=inputs, outputs=[self.d_value],
+            device=self.device,
+        )
+        return patches.sum_of_faces(self.d_value.numpy())

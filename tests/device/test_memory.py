@@ -1,0 +1,44 @@
+"""What a map takes of the host's memory, and room that is shared."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from omtwarp.device.memory import Room, give_back
+
+# In a process of its own: what other tests have freed, and what they keep, is no part of a map.
+MEASURE = """
+from omtwarp.benchmark.meshes import made
+from omtwarp.benchmark.runner import factor_bytes, measure_map
+measure_map(made("blob", 2000), "cpu", "area")
+surface = made("blob", 20_000)
+rest = measure_map(surface, "cpu", "area")["peak_bytes"] - factor_bytes(surface, "area")
+print(rest / surface.vertex_count)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux tells a process what it held at most")
+def test_a_map_takes_two_kilobytes_per_vertex_beside_its_largest_factor():
+    out = subprocess.run([sys.executable, "-c", MEASURE], check=True, capture_output=True, text=True).stdout
+    # Less than what one array of nine numbers per vertex takes is no measurement.
+    assert 72 < float(out) < 2000
+
+
+def test_room_is_shared_and_grows():
+    room = Room()
+    first = room.numbers(10)
+    first[:] = np.arange(10)
+    assert np.shares_memory(first, room.numbers(4))
+    np.testing.assert_array_equal(room.numbers(4), [0, 1, 2, 3])
+    larger = room.numbers(1000)
+    assert larger.shape == (1000,) and larger.dtype == np.float64
+    assert not np.shares_memory(first, larger)
+    np.testing.assert_array_equal(first, np.arange(10))  # whoever still has it may read it
+    assert np.shares_memory(larger, room.numbers(10))
+
+
+def test_what_is_freed_is_given_back():
+    give_back()
+    give_back()

@@ -1,0 +1,63 @@
+"""Sums whose order depends on the number of terms alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from omtwarp.device.start import wp
+from omtwarp.device.sums import FEW, DeviceSum, HostSum, RowSums
+
+LENGTHS = [1, 64, 65, 4096, 4097, 20_000, 300_000]
+
+
+@given(rows=st.integers(1, 40_000), columns=st.integers(1, 4), seed=st.integers(0, 1000))
+def test_sums_of_rows(rows, columns, seed):
+    values = np.random.default_rng(seed).normal(size=(rows, columns))
+    parts = RowSums(rows, columns, "cpu")(wp.array(values, dtype=wp.float64, device="cpu")).numpy()
+    assert len(parts) <= FEW
+    np.testing.assert_allclose(parts.sum(axis=0), values.sum(axis=0), rtol=0, atol=1e-12 * np.sqrt(rows))
+    whole = wp.array(np.arange(float(rows * columns)).reshape(rows, columns), dtype=wp.float64, device="cpu")
+    total = RowSums(rows, columns, "cpu")(whole).numpy().sum(axis=0)
+    np.testing.assert_array_equal(total, whole.numpy().sum(axis=0))  # whole numbers: exact, every row once
+
+
+def test_sums_agree_between_devices(device):
+    values = np.random.default_rng(0).normal(size=(300_000, 2))
+    one, two = (
+        RowSums(len(values), 2, where)(wp.array(values, dtype=wp.float64, device=where)).numpy()
+        for where in ("cpu", device)
+    )
+    np.testing.assert_array_equal(one, two)  # additions alone, in the same order
+
+
+@pytest.mark.parametrize("count", LENGTHS)
+def test_sums_of_numbers_and_products(device, count):
+    a, b = np.random.default_rng(count).normal(size=(2, count))
+    one, other = (wp.array(v, dtype=wp.float64, device=device) for v in (a, b))
+    for adder in (DeviceSum(wp.get_device(device)), HostSum()):
+        out = wp.empty(2, dtype=wp.float64, device=device)
+        adder.dot(one, other, out)
+        adder.total(one, out[1:])
+        product, total = out.numpy()
+        assert product == pytest.approx(a @ b, abs=1e-12 * np.abs(a * b).sum())
+        assert total == pytest.approx(a.sum(), abs=1e-12 * np.abs(a).sum())
+
+
+@pytest.mark.parametrize("count", LENGTHS)
+def test_the_mean_is_taken_off(device, count):
+    values = 3.0 + np.random.default_rng(count).normal(size=count)
+    array, room = wp.array(values, dtype=wp.float64, device=device), wp.empty(1, dtype=wp.float64, device=device)
+    DeviceSum(wp.get_device(device)).remove_mean(array, room)
+    np.testing.assert_allclose(array.numpy(), values - values.mean(), atol=1e-13)
+
+
+def test_one_adder_for_arrays_of_any_length(device):
+    """In turn, and again: room is made once for every length."""
+    adder, out = DeviceSum(wp.get_device(device)), wp.empty(1, dtype=wp.float64, device=device)
+    for count in (5000, 100, 70_000, 100, 5000):
+        adder.total(wp.full(count, 2.0, dtype=wp.float64, device=device), out)
+        assert out.numpy()[0] == 2.0 * count
+        ones = wp.full(count, 1.0, dtype=wp.float64, device=device)
+        adder.dot(ones, ones, out)
+        assert out.numpy()[0] == count

@@ -1,0 +1,111 @@
+"""The map that transport starts from: conformal where it can be, a bijection everywhere."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omtwarp.conformal import conformal_map
+from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import count_flips
+from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, needle, noisy, plate, random_sphere, tube
+from omtwarp.metrics.certificate import certify
+from omtwarp.metrics.distortion import distortion
+from omtwarp.start import choice as start_module
+from omtwarp.start.choice import bijective_start
+from omtwarp.start.tube import tube_map
+
+
+def test_a_sound_conformal_map_is_taken_as_it_is(device):
+    surface = blob(seed=3, amplitude=0.25, sphere=1280)
+    start = bijective_start(surface, device=device)
+    assert (start.road, start.reason, start.repaired_flips) == ("conformal", "", 0)
+    assert start.is_conformal
+    np.testing.assert_array_equal(start.sphere, conformal_map(surface, device=device).sphere)
+
+
+def test_a_few_flips_are_repaired_and_the_rest_stays():
+    surface = flip_edges(blob(seed=1, amplitude=0.3, sphere=1280), rounds=6, seed=2)
+    conformal = conformal_map(surface).sphere
+    flips = count_flips(conformal, surface.faces)
+    assert 0 < flips < 0.02 * surface.face_count  # a case for repair
+    start = bijective_start(surface)
+    assert start.road == "conformal, repaired"
+    assert start.repaired_flips == flips
+    assert certify(surface.faces, start.sphere).bijective
+    moved = (start.sphere != conformal).any(axis=1)
+    assert 0 < moved.sum() < 0.25 * surface.vertex_count  # the patches around the flips, and nobody else
+
+
+@pytest.mark.parametrize("length", [12.0, 30.0])
+def test_long_tubes_take_another_road(length):
+    """A tube's ends shrink to exp(-length / girth) of its middle: areas of 1e-11 can be held, areas of 1e-26 cannot."""
+    surface = tube(length=length, girth=1.0, face_count=1500)
+    start = bijective_start(surface)
+    assert certify(surface.faces, start.sphere).bijective
+    if length < 20.0:
+        assert start.road == "conformal"
+        return
+    assert start.road == "tube"
+    assert start.reason
+    assert not start.is_conformal
+    judged = distortion(surface.vertices, surface.faces, start.sphere)
+    assert judged.area["surface"] < start_module.TUBE_AREA
+
+
+def test_a_long_tube_of_obtuse_triangles_is_embedded_coarse_to_fine():
+    """Latitude by area flips triangles there, and repairing them would spoil the areas."""
+    surface = flip_edges(tube(length=30.0, girth=1.0, face_count=1500), rounds=8, seed=1)
+    assert count_flips(tube_map(surface), surface.faces) > 0
+    start = bijective_start(surface)
+    assert start.road == "hierarchical"
+    assert certify(surface.faces, start.sphere).bijective
+
+
+SHAPES = {
+    "needle": lambda: needle(15.0, 1280),
+    "plate": lambda: plate(face_count=1280),
+    "limbs": lambda: limbs(length=3.0, sharpness=40.0, sphere=1280),
+    "noise": lambda: noisy(icosphere(8), 0.5, seed=1),
+    "obtuse": lambda: flip_edges(random_sphere(1000, 4), rounds=20, seed=4),
+    "bent": lambda: tube(length=6.0, girth=1.0, bend=2.0, taper=0.4, face_count=1200),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_hard_shapes_have_a_bijective_start(name):
+    surface = SHAPES[name]()
+    start = bijective_start(surface)
+    assert np.isfinite(start.sphere).all()
+    assert certify(surface.faces, start.sphere).bijective
+
+
+@settings(max_examples=10)
+@given(
+    seed=st.integers(0, 10_000),
+    amplitude=st.floats(0.1, 0.6),
+    rounds=st.integers(0, 6),
+)
+def test_random_blobs_have_a_bijective_start(seed, amplitude, rounds):
+    surface = flip_edges(blob(seed=seed, amplitude=amplitude, sphere=random_sphere(400, seed)), rounds, seed)
+    start = bijective_start(surface)
+    assert certify(surface.faces, start.sphere).bijective
+    np.testing.assert_allclose(np.linalg.norm(start.sphere, axis=1), 1.0, atol=1e-14)
+
+
+def test_a_conformal_map_that_cannot_be_made_has_a_substitute(monkeypatch):
+    def fails(surface, *, device):
+        raise OmtwarpError("the plane has a hole")
+
+    monkeypatch.setattr(start_module, "conformal_map", fails)
+    surface = blob(seed=0, sphere=320)
+    told = []
+    start = bijective_start(surface, progress=lambda *arguments: told.append(arguments))
+    assert (start.road, start.reason, start.conformal) == ("hierarchical", "the plane has a hole", None)
+    assert certify(surface.faces, start.sphere).bijective
+    assert told and all(stage == "start" and 0 <= done <= total for stage, done, total, _ in told)
+
+
+def test_the_same_bits_twice():
+    surface = tube(length=8.0, girth=1.0, face_count=800)
+    np.testing.assert_array_equal(bijective_start(surface).sphere, bijective_start(surface).sphere)

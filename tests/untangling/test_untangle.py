@@ -1,0 +1,136 @@
+"""Untangling: flips go, the rest stays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.shapes import blob, icosphere, noisy
+from omtwarp.triangle_newton.frames import triangle_frames
+from omtwarp.untangling.kernels import untangle_newton, untangle_value
+from omtwarp.untangling.untangle import SCHEDULES, untangle
+
+
+def unit(points):
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def scrambled(surface, centre, radius, seed):
+    """The surface's own directions, those within a cap thrown about at random inside it."""
+    sphere = unit(surface.vertices)
+    rng = np.random.default_rng(seed)
+    inside = np.flatnonzero(sphere @ sphere[centre] > np.cos(radius))
+    moved = sphere.copy()
+    moved[inside] = unit(sphere[centre] + rng.normal(size=(len(inside), 3)) * radius / 3)
+    return sphere, moved, inside
+
+
+def test_untangled_map_is_left_alone(device):
+    """Nothing flipped, nothing moved."""
+    surface = icosphere(4)
+    sphere = unit(surface.vertices)
+    result = untangle(surface, sphere, device=device)
+    assert (result.flips_before, result.flips_after, result.rounds, result.vertices_moved) == (0, 0, 0, 0)
+    assert np.allclose(result.sphere, sphere, atol=1e-15)
+
+
+def test_two_scrambled_patches_leave_the_rest(device):
+    """Far patches are solved together, and vertices away from both do not move."""
+    surface = icosphere(12)
+    first = scrambled(surface, 0, 0.3, 1)
+    far = int(np.argmin(first[0] @ first[0][0]))
+    second = scrambled(surface, far, 0.3, 2)
+    start = first[1].copy()
+    start[second[2]] = second[1][second[2]]
+    result = untangle(surface, start, device=device)
+    assert result.flips_before > 20 and result.flips_after == 0
+    assert not flipped_faces(result.sphere, surface.faces).any()
+    assert result.history[0]["patches"] == 2
+    equator = np.abs(first[0] @ first[0][0]) < 0.3
+    assert np.array_equal(result.sphere[equator], unit(start)[equator])
+    assert np.allclose(np.linalg.norm(result.sphere, axis=1), 1.0)
+
+
+@settings(max_examples=12)
+@given(seed=st.integers(0, 10**6), radius=st.floats(0.1, 0.9), noise=st.floats(0.0, 0.3))
+def test_scrambled_patches_on_random_shapes(seed, radius, noise):
+    """Of any size up to a third of the sphere, on any star-shaped surface."""
+    surface = noisy(blob(seed, amplitude=0.3, sphere=icosphere(6)), noise, seed)
+    _, start, _ = scrambled(surface, seed % surface.vertex_count, radius, seed)
+    result = untangle(surface, start, device="cpu")
+    assert result.flips_after == 0
+    assert not flipped_faces(result.sphere, surface.faces).any()
+
+
+def test_triangles_collapsed_to_a_point():
+    """Area exactly zero, as where a conformal map underflows."""
+    surface = icosphere(6)
+    sphere = unit(surface.vertices)
+    start = sphere.copy()
+    start[sphere @ sphere[0] > np.cos(0.5)] = sphere[0]
+    result = untangle(surface, start, device="cpu")
+    assert result.flips_before > 10 and result.flips_after == 0
+
+
+def test_same_answer_twice():
+    """Bit for bit."""
+    surface = icosphere(6)
+    _, start, _ = scrambled(surface, 3, 0.5, 0)
+    first, second = (untangle(surface, start, device="cpu").sphere for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_failure_is_told():
+    """With no attempts allowed, the flips left are counted."""
+    surface = icosphere(4)
+    _, start, _ = scrambled(surface, 3, 0.6, 0)
+    result = untangle(surface, start, device="cpu", schedules=())
+    assert result.flips_after == result.flips_before > 0
+    assert SCHEDULES[-1].rings > surface.vertex_count
+
+
+@pytest.mark.parametrize("epsilon", [1.0, 0.1, 0.003])
+def test_derivatives_of_the_energy(epsilon, device):
+    """The gradient by differences, on flipped triangles too; the Hessian positive semidefinite."""
+    from omtwarp.untangling.kernels import move_in_tangent
+
+    surface = icosphere(3)
+    _, start, _ = scrambled(surface, 3, 1.0, 0)
+    where, count = resolve_device(device), surface.face_count
+    assert flipped_faces(start, surface.faces).any()
+    points = wp.array(start, dtype=wp.vec3d, device=where)
+    inputs = [
+        wp.array(surface.faces, dtype=wp.vec3i, device=where),
+        wp.array(triangle_frames(surface), dtype=wp.vec3d, device=where),
+        wp.array(surface.face_areas, dtype=wp.float64, device=where),
+        wp.array(np.full(count, epsilon), dtype=wp.float64, device=where),
+        wp.float64(2.0),
+    ]
+    gradient = wp.empty((count, 6), dtype=wp.float64, device=where)
+    hessian = wp.empty((count, 21), dtype=wp.float64, device=where)
+    wp.launch(untangle_newton, dim=count, inputs=[points, *inputs], outputs=[gradient, hessian], device=where)
+    row, column = np.triu_indices(6)
+    blocks = np.empty((count, 6, 6))
+    blocks[:, row, column] = blocks[:, column, row] = hessian.numpy()
+    assert np.linalg.eigvalsh(blocks).min() > -1e-9 * np.abs(blocks).max()
+
+    direction = np.random.default_rng(1).normal(size=(surface.vertex_count, 2))
+
+    def values(h):
+        moved = wp.empty(surface.vertex_count, dtype=wp.vec3d, device=where)
+        step = wp.array(h * direction, dtype=wp.float64, device=where)
+        wp.launch(
+            move_in_tangent, dim=surface.vertex_count, inputs=[points, step], outputs=[moved], device=where
+        )
+        value = wp.empty(count, dtype=wp.float64, device=where)
+        wp.launch(untangle_value, dim=count, inputs=[moved, *inputs], outputs=[value], device=where)
+        return value.numpy().copy()
+
+    h = 1e-6
+    differences = (8 * (values(h) - values(-h)) - values(2 * h) + values(-2 * h)) / (12 * h)
+    expected = (gradient.numpy() * direction[surface.faces].reshape(-1, 6)).sum(axis=1)
+    assert np.allclose(differences, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
