@@ -205,9 +205,7 @@ def interpolate(start: np.ndarray, end: np.ndarray, t: float) -> np.ndarray:
     return np.where((sine > 1e-15)[:, None], turned, end)
 
 
-def tradeoff(
-    name: str, surface: omtwarp.Surface, maps: dict[str, np.ndarray], device: str
-) -> list[dict[str, Any]]:
+def tradeoff(name: str, surface: omtwarp.Surface, maps: dict[str, np.ndarray], device: str) -> list[dict[str, Any]]:
     """Area against angle on the way from the conformal map to ours, and at the paper's area distortion."""
     from omtwarp.tradeoff import map_with_density_exponent
 

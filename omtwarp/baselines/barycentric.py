@@ -368,9 +368,7 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Progress) ->
     return points
 
 
-def _newton(
-    springs: _Springs, points: Array, masses: Array | None, report: Progress
-) -> tuple[Array, Array, bool]:
+def _newton(springs: _Springs, points: Array, masses: Array | None, report: Progress) -> tuple[Array, Array, bool]:
     """Newton's method for the stationary points of E, rotations pinned; with masses, of E where Σ a_i x_i = 0.
 
     Returns:

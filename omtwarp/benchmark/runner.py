@@ -81,9 +81,7 @@ def run(
         measure_map(made("blob", 2000), name, refine)
     largest: Surface | None = None
     for family, label, surface in all_meshes(tuple(shapes), tuple(sizes), tuple(meshes), subdivisions):
-        result["meshes"].append(
-            measure_mesh(family, label, surface, names, repeats, refine, largest_reference, tell)
-        )
+        result["meshes"].append(measure_mesh(family, label, surface, names, repeats, refine, largest_reference, tell))
         if kernels and (largest is None or surface.face_count > largest.face_count):
             largest = surface
     result["growth"] = growth_exponents(result["meshes"])

@@ -93,9 +93,7 @@ class StepGuard:
             mesh = [self._faces, self._floors]
 
             def prepare(kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> Any:
-                return wp.launch(
-                    kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
-                )
+                return wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True)
 
             end = prepare(end_round, 1, [rounds], [self._counters, self._again])
             find = prepare(find_bad, self.face_count, [old, new, *mesh], [self._counters, self._bad])

@@ -174,9 +174,7 @@ def optimality(
     )
 
 
-def relative_curl(
-    conformal: ArrayLike, sphere: ArrayLike, faces: ArrayLike, *, device: str | None = "auto"
-) -> float:
+def relative_curl(conformal: ArrayLike, sphere: ArrayLike, faces: ArrayLike, *, device: str | None = "auto") -> float:
     """||J∇H|| / ||log_y(x)|| on the image mesh: the part of the displacement that no gradient accounts for."""
     x, y, _, triangles = _inputs(conformal, sphere, np.ones(len(np.asarray(sphere))), faces)
     surface = Surface(y, triangles)

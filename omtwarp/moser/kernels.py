@@ -140,9 +140,7 @@ def vertex_field(
         normal = wp.cross(p1 - p0, p2 - p0)  # its length is twice the area
         double_area = wp.length(normal)
         if double_area > ZERO:
-            slope = (
-                potential[face[0]] * (p2 - p1) + potential[face[1]] * (p0 - p2) + potential[face[2]] * (p1 - p0)
-            )
+            slope = potential[face[0]] * (p2 - p1) + potential[face[1]] * (p0 - p2) + potential[face[2]] * (p1 - p0)
             side = points[face[(corner + 1) % 3]] - points[v]
             other = points[face[(corner + 2) % 3]] - points[v]
             angle = wp.atan2(double_area, wp.dot(side, other))
@@ -203,9 +201,7 @@ def integrate_particles(
                 ahead = THREE_QUARTERS * step
                 weight = FOUR_NINTHS
                 later = later * quarter
-            k, near = velocity_at(
-                wp.normalize(p + ahead * k), later - ONE, near, points, faces, neighbours, field, mu
-            )
+            k, near = velocity_at(wp.normalize(p + ahead * k), later - ONE, near, points, faces, neighbours, field, mu)
             total += weight * k
         grown = later * quarter
         p = wp.normalize(p + step * total)

@@ -56,9 +56,7 @@ class Pattern(ABC):
         """Colour an array of directions (vec3d, shape [N]) into ``out`` (float64, shape [>= N, 3]) on their device."""
         device = directions.device
         inputs = self._inputs(device)
-        launch_parts(
-            self._kernel, len(directions), lambda part: ([directions[part], *inputs, out[part]], []), device
-        )
+        launch_parts(self._kernel, len(directions), lambda part: ([directions[part], *inputs, out[part]], []), device)
 
     _kernel: Any
 

@@ -197,9 +197,7 @@ class _Flow:
         # Within a grid cell the direction to x is not resolved anyway.
         self.softening = self.hierarchy.node_spacing(self.hierarchy.level)
         damping = resolution_damping(squares.numpy(), self.sampler.point_faces.numpy(), self.hierarchy)
-        self.preconditioner = WaveletPreconditioner(
-            self.hierarchy, butterfly=True, damping=damping, device=str(device)
-        )
+        self.preconditioner = WaveletPreconditioner(self.hierarchy, butterfly=True, damping=damping, device=str(device))
         self.filter = WaveletFilter(self.hierarchy, damping, butterfly=True, device=str(device)) if self.plain else None
         self.node_areas = wp.array(self.hierarchy.node_areas, dtype=wp.float64, device=device)
         levels = self.hierarchy.level_faces

@@ -268,7 +268,10 @@ class _Untangling:
         energy = self._energy(points, face_epsilon)
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(
-            untangle_newton, dim=len(patches.faces), inputs=inputs, outputs=[self.d_gradient, self.d_hessian],
+            untangle_newton,
+            dim=len(patches.faces),
+            inputs=inputs,
+            outputs=[self.d_gradient, self.d_hessian],
             device=self.device,
         )
         entries = self.d_gradient.numpy().ravel()[self.gradient_kept]
@@ -308,7 +311,10 @@ class _Untangling:
         patches = self.patches
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(
-            untangle_value, dim=len(patches.faces), inputs=inputs, outputs=[self.d_value],
+            untangle_value,
+            dim=len(patches.faces),
+            inputs=inputs,
+            outputs=[self.d_value],
             device=self.device,
         )
         return patches.sum_of_faces(self.d_value.numpy())

@@ -298,9 +298,7 @@ class SphereSampler:
             whole, corners = [self.points, self.coordinates, source], self._corner_vectors
             self._launch_parts(kernels.gather_corner_vectors_kernel, self.face_count, rows, [], whole, corners)
             own, vectors = [nodes, self._weights], self._node_vectors
-            self._launch_parts(
-                kernels.node_vector_kernel, self.node_count, self._corner_rows, own, [corners], vectors
-            )
+            self._launch_parts(kernels.node_vector_kernel, self.node_count, self._corner_rows, own, [corners], vectors)
             whole, kernel = [nodes, vectors], kernels.spread_to_faces_kernel
             self._launch_parts(kernel, self.face_count, [], faces, whole, self._face_vectors)
         else:

@@ -166,9 +166,7 @@ def face_weight(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.in
 
 
 @wp.func
-def corner_products(
-    nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32, v: wp.vec3d
-) -> wp.vec3d:
+def corner_products(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32, v: wp.vec3d) -> wp.vec3d:
     """Inner products of a vector with the gradients of the three corners' hat functions."""
     a, b, c = nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]]
     n = wp.cross(b - a, c - a)

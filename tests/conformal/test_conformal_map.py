@@ -30,9 +30,7 @@ def conformal_latitude(directions: np.ndarray, equator: float, pole: float) -> n
     return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), np.tanh(isometric)], axis=1)
 
 
-@pytest.mark.parametrize(
-    ("equator", "pole"), [(1.0, 1.0), (1.0, 0.6), (1.0, 1.6)], ids=["sphere", "oblate", "prolate"]
-)
+@pytest.mark.parametrize(("equator", "pole"), [(1.0, 1.0), (1.0, 0.6), (1.0, 1.6)], ids=["sphere", "oblate", "prolate"])
 def test_ellipsoids_of_revolution_map_by_their_conformal_latitude(device, equator, pole):
     """The dipole of section 4.1 sits on one triangle, so the map is exact to first order in the triangles' size.
 

@@ -85,9 +85,7 @@ def coarsen(matrix: LevelMatrix, coarse: LevelMatrix, tentative: wp.array, dampi
     wp.launch(
         kernels.smooth_prolongation,
         dim=p.entries * b * c,
-        inputs=[
-            *rows, matrix.inverse, level.aggregates, tentative, wp.float64(damping), b, c, p.rows, p.columns
-        ],
+        inputs=[*rows, matrix.inverse, level.aggregates, tentative, wp.float64(damping), b, c, p.rows, p.columns],
         outputs=[matrix.prolongation],
         device=device,
     )
