@@ -14,24 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.start import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.moser import moser_map
 from omtwarp.refine.solver import Refiner
-from omtwarp.triangle_newton.frames import triangle_frames
 from omtwarp.untangling.untangle import untangle
 
 # The weight of area against angle: enough to hold the areas asked for, and more only costs angle.
 WEIGHT = 10.0
 ITERATIONS = 100
 TOLERANCE = 1e-4
-
-
-class _Reweighted(Surface):
-    """A surface with other areas for its triangles, which sum to 4π; shapes stay."""
-
-    def __init__(self, surface: Surface, areas: NDArray[np.float64]):
-        super().__init__(surface.vertices, surface.faces)
-        self.__dict__["face_areas"] = areas  # where the cached property keeps its value
 
 
 def map_with_density_exponent(
@@ -64,19 +55,16 @@ def map_with_density_exponent(
     on_sphere = np.maximum(triangle_areas(start, surface.faces), 1e-300)
     # a μ^p = A^p a^(1-p), in logarithms since a may be as good as zero.
     areas = np.exp(exponent * np.log(surface.face_areas) + (1.0 - exponent) * np.log(on_sphere))
-    areas *= SPHERE_AREA / areas.sum()
-    target = _Reweighted(surface, areas)
+    target = surface.with_areas(areas)
     sphere = moser_map(target, start, device=device).sphere
     if count_flips(sphere, surface.faces, device=device):
-        sphere = untangle(surface, sphere, device=device).sphere
+        sphere = untangle(target, sphere, device=device).sphere
         flips = count_flips(sphere, surface.faces, device=device)
         if flips:
             raise OmtwarpError(f"the density exponent {exponent} leaves {flips} flipped triangles: try a smaller one")
     if weight is None:
         return sphere
-    # Frames are lengths inverted: each triangle is scaled to the area it is to have.
-    frames = triangle_frames(surface) * np.sqrt(surface.face_areas / areas)[:, None]
-    refiner = Refiner(target, resolve_device(device), frames)
+    refiner = Refiner(target, resolve_device(device))
     return refiner.minimise(sphere, weight, iterations=ITERATIONS, tolerance=TOLERANCE).sphere
 
 

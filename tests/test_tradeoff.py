@@ -7,7 +7,7 @@ from omtwarp.conformal import conformal_map
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import ellipsoid
-from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
+from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics import distortion
 from omtwarp.tradeoff import map_with_density_exponent
 
@@ -54,12 +54,3 @@ def test_evening_out_only_helps_at_equal_area():
 def test_exponents_outside_are_refused(exponent):
     with pytest.raises(OmtwarpError, match="density exponent"):
         map_with_density_exponent(SURFACE, CONFORMAL, exponent)
-
-
-def test_areas_of_the_reweighted_surface_sum_to_the_sphere():
-    from omtwarp.tradeoff import _Reweighted
-
-    areas = np.full(SURFACE.face_count, SPHERE_AREA / SURFACE.face_count)
-    other = _Reweighted(SURFACE, areas)
-    assert other.face_areas is areas
-    assert other.vertex_areas.sum() == pytest.approx(SPHERE_AREA, rel=1e-12)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.errors import OmtwarpError
+
 if TYPE_CHECKING:
     from omtwarp.device.start import wp
     from omtwarp.device.surface_arrays import SurfaceArrays
@@ -22,15 +24,55 @@ class Surface:
     The order of vertices and faces is the caller's. The class does not check the mesh: see
     :func:`omtwarp.mesh.validate.require_valid`.
 
+    Every stage takes :attr:`face_areas` as the mass of a triangle, which is the area that its image is to have. These
+    are the triangles' own areas unless ``areas`` gives another measure.
+
+    Args:
+        vertices: positions, shape [V, 3], in any unit.
+        faces: vertex indices, shape [F, 3], counter-clockwise seen from outside.
+        areas: the measure of every triangle, positive, shape [F], in any unit; its own area where not given.
+
     Attributes:
         vertices: float64, shape [V, 3], in the units of the input.
         faces: int32, shape [F, 3], counter-clockwise seen from outside.
+
+    Raises:
+        OmtwarpError: ``areas`` is not one positive, finite number per triangle.
     """
 
-    def __init__(self, vertices: ArrayLike, faces: ArrayLike):
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike, areas: ArrayLike | None = None):
         self.vertices: NDArray[np.float64] = np.ascontiguousarray(vertices, dtype=np.float64)
         self.faces: NDArray[np.int32] = np.ascontiguousarray(faces, dtype=np.int32)
+        self._given_areas = None if areas is None else scaled_areas(areas, len(self.faces))
         self._sent: dict[str, dict[str, wp.array]] = {}
+
+    def with_areas(self, areas: ArrayLike) -> Surface:
+        """Make the same surface with another measure; what depends on shape and connectivity alone is shared.
+
+        Args:
+            areas: the measure of every triangle, positive, shape [F], in any unit.
+
+        Raises:
+            OmtwarpError: ``areas`` is not one positive, finite number per triangle.
+
+        Example:
+            >>> import numpy as np, omtwarp
+            >>> surface = omtwarp.shapes.icosphere(4)
+            >>> heavier = surface.with_areas(surface.face_areas * np.linspace(1.0, 2.0, surface.face_count))
+            >>> float(round(heavier.face_areas.sum() / (4 * np.pi), 12))
+            1.0
+        """
+        other = Surface(self.vertices, self.faces, areas)
+        kept = {name: value for name, value in self.__dict__.items() if name in _UNWEIGHTED}
+        other.__dict__.update(kept)
+        for device, arrays in self._sent.items():
+            other._sent[device] = {name: array for name, array in arrays.items() if name not in _WEIGHTED}
+        return other
+
+    @property
+    def weighted(self) -> bool:
+        """Whether triangles were given another measure than their own areas."""
+        return self._given_areas is not None
 
     def __repr__(self) -> str:
         return f"Surface({self.vertex_count} vertices, {self.face_count} faces)"
@@ -53,13 +95,18 @@ class Surface:
         return unit * np.sqrt(SPHERE_AREA / area)
 
     @cached_property
-    def face_areas(self) -> NDArray[np.float64]:
+    def own_areas(self) -> NDArray[np.float64]:
         """Area of every triangle of the scaled surface, shape [F]; the sum is 4π."""
         return triangle_areas(self.scaled_vertices, self.faces)
 
     @cached_property
+    def face_areas(self) -> NDArray[np.float64]:
+        """Measure of every triangle, shape [F]; the sum is 4π. Its own area unless another measure was given."""
+        return self.own_areas if self._given_areas is None else self._given_areas
+
+    @cached_property
     def vertex_areas(self) -> NDArray[np.float64]:
-        """A third of the (scaled) area of the triangles around every vertex, shape [V]; the sum is 4π."""
+        """A third of the measure of the triangles around every vertex, shape [V]; the sum is 4π."""
         return self.sum_to_vertices(self.face_areas) / 3.0
 
     def sum_to_vertices(self, per_face: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -109,8 +156,6 @@ class Surface:
         Raises:
             OmtwarpError: an edge does not have two triangles.
         """
-        from omtwarp.errors import OmtwarpError
-
         if self._sides is None:
             raise OmtwarpError("the surface is not closed and manifold: an edge does not have two triangles")
         return self._sides.reshape(-1, 2)
@@ -145,6 +190,44 @@ class Surface:
         ranked = keys[order]
         twos = len(keys) % 2 == 0 and np.array_equal(ranked[0::2], ranked[1::2])
         return order if twos and not np.any(ranked[2::2] == ranked[1:-1:2]) else None
+
+
+# Cached properties that do not depend on the measure of the triangles, and arrays on a device that do.
+_UNWEIGHTED = frozenset(
+    {
+        "scaled_vertices",
+        "own_areas",
+        "face_neighbours",
+        "vertex_corners",
+        "edges",
+        "edge_corners",
+        "dissection",
+        "_sides",
+    }
+)
+_WEIGHTED = frozenset({"face_areas", "vertex_areas"})
+
+
+def scaled_areas(areas: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Check a measure of triangles and scale it to the sum 4π, shape [F].
+
+    Raises:
+        OmtwarpError: it is not one positive, finite number per triangle, or the sum overflows.
+    """
+    try:
+        given = np.array(areas, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise OmtwarpError("the areas of triangles are not numbers") from None
+    if given.shape != (count,):
+        raise OmtwarpError(
+            f"the areas have shape {list(given.shape)}: expected one number for each of {count} triangles"
+        )
+    wrong = ~(np.isfinite(given) & (given > 0.0))
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        raise OmtwarpError(f"the area of triangle {first} is {given[first]:g}: every area must be positive and finite")
+    given /= given.max()
+    return given * (SPHERE_AREA / given.sum())
 
 
 def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -149,22 +149,19 @@ class DistortionEnergy:
     Args:
         surface: the original surface, V vertices and F faces.
         device: a Warp device.
-        frames: what triangles are measured against, see :func:`omtwarp.triangle_newton.frames.triangle_frames`,
-            shape [F, 3]; the surface's own by default.
 
     Attributes:
         room: on the host, for what is used up at once: Hessians, fronts of factorisations.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device, frames: NDArray[np.float64] | None = None):
+    def __init__(self, surface: Surface, device: wp.Device):
         self.surface = surface
         self.device = device
         self.areas = surface.face_areas
         count = surface.face_count
         self.room = Room()
         mesh = surface.on(device)
-        given = triangle_frames(surface) if frames is None else np.ascontiguousarray(frames)
-        own = wp.array(given, dtype=wp.vec3d, device=device, copy=False)
+        own = wp.array(triangle_frames(surface), dtype=wp.vec3d, device=device, copy=False)
         self.triangles = TriangleKernels(mesh.faces, own, mesh.face_areas, mesh.vertex_corners, self.room)
         # Beside the CPU's cores NumPy adds faster.
         self._sums = DistortionSums(count, device) if device.is_cuda else None

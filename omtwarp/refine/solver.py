@@ -165,13 +165,12 @@ class Refiner:
     Args:
         surface: the original surface.
         device: a Warp device.
-        frames: see :class:`omtwarp.refine.energy.DistortionEnergy`.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device, frames: NDArray[np.float64] | None = None):
+    def __init__(self, surface: Surface, device: wp.Device):
         self.surface = surface
         self.device = device
-        self.energy = DistortionEnergy(surface, device, frames)
+        self.energy = DistortionEnergy(surface, device)
         self._steps = steps_for(self.energy)
 
     @blas_threads(1)

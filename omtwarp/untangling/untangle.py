@@ -187,7 +187,7 @@ class _Untangling:
         seed = np.zeros(surface.vertex_count, dtype=bool)
         seed[surface.faces[flipped].ravel()] = True
         self.whole = Patches.of_vertices(surface.faces, grow(surface.faces, seed, schedule.rings))
-        self.frames = triangle_frames(surface, schedule.thinnest, surface.faces[self.whole.triangles])
+        self.frames = triangle_frames(surface, schedule.thinnest, self.whole.triangles)
         self._take(self.whole)
 
     def _take(self, patches: Patches) -> None:
