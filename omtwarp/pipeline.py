@@ -16,8 +16,9 @@ from omtwarp.device.memory import give_back
 from omtwarp.device.start import resolve_device, wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.guard import StepGuard
+from omtwarp.flips.guard import hold_back
 from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import require_valid
 from omtwarp.metrics.certificate import certify
@@ -254,7 +255,8 @@ class _Run:
                 polished = polish_transport(
                     self.surface, self.start, self.points(sphere), device=self.device, progress=tell
                 )
-                sphere = polished.sphere
+                sphere, more = self.mend(sphere, polished.sphere)
+                repaired += more
                 history = history + [
                     record | {"iteration": len(history) + k} for k, record in enumerate(polished.history[1:])
                 ]
@@ -267,8 +269,10 @@ class _Run:
 
         give_back()  # the largest matrices follow
         refined = refine_map(self.surface, sphere, weight=weight, device=self.device, progress=tell)
-        self.finish("refine", refined.sphere, len(refined.history), weight=weight, converged=refined.converged)
-        return refined.sphere
+        sphere, repaired = self.mend(sphere, refined.sphere)
+        record = {"weight": weight, "converged": refined.converged, "repaired": repaired}
+        self.finish("refine", sphere, len(refined.history), **record)
+        return sphere
 
     def barycentric(self, method: str) -> MapResult:
         from omtwarp.baselines.barycentric import solve_barycentric
@@ -289,22 +293,21 @@ class _Run:
         )
 
     def mend(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-        """Repair the flips of a stage; what cannot be repaired is held back where the map before it was.
+        """Repair what keeps a stage's map from being one to one, or hold it back towards the map before it.
+
+        Repair may end with all triangles positive and the sphere covered twice: such maps are not taken either.
 
         Returns:
-            A map without flips, and how many were repaired.
+            A bijection, and how many flips the stage's map had.
         """
         faces = self.surface.on(self.device).faces
-        flips = count_flips(self.points(after), faces, device=self.device)
-        if flips == 0:
+        if is_bijective(self.points(after), faces, device=self.device):
             return after, 0
+        flips = count_flips(self.points(after), faces, device=self.device)
         repaired = untangle(self.surface, after, device=self.device).sphere
-        if count_flips(self.points(repaired), faces, device=self.device) == 0:
+        if is_bijective(self.points(repaired), faces, device=self.device):
             return repaired, flips
-        device = resolve_device(self.device)
-        held = wp.clone(vectors(after, device))
-        StepGuard(self.surface, device).limit(vectors(before, device), held)
-        return held.numpy(), flips
+        return hold_back(self.surface, before, after, device=self.device), flips
 
     def optimality(
         self, start: NDArray[np.float64], moser: NDArray[np.float64] | None, transported: NDArray[np.float64]
@@ -341,8 +344,21 @@ class _Run:
             "start": {"road": start.road, "reason": start.reason} if start is not None else {"road": method},
             "seconds": time.perf_counter() - self.begun,
             "stages": self.stages,
-            "certificate": certify(surface.faces, sphere, device=self.device).to_dict(),
+            "certificate": self.certificate(sphere),
         }
+
+    def certificate(self, sphere: NDArray[np.float64]) -> dict[str, Any]:
+        """What is certain about the map that is handed out.
+
+        Raises:
+            OmtwarpError: it is not one to one.
+        """
+        certificate = certify(self.surface.faces, sphere, device=self.device)
+        if not certificate.bijective:
+            raise OmtwarpError(
+                f"no map that is one to one was found: {certificate}; repair or remesh the surface and try again"
+            )
+        return certificate.to_dict()
 
 
 def versions() -> dict[str, str]:

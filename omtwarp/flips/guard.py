@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from omtwarp.device.start import wp
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import resolve_device, wp
 from omtwarp.flips.guard_kernels import HELD, count_flips, end_round, find_bad, find_bad_around, shorten_steps
+from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
 
 # A vertex whose step was halved this often stays where it was.
@@ -16,6 +21,8 @@ THREADS = 16384
 # A step that leaves a triangle a hundredth of its area is as good as a flip: on scanned shapes a single such triangle
 # costs the whole map's area distortion more than the step gains.
 SMALLEST_PART = 0.2
+# A motion of which not even this part of a halving leaves a bijection is given up.
+WHOLE_HALVINGS = 6
 
 
 class StepGuard:
@@ -109,3 +116,38 @@ class StepGuard:
         """:meth:`hold`, and the number of vertices whose step was shortened."""
         self.hold(old, new)
         return int(self.held.numpy()[0])
+
+
+def hold_back(
+    surface: Surface,
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+    *,
+    device: str | wp.Device | None = "auto",
+) -> NDArray[np.float64]:
+    """Move a bijection towards another map as far as it stays a bijection.
+
+    The guard's map has no flips, but large steps can turn a triangle over the far side of the sphere, so that rings
+    turn twice: then all steps are halved.
+
+    Args:
+        surface: the surface, V vertices.
+        before: a bijection to the sphere, unit vectors, shape [V, 3].
+        after: any map, shape [V, 3].
+        device: where the guard works.
+
+    Returns:
+        A bijection between the two, unit vectors, float64, shape [V, 3]; ``before`` itself where nothing of the motion
+        can be kept.
+    """
+    where = resolve_device(device)
+    guard, start = StepGuard(surface, where), vectors(before, where)
+    step = np.nan_to_num(after - before, posinf=0.0, neginf=0.0)
+    for halvings in range(WHOLE_HALVINGS + 1):
+        moved = before + step * 0.5**halvings
+        lengths = np.linalg.norm(moved, axis=1, keepdims=True)
+        held = wp.clone(vectors(np.where(lengths > 0.0, moved / np.where(lengths > 0.0, lengths, 1.0), before), where))
+        guard.limit(start, held)
+        if is_bijective(held, surface.faces, device=where):
+            return held.numpy()
+    return before

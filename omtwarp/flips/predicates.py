@@ -56,7 +56,7 @@ def orientation_signs(
         points, places = given.numpy(), corners.numpy()[open_cases]
         a, b, c = (points[places[:, k]] for k in range(3))
         usable = np.isfinite(np.hstack([a, b, c])).all(axis=1)
-        signs[open_cases[usable]] = _exact_signs(a[usable], b[usable], c[usable])
+        signs[open_cases[usable]] = exact_signs(a[usable], b[usable], c[usable])
     return signs
 
 
@@ -75,7 +75,7 @@ def count_flips(
     return int(flipped_faces(sphere, faces, device=device).sum())
 
 
-def _exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.int8]:
+def exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.int8]:
     """Signs of the determinants of finite points, shape [n, 3] each, in integer arithmetic."""
     if len(a) == 0:
         return np.zeros(0, dtype=np.int8)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.start import resolve_device, wp
 from omtwarp.flips.predicates import orientation_signs
+from omtwarp.flips.rings import ring_turns
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
 
@@ -26,6 +27,8 @@ class Certificate:
     Attributes:
         flips: triangles whose exact orientation is not positive.
         first_flip: index of the first of them, or -1.
+        wound: vertices whose ring of neighbours does not go around them exactly once, decided exactly.
+        first_wound: index of the first of them, or -1.
         degree: total signed solid angle over 4π, rounded; 1 when the sphere is covered once.
         ray_degree: signed number of triangles that a ray from the centre crosses, the same for all rays cast; None if
             rays disagree, which a closed surface cannot.
@@ -36,6 +39,8 @@ class Certificate:
 
     flips: int
     first_flip: int
+    wound: int
+    first_wound: int
     degree: int
     ray_degree: int | None
     rays: int
@@ -44,8 +49,16 @@ class Certificate:
 
     @property
     def bijective(self) -> bool:
-        """No flip and degree 1, both ways: together they prove that the map is one to one and onto."""
-        return self.flips == 0 and self.degree == 1 and self.ray_degree == 1
+        """No flip, every ring once around and degree 1, both ways: the map is one to one and onto."""
+        return self.flips == 0 and self.wound == 0 and self.degree == 1 and self.ray_degree == 1
+
+    def __str__(self) -> str:
+        where_flipped = f" (the first is face {self.first_flip})" if self.flips else ""
+        where_wound = f" (the first is vertex {self.first_wound})" if self.wound else ""
+        return (
+            f"{self.flips} flipped triangles{where_flipped}, {self.wound} rings that do not turn once{where_wound}, "
+            f"degree {self.degree}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self) | {"bijective": self.bijective}
@@ -54,8 +67,9 @@ class Certificate:
 def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: str | None = "auto") -> Certificate:
     """Examine a sphere map.
 
-    A piecewise map of a closed surface to the sphere whose triangles are all positively oriented is a covering; a
-    degree of 1 makes it one to one. Orientation is decided with exact arithmetic wherever rounding could matter.
+    A map of a closed surface to the sphere whose triangles are all positively oriented is a covering, branched where
+    the ring of a vertex goes around it more than once; a degree of 1 makes it one to one. Orientation and turns are
+    decided with exact arithmetic wherever rounding could matter.
 
     Args:
         faces: shape [F, 3].
@@ -64,15 +78,22 @@ def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: st
     """
     signs = orientation_signs(sphere, faces, device=device)
     bad = np.flatnonzero(signs <= 0)
+    turns = ring_turns(sphere, faces, signs=signs, device=device)
+    used = np.zeros(len(turns), dtype=bool)
+    used[faces] = True
+    wound = np.flatnonzero(used & (turns != 1))
     areas = triangle_areas(sphere, faces)
     smallest = int(np.argmin(areas))
     a, b, c = (sphere[faces[:, k]] for k in range(3))
-    triple = np.einsum("ij,ij->i", a, np.cross(b, c))
+    # The exact sign decides whether a triangle of nearly half the sphere is that or the other half.
+    triple = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c))) * signs
     dots = 1.0 + sum(np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
     degree = float((2.0 * np.arctan2(triple, dots)).sum() / SPHERE_AREA)
     return Certificate(
         flips=len(bad),
         first_flip=int(bad[0]) if len(bad) else -1,
+        wound=len(wound),
+        first_wound=int(wound[0]) if len(wound) else -1,
         degree=round(degree) if np.isfinite(degree) else 0,
         ray_degree=_ray_degree(faces, sphere, device),
         rays=RAYS,

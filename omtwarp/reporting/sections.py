@@ -220,14 +220,15 @@ def certificate(report: dict[str, Any], shown_faces: int) -> str:
     where_first = f", the first is face {found.get('first_flip')}" if flips else ", by exact orientation tests"
     facts = [
         ("Flipped triangles", f"{flips:,}{where_first}"),
+        ("Rings", f"{found.get('wound', 0):,} vertices whose neighbours do not go around them exactly once"),
         ("Degree", f"{found.get('degree')} from the total signed solid angle"),
         ("Rays", f"{found.get('rays')} from the centre, each of which crosses the map {crossings} "
          f"time{'s' * (crossings != 1)} by signed count"),
         ("Smallest triangle", f"{_number(found.get('smallest_area', 0.0))} of 4π, face {found.get('smallest_face')}"),
     ]  # fmt: skip
     words = (
-        "A map of a closed surface to the sphere whose triangles all keep their orientation covers it evenly; "
-        "degree 1 then makes it one to one and onto."
+        "A map of a closed surface to the sphere whose triangles all keep their orientation, and whose vertices' rings "
+        "all turn once, covers it evenly; degree 1 then makes it one to one and onto."
     )
     count = report.get("mesh", {}).get("faces")
     if count and shown_faces < count:

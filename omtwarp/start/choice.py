@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from omtwarp.conformal import ConformalMap, conformal_map
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics.distortion import distortion
 from omtwarp.start.hierarchical import hierarchical_embedding
@@ -80,24 +81,28 @@ def bijective_start(
     except OmtwarpError as error:
         reason = str(error)
     if conformal is not None and not reason:
-        flips = count_flips(conformal.sphere, mesh.faces, device=device)
-        if flips == 0:
+        if is_bijective(conformal.sphere, mesh.faces, device=device):
             return Start(conformal.sphere, "conformal", "", conformal, 0)
+        flips = count_flips(conformal.sphere, mesh.faces, device=device)
         repaired = untangle(surface, conformal.sphere, device=device)
-        if count_flips(repaired.sphere, mesh.faces, device=device) == 0:
+        if is_bijective(repaired.sphere, mesh.faces, device=device):
             return Start(repaired.sphere, "conformal, repaired", "", conformal, flips)
-        reason = f"{repaired.flips_after} of {flips} flips of the conformal map could not be repaired"
+        reason = f"the {flips} flips of the conformal map could not be repaired without covering the sphere twice"
+        if repaired.flips_after:
+            reason = f"{repaired.flips_after} of {flips} flips of the conformal map could not be repaired"
 
     def report(done: float) -> None:
         if progress is not None:
             progress("start", int(100 * done), 100, {})
 
     sphere = tube_map(surface)
-    if count_flips(sphere, mesh.faces, device=device) == 0:
+    if is_bijective(sphere, mesh.faces, device=device):
         judged = distortion(mesh.vertices, mesh.faces, sphere, device=device)
         if judged.area["surface"] < TUBE_AREA:
             return Start(sphere, "tube", reason, conformal, 0)
     sphere = hierarchical_embedding(surface, device=device, progress=report)
+    if not is_bijective(sphere, mesh.faces, device=device):
+        raise OmtwarpError("no start was found: the coarse-to-fine embedding covers the sphere more than once")
     return Start(sphere, "hierarchical", reason, conformal, 0)
 
 

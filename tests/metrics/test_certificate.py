@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from sphere_truths import pushed_north, random_rotation, turned, twisted
 
 from omtwarp.flips.predicates import orientation_signs
-from omtwarp.mesh.shapes import fibonacci_sphere, icosphere, random_sphere
+from omtwarp.mesh.shapes import fibonacci_sphere, icosphere, random_sphere, uv_sphere
 from omtwarp.metrics.certificate import RAYS, certify
 
 
@@ -133,3 +133,16 @@ def test_is_json():
     surface = icosphere(2)
     text = json.dumps(certify(surface.faces, surface.vertices).to_dict())
     assert json.loads(text)["bijective"] is True
+
+
+def test_a_branched_covering_without_flips_is_no_bijection(device):
+    """Longitudes doubled: every triangle is positive, the two poles' rings turn twice."""
+    surface = uv_sphere(7, 24)
+    x, y, z = surface.vertices.T
+    radius, longitude = np.hypot(x, y), 2.0 * np.arctan2(y, x)
+    sphere = np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1) @ random_rotation(4).T
+    certificate = certify(surface.faces, sphere, device=device)
+    assert (certificate.flips, certificate.wound, certificate.degree) == (0, 2, 2)
+    assert abs(surface.vertices[certificate.first_wound, 2]) == 1.0
+    assert not certificate.bijective
+    assert "2 rings" in str(certificate)

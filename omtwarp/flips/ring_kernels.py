@@ -1,0 +1,44 @@
+"""Kernels that add up the angle by which the neighbours of every vertex turn around it."""
+
+from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+@wp.kernel
+def add_turning_angles(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    signs: wp.array[wp.int8],
+    direction_error: wp.float64,
+    angle_error: wp.float64,
+    # Data out:
+    angles: wp.array[wp.float64],
+    errors: wp.array[wp.float64],
+):
+    """Add every triangle's signed angle to each of its corners, with a bound on how far rounding put it wrong.
+
+    The direction from p towards a is that of the normal p x (a - p) of the great circle through both. The additions
+    may come in any order, since their sum is only compared with multiples of 2π.
+    """
+    f, _ = wp.tid()
+    face = faces[f]
+    for k in range(3):
+        p = points[face[k]]
+        towards_a = points[face[(k + 1) % 3]] - p
+        towards_b = points[face[(k + 2) % 3]] - p
+        a = wp.cross(p, towards_a)
+        b = wp.cross(p, towards_b)
+        length_a, length_b = wp.length(a), wp.length(b)
+        # With a length of 0 the error is not a number, which no bound is below.
+        error = direction_error * wp.length(p) * (wp.length(towards_a) / length_a + wp.length(towards_b) / length_b)
+        angle = wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b))
+        if signs[f] < wp.int8(0):
+            angle = -angle
+        elif signs[f] == wp.int8(0):
+            angle = ZERO
+        wp.atomic_add(angles, face[k], angle)
+        wp.atomic_add(errors, face[k], error + angle_error)
+
+
+__all__ = ["add_turning_angles"]

@@ -1,0 +1,142 @@
+"""How often the neighbours of a vertex go around it, decided exactly: what tells a bijection from a branched covering.
+
+A continuous map of a closed surface to the sphere whose triangles are all positive is a covering everywhere but at
+vertices. Where the ring of neighbours goes k > 1 times around the image of a vertex, k sheets meet. On a connected
+surface of genus 0 the number of sheets is 1 + sum(k - 1) / 2 (Riemann and Hurwitz), so that the map is one to one
+exactly where every ring turns once. A count of flipped triangles alone does not see such vertices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.device.arrays import triangles, vectors
+from omtwarp.device.start import resolve_device, wp
+from omtwarp.flips.predicates import exact_signs, orientation_signs
+from omtwarp.flips.ring_kernels import add_turning_angles
+
+UNIT_ROUNDOFF = 2.0**-53
+# The difference of two points and their cross product are rounded four times in each of three components.
+_DIRECTION_ERROR = 16.0 * UNIT_ROUNDOFF
+# The angle between two given directions: products, lengths, arc tangent and sum.
+_ANGLE_ERROR = 32.0 * UNIT_ROUNDOFF
+# Sums of angles are multiples of 2π up to their rounding: with less than this, in radians, only one is near.
+_CERTAIN = 1.0
+
+
+def ring_turns(
+    sphere: ArrayLike | wp.array,
+    faces: ArrayLike | wp.array,
+    *,
+    signs: NDArray[np.int8] | None = None,
+    device: str | wp.Device | None = "cpu",
+) -> NDArray[np.int32]:
+    """How often the ring of every vertex goes around it on the sphere, decided exactly.
+
+    Args:
+        sphere: float64 points, shape [V, 3], of any length but 0; or a Warp array of vec3d.
+        faces: integer corner indices, shape [F, 3]; or a Warp array of vec3i.
+        signs: what :func:`omtwarp.flips.predicates.orientation_signs` says of the triangles, int8, shape [F]; worked
+            out here when left out.
+        device: where floating point is tried.
+
+    Returns:
+        int32, shape [V]: 1 where the ring turns once counter-clockwise, as it does in a bijection; 0 for a vertex
+        without triangles. Beside a triangle of sign 0 the number means nothing.
+
+    Example:
+        >>> from omtwarp.mesh.shapes import icosphere
+        >>> surface = icosphere(2)
+        >>> set(ring_turns(surface.vertices, surface.faces).tolist())
+        {1}
+    """
+    where = resolve_device(device)
+    points = vectors(sphere, where)
+    corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
+    if signs is None:
+        signs = orientation_signs(points, corners, device=where)
+    angles, errors = (wp.zeros(len(points), dtype=wp.float64, device=where) for _ in range(2))
+    sent = wp.array(np.ascontiguousarray(signs, dtype=np.int8), dtype=wp.int8, device=where, copy=False)
+    bounds = [wp.float64(_DIRECTION_ERROR), wp.float64(_ANGLE_ERROR)]
+    inputs = [points, corners, sent, *bounds]
+    wp.launch(add_turning_angles, dim=len(corners), inputs=inputs, outputs=[angles, errors], device=where)
+    total, error = angles.numpy() / (2.0 * np.pi), errors.numpy()
+    with np.errstate(invalid="ignore"):
+        certain = error < _CERTAIN
+    turns: NDArray[np.int32] = np.rint(np.where(certain, total, 0.0)).astype(np.int32)
+    if not certain.all():
+        _turn_exactly(points.numpy(), corners.numpy(), signs, ~certain, turns)
+    return turns
+
+
+def tangled_faces(
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
+) -> NDArray[np.bool_]:
+    """Triangles that keep a map from being one to one: flipped, or around a vertex whose ring does not turn once.
+
+    Args:
+        sphere: float64 points, shape [V, 3]; or a Warp array of vec3d.
+        faces: integer corner indices, shape [F, 3]; or a Warp array of vec3i.
+        device: where floating point is tried.
+
+    Returns:
+        bool, shape [F]. None is True exactly where the map of a closed connected surface of genus 0 is a bijection.
+    """
+    signs = orientation_signs(sphere, faces, device=device)
+    turns = ring_turns(sphere, faces, signs=signs, device=device)
+    corners = faces.numpy() if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3)
+    tangled: NDArray[np.bool_] = signs <= 0
+    if (turns != 1).any():
+        tangled |= (turns != 1)[corners].any(axis=1)
+    return tangled
+
+
+def is_bijective(
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
+) -> bool:
+    """Whether a map of a closed connected surface of genus 0 to the sphere is one to one and onto, decided exactly.
+
+    Every triangle is positive and every ring turns once: see the head of this module for why that suffices.
+
+    Args:
+        sphere: float64 points, shape [V, 3]; or a Warp array of vec3d.
+        faces: integer corner indices, shape [F, 3]; or a Warp array of vec3i.
+        device: where floating point is tried.
+
+    Example:
+        >>> from omtwarp.mesh.shapes import icosphere
+        >>> surface = icosphere(2)
+        >>> is_bijective(surface.vertices, surface.faces), is_bijective(-surface.vertices, surface.faces)
+        (True, False)
+    """
+    return not tangled_faces(sphere, faces, device=device).any()
+
+
+def _turn_exactly(
+    points: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    signs: NDArray[np.int8],
+    asked: NDArray[np.bool_],
+    turns: NDArray[np.int32],
+) -> None:
+    """Fill in the turns of the vertices asked for, by counting how often their rings cross one of their spokes.
+
+    A triangle's side crosses the spoke towards r where its ends lie on both sides of the great circle through the
+    vertex and r, and the triangle's own orientation says on which side of the vertex it passes.
+    """
+    face, corner = np.nonzero(asked[faces])
+    centre, a, b = (faces[face, (corner + k) % 3] for k in range(3))
+    spoke = np.zeros(len(points), dtype=np.int32)
+    spoke[centre] = a
+    usable = np.isfinite(points[np.stack([centre, a, b, spoke[centre]])]).all(axis=(0, 2))
+    face, centre, a, b = face[usable], centre[usable], a[usable], b[usable]
+    p, r = points[centre], points[spoke[centre]]
+    left_a, left_b = (exact_signs(p, r, points[end]) >= 0 for end in (a, b))
+    crossing = (~left_a & left_b & (signs[face] > 0)).astype(np.int32)
+    crossing -= (left_a & ~left_b & (signs[face] < 0)).astype(np.int32)
+    turns[asked] = 0
+    np.add.at(turns, centre, crossing)
+
+
+__all__ = ["is_bijective", "ring_turns", "tangled_faces"]
