@@ -1,6 +1,7 @@
 """Moser's flow on a triangulated sphere: every particle integrates its own path, walking from triangle to triangle."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, ZERO, wp
+from omtwarp.location.kernels import walk
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -10,51 +11,7 @@ THREE_QUARTERS = wp.constant(wp.float64(0.75))
 TWO_NINTHS = wp.constant(wp.float64(2.0 / 9.0))
 THIRD = wp.constant(wp.float64(1.0 / 3.0))
 FOUR_NINTHS = wp.constant(wp.float64(4.0 / 9.0))
-OUTSIDE = wp.constant(wp.float64(-1e-12))
-WALK_LIMIT = wp.constant(2000)
 LARGEST = wp.constant(wp.float64(1e300))  # instead of infinity
-
-
-@wp.func
-def spherical_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Barycentric coordinates of the point where the ray through p meets the plane of a, b, c; sum to one."""
-    weights = wp.vec3d(wp.dot(p, wp.cross(b, c)), wp.dot(p, wp.cross(c, a)), wp.dot(p, wp.cross(a, b)))
-    total = weights[0] + weights[1] + weights[2]
-    if total <= ZERO:
-        # The plane is behind the point: keep the signs, which steer the walk, and no scale.
-        return weights
-    return (ONE / total) * weights
-
-
-@wp.func(inline=True)
-def locate(
-    p: wp.vec3d,
-    start: int,
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    neighbours: wp.array[wp.vec3i],
-):
-    """Walk from a face to the face that holds p, across the edge that p lies furthest beyond."""
-    f = int(start)
-    weights = wp.vec3d()
-    for _ in range(WALK_LIMIT):
-        face = faces[f]
-        weights = spherical_barycentric(p, points[face[0]], points[face[1]], points[face[2]])
-        worst = int(0)
-        if weights[1] < weights[worst]:
-            worst = int(1)
-        if weights[2] < weights[worst]:
-            worst = int(2)
-        if weights[worst] >= OUTSIDE:
-            break
-        # Corner k is opposite to the edge between corners k + 1 and k + 2.
-        edge = worst + 1
-        if edge == 3:
-            edge = int(0)
-        f = neighbours[f][edge]
-    clamped = wp.vec3d(wp.max(weights[0], ZERO), wp.max(weights[1], ZERO), wp.max(weights[2], ZERO))
-    total = wp.max(clamped[0] + clamped[1] + clamped[2], wp.float64(1e-300))
-    return f, (ONE / total) * clamped
 
 
 @wp.func(inline=True)
@@ -69,7 +26,7 @@ def velocity_at(
     mu: wp.array[wp.float64],
 ):
     """dx/ds = -∇Θ / (μ + e^s - 1), section 4.2 with s = -log(1 - t); growth is e^s - 1."""
-    f, w = locate(p, start, points, faces, neighbours)
+    f, w = walk(p, start, points, faces, neighbours)
     face = faces[f]
     v = w[0] * field[face[0]] + w[1] * field[face[1]] + w[2] * field[face[2]]
     density = w[0] * mu[face[0]] + w[1] * mu[face[1]] + w[2] * mu[face[2]]

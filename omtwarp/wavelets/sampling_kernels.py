@@ -2,6 +2,7 @@
 
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
+from omtwarp.location.kernels import spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -11,12 +12,6 @@ TINY = wp.constant(wp.float64(1.0e-300))
 @wp.func
 def triple(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
     return wp.dot(a, wp.cross(b, c))
-
-
-@wp.func
-def spherical_coordinates(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
-    """Barycentric coordinates of the place where the ray through ``p`` meets the triangle, not yet normalised."""
-    return wp.vec3d(triple(p, b, c), triple(p, c, a), triple(p, a, b))
 
 
 @wp.func

@@ -1,0 +1,211 @@
+"""Point location on triangulated spheres: coordinates in a triangle, the walk of a moving point, and the search."""
+
+# mypy: ignore-errors
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, THREE, ZERO, wp
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+# A point this far (in barycentric coordinates) outside of a triangle is taken as on its edge: ten thousand units of
+# roundoff, so that a walk does not go back and forth across an edge that the point lies on.
+OUTSIDE = wp.constant(wp.float64(-1e-12))
+WALK_LIMIT = wp.constant(2000)
+TINY = wp.constant(wp.float64(1e-300))
+LARGE = wp.constant(wp.float64(1e300))
+# Boxes are kept in single precision, whose unit of roundoff at 1 is 6e-8: they are grown by more than what is lost.
+BOX_MARGIN = wp.constant(wp.float64(1e-6))
+
+
+@wp.func
+def spherical_coordinates(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
+    """Barycentric coordinates, not yet normalised, of the place where the ray through ``p`` meets the triangle."""
+    return wp.vec3d(wp.dot(p, wp.cross(b, c)), wp.dot(p, wp.cross(c, a)), wp.dot(p, wp.cross(a, b)))
+
+
+@wp.func
+def spherical_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
+    """Barycentric coordinates of the point where the ray through p meets the plane of a, b, c; sum to one."""
+    weights = spherical_coordinates(a, b, c, p)
+    total = weights[0] + weights[1] + weights[2]
+    if total <= ZERO:
+        # The plane is behind the point: keep the signs, which steer the walk, and no scale.
+        return weights
+    return (ONE / total) * weights
+
+
+@wp.func
+def clamped(weights: wp.vec3d) -> wp.vec3d:
+    """Barycentric coordinates without negative ones, which sum to one: interpolation never extrapolates."""
+    inside = wp.vec3d(wp.max(weights[0], ZERO), wp.max(weights[1], ZERO), wp.max(weights[2], ZERO))
+    total = wp.max(inside[0] + inside[1] + inside[2], TINY)
+    return (ONE / total) * inside
+
+
+@wp.func(inline=True)
+def walk(
+    p: wp.vec3d,
+    start: int,
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    neighbours: wp.array[wp.vec3i],
+):
+    """Go from a face to the face that holds p, across the edge that p lies furthest beyond: for points that move."""
+    f = int(start)
+    weights = wp.vec3d()
+    for _ in range(WALK_LIMIT):
+        face = faces[f]
+        weights = spherical_barycentric(p, points[face[0]], points[face[1]], points[face[2]])
+        worst = int(0)
+        if weights[1] < weights[worst]:
+            worst = int(1)
+        if weights[2] < weights[worst]:
+            worst = int(2)
+        if weights[worst] >= OUTSIDE:
+            break
+        # Corner k is opposite to the edge between corners k + 1 and k + 2.
+        edge = worst + 1
+        if edge == 3:
+            edge = int(0)
+        f = neighbours[f][edge]
+    return f, clamped(weights)
+
+
+@wp.func
+def single(v: wp.vec3d) -> wp.vec3:
+    return wp.vec3(wp.float32(v[0]), wp.float32(v[1]), wp.float32(v[2]))
+
+
+@wp.func
+def reach(v: wp.float64) -> wp.vec3d:
+    return wp.vec3d(v, v, v)
+
+
+@wp.kernel
+def box_triangles(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+):
+    """A box around every spherical triangle, in single precision.
+
+    No point of a flat triangle with longest edge L is further than L / √3 from a corner, so that none is nearer to the
+    sphere's centre than √(1 - L² / 3): by what is left to 1 the spherical triangle may bulge out of the flat one's box.
+    """
+    f = wp.tid()
+    face = faces[f]
+    a, b, c = points[face[0]], points[face[1]], points[face[2]]
+    longest = wp.max(wp.dot(b - a, b - a), wp.max(wp.dot(c - b, c - b), wp.dot(a - c, a - c)))
+    bulge = ONE - wp.sqrt(wp.max(ONE - longest / THREE, ZERO))
+    margin = reach(bulge + BOX_MARGIN)
+    lower[f] = single(wp.min(a, wp.min(b, c)) - margin)
+    upper[f] = single(wp.max(a, wp.max(b, c)) + margin)
+
+
+@wp.kernel
+def find_faces(
+    queries: wp.array[wp.vec3d],
+    boxes: wp.uint64,
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    found: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+):
+    """The triangle that each point lies deepest in (of equals the first), and its coordinates there; -1 for none.
+
+    Single precision only says which triangles to look at; float64 decides.
+    """
+    i, _ = wp.tid()
+    p = wp.normalize(queries[i])
+    best = -LARGE
+    best_face = int(-1)
+    best_weights = wp.vec3d()
+    margin = reach(BOX_MARGIN)
+    query = wp.bvh_query_aabb(boxes, single(p - margin), single(p + margin))
+    f = int(0)
+    while wp.bvh_query_next(query, f):
+        face = faces[f]
+        weights = spherical_coordinates(points[face[0]], points[face[1]], points[face[2]], p)
+        total = weights[0] + weights[1] + weights[2]
+        if total > ZERO:
+            inside = wp.min(weights) / total
+            if inside > best or (inside == best and f < best_face):
+                best = inside
+                best_face = int(f)
+                best_weights = weights / total
+    found[i] = best_face
+    coordinates[i] = clamped(best_weights)
+
+
+@wp.func
+def closest_on_edge(a: wp.vec3d, b: wp.vec3d, p: wp.vec3d) -> wp.float64:
+    """How far along the edge from a (0) to b (1) the point nearest to p lies."""
+    along = b - a
+    return wp.clamp(wp.dot(p - a, along) / wp.max(wp.dot(along, along), TINY), ZERO, ONE)
+
+
+@wp.func
+def closest_on_triangle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
+    """Barycentric coordinates of the point of a flat triangle that is nearest to p."""
+    normal = wp.cross(b - a, c - a)
+    size = wp.dot(normal, normal)
+    if size > ZERO:
+        w = wp.vec3d(
+            wp.dot(wp.cross(c - b, p - b), normal),
+            wp.dot(wp.cross(a - c, p - c), normal),
+            wp.dot(wp.cross(b - a, p - a), normal),
+        )
+        if wp.min(w) >= ZERO:
+            return w / (w[0] + w[1] + w[2])
+    ab, bc, ca = closest_on_edge(a, b, p), closest_on_edge(b, c, p), closest_on_edge(c, a, p)
+    best = wp.vec3d(ONE - ab, ab, ZERO)
+    least = wp.length_sq(p - a - ab * (b - a))
+    second = wp.length_sq(p - b - bc * (c - b))
+    if second < least:
+        least = second
+        best = wp.vec3d(ZERO, ONE - bc, bc)
+    if wp.length_sq(p - c - ca * (a - c)) < least:
+        best = wp.vec3d(ca, ZERO, ONE - ca)
+    return best
+
+
+@wp.func
+def distance_at(points: wp.array[wp.vec3d], face: wp.vec3i, weights: wp.vec3d, p: wp.vec3d) -> wp.float64:
+    return wp.length(p - weights[0] * points[face[0]] - weights[1] * points[face[1]] - weights[2] * points[face[2]])
+
+
+@wp.kernel
+def find_closest(
+    queries: wp.array[wp.vec3d],
+    boxes: wp.uint64,
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data in and out:
+    found: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+):
+    """The flat triangle nearest to each point, and the coordinates of its nearest point.
+
+    The triangle that holds the point (``found`` and ``coordinates`` coming in) bounds how far there is to look.
+    """
+    i, _ = wp.tid()
+    best_face = found[i]
+    if best_face < 0:
+        return
+    p = wp.normalize(queries[i])
+    best_weights = coordinates[i]
+    least = distance_at(points, faces[best_face], best_weights, p)
+    margin = reach(least + BOX_MARGIN)
+    query = wp.bvh_query_aabb(boxes, single(p - margin), single(p + margin))
+    f = int(0)
+    while wp.bvh_query_next(query, f):
+        face = faces[f]
+        weights = closest_on_triangle(points[face[0]], points[face[1]], points[face[2]], p)
+        distance = distance_at(points, face, weights, p)
+        if distance < least or (distance == least and f < best_face):
+            least = distance
+            best_face = int(f)
+            best_weights = weights
+    found[i] = best_face
+    coordinates[i] = best_weights
