@@ -102,12 +102,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            value: Any = version("omtwarp")
-        except PackageNotFoundError:  # run from a checkout that was never installed
-            value = "0+unknown"
+        value: Any = importlib.import_module("omtwarp.version").package_version()
     elif name in _PUBLIC:
         value = getattr(importlib.import_module(_PUBLIC[name]), name)
     elif name in _MODULES:

@@ -21,6 +21,7 @@ from omtwarp.commands.preview import preview_mesh
 from omtwarp.commands.report import report_on_map
 from omtwarp.commands.texture import texture_mesh
 from omtwarp.errors import OmtwarpError
+from omtwarp.version import package_version
 
 app = typer.Typer(
     help="Area-preserving maps from closed genus-0 surfaces to the sphere, and textures through them.",
@@ -41,9 +42,7 @@ app.command("benchmark")(benchmark)
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        import omtwarp
-
-        print(f"omtwarp {omtwarp.__version__}")
+        print(f"omtwarp {package_version()}")
         raise typer.Exit
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import platform
 import time
-from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from omtwarp.baselines.barycentric import Weights, solve_barycentric
 from omtwarp.conformal import density
 from omtwarp.device.arrays import vectors
 from omtwarp.device.memory import give_back
@@ -19,41 +20,39 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.guard import hold_back
 from omtwarp.flips.predicates import count_flips
 from omtwarp.flips.rings import is_bijective
+from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.mesh.validate import require_valid
 from omtwarp.metrics.certificate import certify
 from omtwarp.metrics.distortion import measure
+from omtwarp.metrics.optimality import optimality
 from omtwarp.moser import moser_map
+from omtwarp.options import Cost, MapOptions, Method, Progress, Scheme, Stage
 from omtwarp.refine.solver import refine_map
-from omtwarp.result import MapResult
-from omtwarp.start.choice import Start, bijective_start
+from omtwarp.result import MapResult, StageRecord
+from omtwarp.start.choice import bijective_start
 from omtwarp.transport.area import AreaMonitor
-from omtwarp.transport.flow import COSTS, optimal_transport, transport_cost
+from omtwarp.transport.flow import optimal_transport, transport_cost
+from omtwarp.transport.paper import paper_flow
 from omtwarp.transport.polish import polish_transport
 from omtwarp.untangling.untangle import untangle
+from omtwarp.version import package_version
 
-METHODS = ("omt", "haker", "moser", "tutte", "mean-value")
-STAGES = ("conformal", "moser", "omt", "refine")
-SCHEMES = ("default", "plain", "paper")
-REFINEMENTS = ("none", "area", "balanced", "angle")
 # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended, about
 # halves it; a third no longer pays.
 MOSER_PASSES = 2
-
-Progress = Callable[[str, int, int, dict[str, Any]], None]
 
 
 @blas_threads(1)
 def map_to_sphere(
     mesh: Any,
     *,
-    method: str = "omt",
-    until: str = "refine",
-    cost: str = "squared",
-    scheme: str = "default",
-    refine: str | float | None = "area",
-    optimality: bool = False,
-    device: str | None = "auto",
+    method: str = MapOptions.method,
+    until: str = MapOptions.until,
+    cost: str = MapOptions.cost,
+    scheme: str = MapOptions.scheme,
+    refine: str | float | None = MapOptions.refine,
+    optimality: bool = MapOptions.optimality,
+    device: str | None = MapOptions.device,
     progress: Progress | None = None,
 ) -> MapResult:
     """Map a closed genus-0 surface to the unit sphere.
@@ -76,141 +75,134 @@ def map_to_sphere(
     Raises:
         OmtwarpError: the mesh cannot be mapped, or an option is unknown.
     """
-    _check("method", method, METHODS)
-    _check("stage", until, STAGES)
-    _check("cost", cost, COSTS)
-    _check("scheme", scheme, SCHEMES)
-    weight = parse_refinement(refine)
-    where = resolve_device(device)
-    surface = as_surface(mesh)
-    with blas_threads(1):  # what is worth several threads is given them where it is done
-        return _Run(surface, str(where), progress).run(method, until, cost, scheme, weight, optimality)
-
-
-def as_surface(mesh: Any) -> Surface:
-    """Take a mesh in any of the accepted forms, and make sure that it can be mapped.
-
-    Raises:
-        OmtwarpError: it cannot, or it is no mesh.
-    """
-    if isinstance(mesh, tuple | list) and len(mesh) == 2:
-        vertices, faces = mesh
-    elif hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
-        vertices, faces = mesh.vertices, mesh.faces
-    else:
-        raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}")
-    return Surface(*require_valid(vertices, faces))
-
-
-def parse_refinement(value: str | float | None) -> str | float | None:
-    """A named refinement, a positive weight, or None for none.
-
-    Raises:
-        OmtwarpError: neither.
-    """
-    if value is None or value == "none":
-        return None
-    if isinstance(value, str) and value in REFINEMENTS:
-        return value
-    try:
-        weight = float(value)
-    except (TypeError, ValueError):
-        weight = -1.0
-    if not (0.0 < weight < np.inf):
-        raise OmtwarpError(f"unknown refinement '{value}': use {', '.join(REFINEMENTS)} or a positive number")
-    return weight
-
-
-def _check(what: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise OmtwarpError(f"unknown {what} '{value}': use {', '.join(known)}")
+    options = MapOptions.parse(
+        method=method,
+        until=until,
+        cost=cost,
+        scheme=scheme,
+        refine=refine,
+        optimality=optimality,
+        device=device,
+    )
+    where = resolve_device(options.device)
+    return _Run(as_surface(mesh), options, str(where), progress).result()
 
 
 class _Run:
-    """One map in the making: what was reached so far, and the record of how."""
+    """One map in the making: the maps reached so far, the last one first in line, and the record of how.
 
-    def __init__(self, surface: Surface, device: str, progress: Progress | None):
+    A stage is a method of no arguments: it reads ``sphere``, the map that it is handed, and ends with :meth:`finish`.
+    :meth:`result` runs them in the order of :attr:`MapOptions.stages`.
+
+    Args:
+        surface: what is mapped.
+        options: how.
+        device: name of the device that kernels run on.
+        progress: told of every stage.
+    """
+
+    def __init__(self, surface: Surface, options: MapOptions, device: str, progress: Progress | None):
         self.surface = surface
+        self.options = options
         self.device = device
         self.progress = progress
-        self.stages: list[dict[str, Any]] = []
-        self.start: wp.array | None = None
-        self.last: tuple[NDArray[np.float64], wp.array] | None = None
-        self.begun = time.perf_counter()
-        self.stage_begun = self.begun
+        self.records: list[StageRecord] = []
+        self.maps: dict[str, NDArray[np.float64]] = {}
+        self.history: list[dict[str, Any]] = []
+        self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
+        self.first: wp.array | None = None
+        self.uploaded: tuple[NDArray[np.float64], wp.array] | None = None
+        self.begun = self.stage_begun = time.perf_counter()
+
+    @property
+    def sphere(self) -> NDArray[np.float64]:
+        """The last map made."""
+        return next(reversed(self.maps.values()))
+
+    @property
+    def start(self) -> wp.array:
+        """The first map, which transport starts from, where the kernels run."""
+        assert self.first is not None
+        return self.first
 
     def tell(self, stage: str, done: int, total: int, details: dict[str, Any]) -> None:
         if self.progress is not None:
-            self.progress(stage, done, total, details)
+            self.progress(str(stage), done, total, details)
 
     def points(self, sphere: NDArray[np.float64]) -> wp.array:
         """A map where the kernels run; the one asked for last is there already."""
-        if self.last is None or self.last[0] is not sphere:
-            self.last = sphere, vectors(sphere, resolve_device(self.device))
-        return self.last[1]
+        if self.uploaded is None or self.uploaded[0] is not sphere:
+            self.uploaded = sphere, vectors(sphere, resolve_device(self.device))
+        return self.uploaded[1]
 
-    def finish(self, name: str, sphere: NDArray[np.float64], iterations: int, **more: Any) -> None:
-        """Close a stage: its time, and the map it hands on."""
+    def finish(self, name: str, sphere: NDArray[np.float64], iterations: int, **details: str | float | None) -> None:
+        """Close a stage: keep the map it hands on, and record its time and what the map is like."""
         seconds = time.perf_counter() - self.stage_begun
+        if self.first is None:
+            self.first = self.points(sphere)
+        self.maps[name] = sphere
         mesh = self.surface.on(self.device)
         measured = measure(mesh.vertices, mesh.faces, self.points(sphere), device=self.device)
-        cost = 0.0
-        if self.start is not None:
-            cost = transport_cost(self.surface, self.start, self.points(sphere), device=self.device)
-        record = {"name": name, "seconds": seconds, "iterations": iterations}
-        record |= measured | {"transport_cost": cost} | more
-        self.stages.append(record)
+        cost = transport_cost(self.surface, self.first, self.points(sphere), device=self.device)
+        self.records.append(
+            StageRecord(
+                name=str(name), seconds=seconds, iterations=iterations, **measured, transport_cost=cost, details=details
+            )
+        )
         self.tell(name, 1, 1, {"flips": measured["flips"], "cost": cost})
         self.stage_begun = time.perf_counter()
 
-    def run(
-        self, method: str, until: str, cost: str, scheme: str, weight: str | float | None, optimality: bool
-    ) -> MapResult:
-        surface = self.surface
-        if method in ("tutte", "mean-value"):
-            return self.barycentric(method)
-        last = {"haker": 0, "moser": 1}.get(method, STAGES.index(until))
-        self.tell("conformal", 0, 1, {})
-        start = bijective_start(surface, device=self.device, progress=self.progress)
-        start = replace(start, conformal=None)  # its factorisation is large, and not needed again
-        self.start = self.points(start.sphere)
-        self.finish("conformal", start.sphere, 1, road=start.road, reason=start.reason, repaired=start.repaired_flips)
-        moser = transported = None
-        history: list[dict[str, Any]] = []
-        sphere = start.sphere
-        if last >= 1:
-            moser = sphere = self.moser(start)
-        if last >= 2:
-            sphere, history = self.transport(sphere, cost, scheme)
-            transported = sphere
-        if last >= 3 and weight is not None:
-            sphere = self.refine(sphere, weight)
-        face_density, vertex_density = density(surface, start.sphere)
-        report = self.report(start, method, cost, scheme, weight, sphere)
-        if optimality and transported is not None:
-            report["optimality"] = self.optimality(start.sphere, moser, transported)
+    def result(self) -> MapResult:
+        """Run the stages asked for, and put together what they made."""
+        options, surface = self.options, self.surface
+        if options.method in (Method.TUTTE, Method.MEAN_VALUE):
+            self.barycentric()
+        else:
+            stages = {
+                Stage.CONFORMAL: self.conformal,
+                Stage.MOSER: self.moser,
+                Stage.OMT: self.transport,
+                Stage.REFINE: self.refine,
+            }
+            for stage in options.stages:
+                stages[stage]()
+        first = next(iter(self.maps.values()))
+        transported = self.maps.get(Stage.OMT)
+        face_density, vertex_density = density(surface, first)
+        report = self.report()
+        if options.optimality and transported is not None:
+            measured = optimality(first, transported, surface.vertex_areas, surface.faces, device=self.device)
+            report["optimality"] = measured.to_dict()
         return MapResult(
             vertices=surface.vertices,
             faces=surface.faces,
-            sphere=sphere,
-            conformal=start.sphere,
+            sphere=self.sphere,
+            conformal=first,
             density=vertex_density,
             face_density=face_density,
-            moser=moser,
+            moser=self.maps.get(Stage.MOSER),
             transported=transported,
-            history=history,
+            history=self.history,
             report=report,
         )
 
-    def moser(self, start: Start) -> NDArray[np.float64]:
-        """Moser's flow from the start, repeated from its own result, flips repaired after each pass."""
-        sphere = start.sphere
-        monitor = AreaMonitor(self.surface, resolve_device(self.device))
+    def conformal(self) -> None:
+        """The conformal map, or what stands in for it."""
+        self.tell(Stage.CONFORMAL, 0, 1, {})
+        start = bijective_start(self.surface, device=self.device, progress=self.progress)
+        self.origin = {"road": start.road, "reason": start.reason}
+        sphere, repaired = start.sphere, start.repaired_flips
+        del start  # its factorisation is large, and not needed again
+        self.finish(Stage.CONFORMAL, sphere, 1, **self.origin, repaired=repaired)
 
+    def moser(self) -> None:
+        """Moser's flow from the start, repeated from its own result, flips repaired after each pass."""
+        sphere = self.sphere
+        monitor = AreaMonitor(self.surface, resolve_device(self.device))
         least = monitor.error(self.points(sphere))
         steps = repaired = 0
         for k in range(MOSER_PASSES):
-            self.tell("moser", k, MOSER_PASSES, {})
+            self.tell(Stage.MOSER, k, MOSER_PASSES, {})
             flowed = moser_map(self.surface, self.points(sphere), device=self.device)
             steps += flowed.steps
             mended, flips = self.mend(sphere, flowed.sphere)
@@ -219,78 +211,78 @@ class _Run:
             if error >= least:
                 break  # where the image is badly stretched, repairs can lose more than the flow gains
             sphere, least = mended, error
-        self.finish("moser", sphere, steps, repaired=repaired)
-        return sphere
+        self.finish(Stage.MOSER, sphere, steps, repaired=repaired)
 
-    def transport(
-        self, initial: NDArray[np.float64], cost: str, scheme: str
-    ) -> tuple[NDArray[np.float64], list[dict[str, Any]]]:
+    def transport(self) -> None:
         """The optimal map, by the scheme asked for."""
+        if self.options.scheme is Scheme.PAPER:
+            self.transport_as_published()
+            return
+        initial, cost, scheme = self.sphere, self.options.cost, self.options.scheme
 
         def tell(done: int, total: int, details: dict[str, Any]) -> None:
-            self.tell("omt", done, total, details)
+            self.tell(Stage.OMT, done, total, details)
 
-        assert self.start is not None
-        if scheme == "paper":
-            from omtwarp.transport.paper import paper_flow
-
-            result = paper_flow(
-                self.start.numpy(), self.surface.faces, initial, self.surface.face_areas, cost=cost, device=self.device
+        moved = optimal_transport(
+            self.surface,
+            self.start,
+            self.points(initial),
+            cost=cost,
+            scheme=scheme,
+            device=self.device,
+            progress=tell,
+        )
+        sphere, repaired = self.mend(initial, moved.sphere)
+        self.history = moved.history
+        if scheme is Scheme.DEFAULT and cost is Cost.SQUARED:
+            polished = polish_transport(
+                self.surface, self.start, self.points(sphere), device=self.device, progress=tell
             )
-            sphere, repaired = self.mend(initial, result.map_at_vertices)
-            history, converged = result.history, result.stopped != "cycles"
-        else:
-            moved = optimal_transport(
-                self.surface,
-                self.start,
-                self.points(initial),
-                cost=cost,
-                scheme=scheme,
-                device=self.device,
-                progress=tell,
-            )
-            sphere, repaired = self.mend(initial, moved.sphere)
-            history, converged = moved.history, moved.converged
-            if scheme == "default" and cost == "squared":
-                polished = polish_transport(
-                    self.surface, self.start, self.points(sphere), device=self.device, progress=tell
-                )
-                sphere, more = self.mend(sphere, polished.sphere)
-                repaired += more
-                history = history + [
-                    record | {"iteration": len(history) + k} for k, record in enumerate(polished.history[1:])
-                ]
-        self.finish("omt", sphere, len(history) - 1, repaired=repaired, converged=converged)
-        return sphere, history
+            sphere, more = self.mend(sphere, polished.sphere)
+            repaired += more
+            first = len(self.history)
+            self.history = self.history + [
+                record | {"iteration": first + k} for k, record in enumerate(polished.history[1:])
+            ]
+        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=moved.converged)
 
-    def refine(self, sphere: NDArray[np.float64], weight: str | float) -> NDArray[np.float64]:
+    def transport_as_published(self) -> None:
+        """The optimal map by Algorithms 1 and 2 as the paper prints them."""
+        initial = self.sphere
+        flowed = paper_flow(
+            self.start.numpy(),
+            self.surface.faces,
+            initial,
+            self.surface.face_areas,
+            cost=self.options.cost,
+            device=self.device,
+        )
+        sphere, repaired = self.mend(initial, flowed.map_at_vertices)
+        self.history = flowed.history
+        converged = flowed.stopped != "cycles"
+        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=converged)
+
+    def refine(self) -> None:
+        """The least distortion near the map, at the weight of area against angle asked for."""
+        weight = self.options.refine
+        assert weight is not None
+
         def tell(text: str, done: int, total: int) -> None:
-            self.tell("refine", done, total, {"text": text})
+            self.tell(Stage.REFINE, done, total, {"text": text})
 
         give_back()  # the largest matrices follow
-        refined = refine_map(self.surface, sphere, weight=weight, device=self.device, progress=tell)
-        sphere, repaired = self.mend(sphere, refined.sphere)
-        record = {"weight": weight, "converged": refined.converged, "repaired": repaired}
-        self.finish("refine", sphere, len(refined.history), **record)
-        return sphere
+        refined = refine_map(self.surface, self.sphere, weight=weight, device=self.device, progress=tell)
+        sphere, repaired = self.mend(self.sphere, refined.sphere)
+        record = {"weight": self.options.to_dict()["refine"], "converged": refined.converged, "repaired": repaired}
+        self.finish(Stage.REFINE, sphere, len(refined.history), **record)
 
-    def barycentric(self, method: str) -> MapResult:
-        from omtwarp.baselines.barycentric import solve_barycentric
-
-        solved = solve_barycentric(self.surface, "tutte" if method == "tutte" else "mean-value", device=self.device)
-        sphere = solved.sphere
-        self.start = self.points(sphere)
-        self.finish(method, sphere, solved.iterations, converged=solved.converged)
-        face_density, vertex_density = density(self.surface, sphere)
-        return MapResult(
-            vertices=self.surface.vertices,
-            faces=self.surface.faces,
-            sphere=sphere,
-            conformal=sphere,
-            density=vertex_density,
-            face_density=face_density,
-            report=self.report(None, method, "", "", None, sphere),
-        )
+    def barycentric(self) -> None:
+        """The whole map by one of the spherical barycentric systems that the paper compares with."""
+        method = self.options.method
+        weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"
+        solved = solve_barycentric(self.surface, weights, device=self.device)
+        self.origin = {"road": str(method)}
+        self.finish(method, solved.sphere, solved.iterations, converged=solved.converged)
 
     def mend(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Repair what keeps a stage's map from being one to one, or hold it back towards the map before it.
@@ -309,24 +301,8 @@ class _Run:
             return repaired, flips
         return hold_back(self.surface, before, after, device=self.device), flips
 
-    def optimality(
-        self, start: NDArray[np.float64], moser: NDArray[np.float64] | None, transported: NDArray[np.float64]
-    ) -> dict[str, Any]:
-        from omtwarp.metrics.optimality import optimality
-
-        surface = self.surface
-        measured = optimality(start, transported, surface.vertex_areas, surface.faces, device=self.device)
-        return measured.to_dict()
-
-    def report(
-        self,
-        start: Start | None,
-        method: str,
-        cost: str,
-        scheme: str,
-        weight: str | float | None,
-        sphere: NDArray[np.float64],
-    ) -> dict[str, Any]:
+    def report(self) -> dict[str, Any]:
+        """Everything worth knowing about how the map was made, ready for JSON."""
         surface = self.surface
         lengths = surface.vertices.max(axis=0) - surface.vertices.min(axis=0)
         return {
@@ -337,23 +313,20 @@ class _Run:
             },
             "versions": versions(),
             "device": self.device,
-            "method": method,
-            "cost": cost,
-            "scheme": scheme,
-            "refine": weight,
-            "start": {"road": start.road, "reason": start.reason} if start is not None else {"road": method},
+            **self.options.to_dict(),
+            "start": self.origin,
             "seconds": time.perf_counter() - self.begun,
-            "stages": self.stages,
-            "certificate": self.certificate(sphere),
+            "stages": [record.to_dict() for record in self.records],
+            "certificate": self.certificate(),
         }
 
-    def certificate(self, sphere: NDArray[np.float64]) -> dict[str, Any]:
+    def certificate(self) -> dict[str, Any]:
         """What is certain about the map that is handed out.
 
         Raises:
             OmtwarpError: it is not one to one.
         """
-        certificate = certify(self.surface.faces, sphere, device=self.device)
+        certificate = certify(self.surface.faces, self.sphere, device=self.device)
         if not certificate.bijective:
             raise OmtwarpError(
                 f"no map that is one to one was found: {certificate}; repair or remesh the surface and try again"
@@ -363,14 +336,8 @@ class _Run:
 
 def versions() -> dict[str, str]:
     """Versions of what a result depends on."""
-    import platform
-
-    import scipy
-
-    import omtwarp
-
     return {
-        "omtwarp": omtwarp.__version__,
+        "omtwarp": package_version(),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,

@@ -1,9 +1,10 @@
-"""A finished map, and its file."""
+"""A finished map, the record of its stages, and its file."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,62 @@ Array = NDArray[np.float64]
 # What an .npz of a map holds. The first five are always there; the others where their stage was run.
 REQUIRED = ("vertices", "faces", "sphere", "conformal", "density")
 OPTIONAL = ("face_density", "moser", "transported")
+ORIGINS = ("vertex_origin", "face_origin")  # where the mesh was repaired before it was mapped
+# Type and shape of every array, with V vertices and F faces.
+LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "vertices": (np.float64, ("V", 3)),
+    "faces": (np.int32, ("F", 3)),
+    "sphere": (np.float64, ("V", 3)),
+    "conformal": (np.float64, ("V", 3)),
+    "density": (np.float64, ("V",)),
+    "face_density": (np.float64, ("F",)),
+    "moser": (np.float64, ("V", 3)),
+    "transported": (np.float64, ("V", 3)),
+    "vertex_origin": (np.int64, ("V",)),
+    "face_origin": (np.int64, ("F",)),
+}
+STAGES = ("sphere", "conformal", "moser", "transported")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class StageRecord:
+    """How a stage went, and what the map is like that it handed on.
+
+    Attributes:
+        name: the stage, or the method where one system makes the whole map.
+        seconds: how long it took.
+        iterations: steps of the method of this stage.
+        flips: triangles that are not positively oriented, in floating point.
+        degree: how often the map covers the sphere.
+        finite: whether every coordinate is finite.
+        area: aggregates of the area distortion (see :class:`omtwarp.metrics.distortion.Distortion`).
+        angle: the same of the angle distortion.
+        transport_cost: M(g) of equation 6 from the map that transport starts from.
+        details: what this stage has to tell besides, ready for JSON: ``repaired``, ``converged``, ...
+    """
+
+    name: str
+    seconds: float
+    iterations: int
+    flips: int
+    degree: float
+    finite: bool
+    area: Mapping[str, float]
+    angle: Mapping[str, float]
+    transport_cost: float
+    details: Mapping[str, str | float | None] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record as plain values, ready for JSON; the details stand beside the rest."""
+        plain = {name: value for name, value in vars(self).items() if name != "details"}
+        return plain | {"area": dict(self.area), "angle": dict(self.angle)} | dict(self.details)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class MapResult:
     """A surface and its map to the unit sphere, in the order of the input.
+
+    The arrays belong to the result: they are copies, and cannot be written to.
 
     Attributes:
         vertices: the surface as given, float64, shape [V, 3].
@@ -35,6 +87,8 @@ class MapResult:
         face_density: μ of the triangles, shape [F].
         moser: the initial mass-preserving map, shape [V, 3], where it was made.
         transported: the optimal map before refinement, shape [V, 3], where it was made.
+        vertex_origin: after a repair, the index of every vertex in the mesh before it, -1 for new ones; int64 [V].
+        face_origin: the same of the faces, int64 [F].
         history: one record per iteration of the transport flow: ``iteration``, ``cost``, ``curl``, ...
         report: everything worth knowing about how the map was made, ready for JSON.
     """
@@ -47,11 +101,24 @@ class MapResult:
     face_density: Array | None = None
     moser: Array | None = None
     transported: Array | None = None
+    vertex_origin: NDArray[np.int64] | None = None
+    face_origin: NDArray[np.int64] | None = None
     history: list[dict[str, Any]] = field(default_factory=list)
     report: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name, (dtype, _) in LAYOUT.items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, _owned(value, dtype))
+
     def __repr__(self) -> str:
-        return f"MapResult({len(self.vertices)} vertices, {len(self.faces)} faces, {self.distortion()})"
+        known = [f"{len(self.vertices)} vertices", f"{len(self.faces)} faces"]
+        if "method" in self.report:
+            known.append(str(self.report["method"]))
+        if self.bijective:
+            known.append("bijective")
+        return f"MapResult({', '.join(known)})"
 
     def distortion(self, stage: str = "sphere") -> Distortion:
         """Distortion of the final map, or of a stage: ``conformal``, ``moser`` or ``transported``.
@@ -59,7 +126,7 @@ class MapResult:
         Raises:
             OmtwarpError: the stage was not run.
         """
-        points = getattr(self, stage, None) if stage in ("sphere", "conformal", "moser", "transported") else None
+        points = getattr(self, stage, None) if stage in STAGES else None
         if points is None:
             raise OmtwarpError(f"this map has no stage '{stage}'")
         return distortion(self.vertices, self.faces, points)
@@ -76,10 +143,7 @@ class MapResult:
             OmtwarpError: the file cannot be written; nothing is left of it.
         """
         target = Path(path)
-        arrays: dict[str, Any] = {}
-        for name in REQUIRED + OPTIONAL:
-            if getattr(self, name) is not None:
-                arrays[name] = getattr(self, name)
+        arrays = {name: getattr(self, name) for name in LAYOUT if getattr(self, name) is not None}
         arrays["report"] = np.array(json.dumps(self.report | {"history": self.history}))
         # Given a name, NumPy would add a suffix to it.
         with staged(target) as file, open(file, "wb") as stream:
@@ -93,36 +157,61 @@ class MapResult:
             OmtwarpError: the file is missing, or is no map.
         """
         source = Path(path)
-        try:
-            with np.load(source, allow_pickle=False) as data:
-                arrays = {name: data[name] for name in data.files}
-        except FileNotFoundError:
-            raise OmtwarpError(f"'{source}' does not exist") from None
-        except PermissionError as error:
-            raise OmtwarpError(f"'{source}' cannot be read: {error.strerror}") from error
-        except (OSError, ValueError, EOFError, KeyError) as error:
-            raise OmtwarpError(f"'{source}' is not a map: make one with 'omtwarp map MESH -o MAP.npz'") from error
-        except Exception as error:  # zipfile and zlib raise kinds of their own on a damaged file
-            raise OmtwarpError(f"'{source}' is damaged: make it again with 'omtwarp map'") from error
-        missing = [name for name in REQUIRED if name not in arrays]
-        if missing:
-            raise OmtwarpError(f"'{source}' is not a map: it has no '{missing[0]}'")
-        fields: dict[str, Any] = {}
-        vertex_count, face_count = (len(np.atleast_1d(arrays[name])) for name in ("vertices", "faces"))
-        for name in REQUIRED + OPTIONAL:
-            if name in arrays:
-                shape = {"faces": (face_count, 3), "density": (vertex_count,), "face_density": (face_count,)}
-                kinds = "iu" if name == "faces" else "iuf"
-                wanted = shape.get(name, (vertex_count, 3))
-                if arrays[name].dtype.kind not in kinds or arrays[name].shape != wanted:
-                    raise OmtwarpError(f"'{source}' is not a map: '{name}' is not an array of numbers, shape {wanted}")
-                fields[name] = arrays[name].astype(np.int32 if name == "faces" else np.float64)
-        if face_count and (arrays["faces"].min() < 0 or arrays["faces"].max() >= vertex_count):
-            raise OmtwarpError(f"'{source}' is not a map: its faces name vertices that it does not have")
-        try:
-            report = json.loads(str(arrays["report"])) if "report" in arrays else {}
-        except ValueError:
-            report = {}
-        if not isinstance(report, dict):
-            report = {}
+        arrays = _read_arrays(source)
+        fields = _checked_arrays(arrays, source)
+        report = _read_report(arrays)
         return cls(**fields, history=report.pop("history", []), report=report)
+
+
+def _owned(values: Any, dtype: type[np.generic]) -> NDArray[Any]:
+    """An array that nobody else can write to: a read-only copy, or the array itself if it is one already."""
+    array = np.asarray(values)
+    if array.dtype != dtype or array.flags.writeable or not array.flags.owndata or not array.flags.c_contiguous:
+        array = np.array(array, dtype=dtype, order="C")
+        array.flags.writeable = False
+    return array
+
+
+def _read_arrays(source: Path) -> dict[str, NDArray[Any]]:
+    """Every array of an .npz, or an error that says what is wrong with the file."""
+    try:
+        with np.load(source, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except FileNotFoundError:
+        raise OmtwarpError(f"'{source}' does not exist") from None
+    except PermissionError as error:
+        raise OmtwarpError(f"'{source}' cannot be read: {error.strerror}") from error
+    except (OSError, ValueError, EOFError, KeyError) as error:
+        raise OmtwarpError(f"'{source}' is not a map: make one with 'omtwarp map MESH -o MAP.npz'") from error
+    except Exception as error:  # zipfile and zlib raise kinds of their own on a damaged file
+        raise OmtwarpError(f"'{source}' is damaged: make it again with 'omtwarp map'") from error
+
+
+def _checked_arrays(arrays: Mapping[str, NDArray[Any]], source: Path) -> dict[str, Any]:
+    """The arrays of a map in their types, or an error that names the first that does not fit the others."""
+    missing = [name for name in REQUIRED if name not in arrays]
+    if missing:
+        raise OmtwarpError(f"'{source}' is not a map: it has no '{missing[0]}'")
+    counts = {"V": len(np.atleast_1d(arrays["vertices"])), "F": len(np.atleast_1d(arrays["faces"]))}
+    fields: dict[str, Any] = {}
+    for name, (dtype, letters) in LAYOUT.items():
+        if name not in arrays:
+            continue
+        shape = tuple(counts[letter] if isinstance(letter, str) else letter for letter in letters)
+        kinds = "iu" if issubclass(dtype, np.integer) else "iuf"
+        if arrays[name].dtype.kind not in kinds or arrays[name].shape != shape:
+            raise OmtwarpError(f"'{source}' is not a map: '{name}' is not an array of numbers, shape {shape}")
+        fields[name] = arrays[name].astype(dtype)
+    faces = arrays["faces"]
+    if faces.size and (faces.min() < 0 or faces.max() >= counts["V"]):
+        raise OmtwarpError(f"'{source}' is not a map: its faces name vertices that it does not have")
+    return fields
+
+
+def _read_report(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """The report, with the history in it; empty where it is missing or no JSON object."""
+    try:
+        report = json.loads(str(arrays["report"])) if "report" in arrays else {}
+    except ValueError:
+        report = {}
+    return report if isinstance(report, dict) else {}

@@ -16,10 +16,12 @@ from sphere_truths import SHARED, apart, judge, mean_edge, random_rotation, rms,
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere, tube
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify
-from omtwarp.pipeline import STAGES, as_surface, map_to_sphere, parse_refinement
+from omtwarp.options import Stage, parse_refinement
+from omtwarp.pipeline import map_to_sphere
 from omtwarp.transport.flow import transport_cost
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -134,7 +136,7 @@ def test_refinement_keeps_the_bijection_and_betters_the_area():
     surface = blob(seed=6, amplitude=0.3, degree=5, sphere=1280)
     result = mapped(surface, until="refine")
     assert result.bijective
-    assert [stage["name"] for stage in result.report["stages"]] == list(STAGES)
+    assert [stage["name"] for stage in result.report["stages"]] == list(Stage)
     before, after = result.distortion("transported"), result.distortion()
     assert after.area["surface"] < before.area["surface"]
     np.testing.assert_array_equal(result.transported, mapped(surface).transported)  # stages do not look ahead
@@ -309,7 +311,7 @@ def test_progress_names_the_stages_in_order():
     told = []
     result = mapped(blob(seed=2, sphere=320), progress=lambda *arguments: told.append(arguments))
     stages = list(dict.fromkeys(stage for stage, *_ in told))
-    assert [stage for stage in stages if stage in STAGES] == ["conformal", "moser", "omt"]
+    assert [stage for stage in stages if stage in tuple(Stage)] == ["conformal", "moser", "omt"]
     assert all(0 <= done <= total and isinstance(details, dict) for _, done, total, details in told)
     assert result.bijective
 

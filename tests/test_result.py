@@ -3,6 +3,7 @@
 import json
 import os
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,10 +74,6 @@ def test_distortion_of_every_stage(result):
         result.distortion("refined")
     with pytest.raises(OmtwarpError, match="no stage 'report'"):
         result.distortion("report")
-
-
-def test_printed_form(result):
-    assert repr(result).startswith(f"MapResult({len(result.vertices)} vertices, {len(result.faces)} faces, flips 0")
 
 
 def damaged(path, result, how):
@@ -185,3 +182,28 @@ def test_a_failed_save_leaves_the_old_file(tmp_path, result, monkeypatch):
         result.save(path)
     assert path.read_bytes() == b"an older map"
     assert os.listdir(tmp_path) == ["map.npz"]
+
+
+def test_a_result_owns_its_arrays(result):
+    """Neither the arrays it was made of nor its own can be changed under it."""
+    surface = blob(seed=4, sphere=320)
+    given = np.array(surface.vertices)
+    made = MapResult(given, surface.faces, given, given, np.ones(surface.vertex_count))
+    given[:] = 7.0
+    np.testing.assert_array_equal(made.vertices, surface.vertices)
+    for name in REQUIRED + OPTIONAL:
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(result, name)[0] = 0
+
+
+def test_origins_of_a_repaired_mesh_are_in_the_file(tmp_path, result):
+    origin = np.arange(len(result.vertices))[::-1]
+    replace(result, vertex_origin=origin).save(tmp_path / "map.npz")
+    again = MapResult.load(tmp_path / "map.npz")
+    np.testing.assert_array_equal(again.vertex_origin, origin)
+    assert again.face_origin is None
+
+
+def test_repr_measures_nothing(result, monkeypatch):
+    monkeypatch.setattr(MapResult, "distortion", lambda *_: pytest.fail("it measured the distortion"))
+    assert repr(result) == f"MapResult({len(result.vertices)} vertices, {len(result.faces)} faces, omt, bijective)"

@@ -58,7 +58,7 @@ def all_meshes(
     Raises:
         OmtwarpError: a mesh cannot be read or mapped.
     """
-    from omtwarp.pipeline import as_surface
+    from omtwarp.mesh.checks import as_surface
 
     for shape in shapes:
         for size in sorted(sizes):

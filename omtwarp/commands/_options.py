@@ -2,51 +2,38 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
 
+from omtwarp.errors import OmtwarpError
+from omtwarp.options import Cost, Kind, Method, Scheme, Stage, choose, parse_refinement
 
-class Until(StrEnum):
-    """Stages of the pipeline, in order."""
-
-    CONFORMAL = "conformal"
-    MOSER = "moser"
-    OMT = "omt"
-    REFINE = "refine"
+Value = TypeVar("Value")
 
 
-class Cost(StrEnum):
-    SQUARED = "squared"
-    GEODESIC = "geodesic"
+def usage(parse: Callable[[str], Value]) -> Callable[[str], Value]:
+    """Turn the OmtwarpError of a parser into wrong usage, which exits with status 2."""
+
+    def parsed(text: str) -> Value:
+        try:
+            return parse(text)
+        except OmtwarpError as error:
+            raise typer.BadParameter(str(error)) from None
+
+    return parsed
 
 
-class Method(StrEnum):
-    OMT = "omt"
-    HAKER = "haker"
-    MOSER = "moser"
-    TUTTE = "tutte"
-    MEAN_VALUE = "mean-value"
-
-
-class Scheme(StrEnum):
-    DEFAULT = "default"
-    PLAIN = "plain"
-    PAPER = "paper"
+def named(kind: type[Kind], help: str) -> Any:
+    """An option whose values are the members of an enumeration of :mod:`omtwarp.options`."""
+    return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)), help=help)
 
 
 def refine_weight(text: str) -> str:
-    """Check what --refine is given: a name, or a positive number."""
-    if text in ("none", "area", "balanced", "angle"):
-        return text
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not 0.0 < number < float("inf"):
-        raise typer.BadParameter(f"'{text}' is neither none, area, balanced or angle nor a positive number")
+    """Check what --refine is given, and leave it as it is: a name, or a positive number."""
+    usage(parse_refinement)(text)
     return text
 
 
@@ -70,10 +57,10 @@ OptionalMesh = Annotated[
 MapOption = Annotated[
     Path | None, typer.Option("--map", metavar="NPZ", help="A finished map (from 'omtwarp map') instead of a new one.")
 ]
-MethodOption = Annotated[Method, typer.Option(help="How to map; all but omt are there for comparison.")]
-UntilOption = Annotated[Until, typer.Option(help="Stop after this stage.")]
-CostOption = Annotated[Cost, typer.Option(help="What the transport minimises: squared geodesic distance, or distance.")]
-SchemeOption = Annotated[Scheme, typer.Option(help="How the transport descends; paper is the published one.")]
+MethodOption = Annotated[Method, named(Method, "How to map; all but omt are there for comparison.")]
+UntilOption = Annotated[Stage, named(Stage, "Stop after this stage.")]
+CostOption = Annotated[Cost, named(Cost, "What the transport minimises: squared geodesic distance, or distance.")]
+SchemeOption = Annotated[Scheme, named(Scheme, "How the transport descends; paper is the published one.")]
 RefineOption = Annotated[
     str,
     typer.Option(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
-Progress = Callable[[str, int, int, dict[str, Any]], None]
+from omtwarp.options import Progress
 
 
 @contextlib.contextmanager

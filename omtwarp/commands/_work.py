@@ -11,9 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.options import parse_device
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from omtwarp.mesh.surface import Surface
+    from omtwarp.result import MapResult
 
 
 @dataclass
@@ -21,14 +25,12 @@ class Input:
     """A mesh that was read, mended if asked for, and found sound.
 
     Attributes:
-        vertices: float64, shape [V, 3].
-        faces: int32, shape [F, 3].
+        surface: the mesh, examined.
         notes: what reading and mending did, in words.
         origins: ``vertex_origin`` [V] and ``face_origin`` [F] (indices in the file, -1 for new faces) after mending.
     """
 
-    vertices: NDArray
-    faces: NDArray
+    surface: Surface
     notes: list[str] = field(default_factory=list)
     origins: dict[str, NDArray] = field(default_factory=dict)
 
@@ -45,6 +47,7 @@ def read_sound_mesh(path: Path, repair: bool = False) -> Input:
         OmtwarpError: whatever is wrong with the file or the mesh, in one line.
     """
     from omtwarp.mesh.read import read_mesh
+    from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import require_valid
 
     mesh = read_mesh(path, triangulate=repair)
@@ -60,7 +63,9 @@ def read_sound_mesh(path: Path, repair: bool = False) -> Input:
             origins = {"vertex_origin": mended.vertex_origin, "face_origin": mended.face_origin}
     for note in notes:
         say(f"{path}: {note}")
-    return Input(*require_valid(vertices, faces, str(path)), notes, origins)
+    surface = Surface(*require_valid(vertices, faces, str(path)))
+    surface.checked = True
+    return Input(surface, notes, origins)
 
 
 def start_device(device: str) -> None:
@@ -69,15 +74,13 @@ def start_device(device: str) -> None:
     Raises:
         OmtwarpError: an unknown device, or CUDA asked for where there is none.
     """
-    known = device in ("auto", "cpu", "cuda") or (device.startswith("cuda:") and device[5:].isdigit())
-    if not known:  # needs no start of Warp to tell
-        raise OmtwarpError(f"unknown device '{device}': use auto, cpu, cuda or cuda:N")
+    parse_device(device)  # needs no start of Warp to tell
     from omtwarp.device.start import resolve_device
 
     resolve_device(device)
 
 
-def load_map(path: Path) -> Any:
+def load_map(path: Path) -> MapResult:
     """Read a finished map.
 
     Raises:
@@ -103,18 +106,18 @@ def report_text(report: dict[str, Any]) -> str:
     return json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
 
 
-def make_map(mesh: Input, *, quiet: bool, **options: Any) -> Any:
+def make_map(surface: Surface, *, quiet: bool, **options: Any) -> MapResult:
     """Map a mesh with a progress bar; the options are those of :func:`omtwarp.map_to_sphere`."""
     from omtwarp.commands._progress import progress_bar
     from omtwarp.pipeline import map_to_sphere
 
     with progress_bar(quiet) as progress:
-        return map_to_sphere((mesh.vertices, mesh.faces), progress=progress, **options)
+        return map_to_sphere(surface, progress=progress, **options)
 
 
 def map_from(
     mesh: Path | None, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Any
-) -> Any:
+) -> MapResult:
     """The map that a command works on: a finished one, or one made now from a mesh.
 
     Raises:
@@ -134,22 +137,19 @@ def map_from(
         raise OmtwarpError("nothing to work on: give a mesh, or a finished map with --map")
     sound = read_sound_mesh(mesh, repair)
     start_device(device)
-    return make_map(sound, quiet=quiet, device=device, **options)
+    return make_map(sound.surface, quiet=quiet, device=device, **options)
 
 
-def require_no_flips(result: Any, saved: Path) -> None:
+def require_no_flips(result: MapResult, saved: Path) -> None:
     """Say so, after the map was saved, if triangles are turned over.
 
     Raises:
         OmtwarpError: how many, and where the first is.
     """
-    import numpy as np
-
-    from omtwarp.flips.predicates import flipped_faces
-
-    flips = np.flatnonzero(flipped_faces(result.sphere, result.faces))
-    if len(flips):
+    certificate = result.report["certificate"]
+    flips = certificate["flips"]
+    if flips:
         raise OmtwarpError(
-            f"the map has {len(flips)} flipped triangle{'s' * (len(flips) > 1)}, first face {flips[0]}; "
+            f"the map has {flips} flipped triangle{'s' * (flips > 1)}, first face {certificate['first_flip']}; "
             f"the best map there is was saved as '{saved}'"
         )

@@ -10,6 +10,7 @@ import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption
 from omtwarp.files import check_output, staged
+from omtwarp.options import MapOptions
 
 POSE: dict[str, Any] = {"up": "z", "front": "-y", "views": (40.0, 15.0)}
 """The creature stands on its feet and looks past the viewer's right shoulder."""
@@ -20,11 +21,11 @@ def demo(
         "out"
     ),
     faces: Annotated[int, typer.Option(min=2000, help="Roughly how many faces the shape has.")] = 20000,
-    device: DeviceOption = "auto",
+    device: DeviceOption = MapOptions.device,
     quiet: QuietOption = False,
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
-    from omtwarp.commands._work import Input, make_map, report_text, require_no_flips, start_device
+    from omtwarp.commands._work import make_map, report_text, require_no_flips, start_device
     from omtwarp.commands.map import save, summary
     from omtwarp.errors import OmtwarpError
     from omtwarp.mesh.shapes import demo_shape
@@ -52,9 +53,9 @@ def demo(
     with staged(mesh_file) as file:
         write_mesh(file, surface.vertices, surface.faces)
     tell(f"{mesh_file}: a creature of {surface.face_count} faces")
-    result = make_map(Input(surface.vertices, surface.faces), quiet=quiet, device=device)
+    result = make_map(surface, quiet=quiet, device=device)
     with staged(map_file) as file:
-        save(result, file, {})
+        save(result, file)
     with staged(report_file) as file:
         file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
     tell(summary(result, map_file))

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from omtwarp.commands._options import (
-    Cost,
     CostOption,
     DeviceOption,
     MeshArgument,
-    Method,
     MethodOption,
     QuietOption,
     RefineOption,
     RepairOption,
-    Scheme,
     SchemeOption,
-    Until,
     UntilOption,
 )
 from omtwarp.files import check_output, staged
+from omtwarp.options import MapOptions, Method
+
+if TYPE_CHECKING:
+    from omtwarp.result import MapResult
 
 
 def map_mesh(
@@ -31,12 +32,12 @@ def map_mesh(
         Path,
         typer.Option("--output", "-o", metavar="FILE", help=".npz for the whole map, or a mesh suffix for the sphere."),
     ],
-    method: MethodOption = Method.OMT,
-    until: UntilOption = Until.REFINE,
-    cost: CostOption = Cost.SQUARED,
-    scheme: SchemeOption = Scheme.DEFAULT,
-    refine: RefineOption = "area",
-    device: DeviceOption = "auto",
+    method: MethodOption = MapOptions.method,
+    until: UntilOption = MapOptions.until,
+    cost: CostOption = MapOptions.cost,
+    scheme: SchemeOption = MapOptions.scheme,
+    refine: RefineOption = str(MapOptions.refine),
+    device: DeviceOption = MapOptions.device,
     report: Annotated[
         Path | None, typer.Option(metavar="JSON", help="Write what was done and how good the map is.")
     ] = None,
@@ -56,18 +57,21 @@ def map_mesh(
     sound = read_sound_mesh(mesh, repair)
     start_device(device)
     result = make_map(
-        sound,
+        sound.surface,
         quiet=quiet,
-        method=method.value,
-        until=until.value,
-        cost=cost.value,
-        scheme=scheme.value,
+        method=method,
+        until=until,
+        cost=cost,
+        scheme=scheme,
         refine=refine,
         optimality=report is not None,
         device=device,
     )
+    if sound.origins:
+        vertices, faces = sound.origins["vertex_origin"], sound.origins["face_origin"]
+        result = replace(result, vertex_origin=vertices, face_origin=faces)
     with staged(target) as file:
-        save(result, file, sound.origins)
+        save(result, file)
     if report_target is not None:
         source = {"path": str(mesh), "notes": sound.notes}
         with staged(report_target) as file:
@@ -78,25 +82,20 @@ def map_mesh(
         require_no_flips(result, output)
 
 
-def save(result: Any, file: Path, origins: dict[str, Any]) -> None:
-    """Write a map as .npz, with where a mended mesh came from, or its sphere as a mesh."""
-    if file.suffix.lower() != ".npz":
-        from omtwarp.mesh.write import write_mesh
+def save(result: MapResult, file: Path) -> None:
+    """Write a map as .npz, or its sphere as a mesh."""
+    from omtwarp.mesh.write import write_mesh
 
+    if file.suffix.lower() == ".npz":
+        result.save(file)
+    else:
         write_mesh(file, result.sphere, result.faces)
-        return
-    result.save(file)
-    if origins:
-        import numpy as np
-
-        with np.load(file) as arrays:
-            content = {**arrays, **origins}
-        np.savez(file, **content)
 
 
-def summary(result: Any, output: Path) -> str:
-    """One line about a finished map."""
-    quality = result.distortion()
-    area, angle = quality.area["surface"], quality.angle["surface"]
+def summary(result: MapResult, output: Path) -> str:
+    """One line about a finished map, out of its report."""
+    last = result.report["stages"][-1]
+    area, angle = last["area"]["surface"], last["angle"]["surface"]
     size = f"{len(result.vertices)} vertices, {len(result.faces)} faces"
-    return f"{output}: {size}; flips {quality.flips}, degree {quality.degree:.6f}, area {area:.4f}, angle {angle:.4f}"
+    flips = result.report["certificate"]["flips"]
+    return f"{output}: {size}; flips {flips}, degree {last['degree']:.6f}, area {area:.4f}, angle {angle:.4f}"

@@ -8,24 +8,21 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import (
-    Cost,
     CostOption,
     DeviceOption,
     MapOption,
-    Method,
     MethodOption,
     OptionalMesh,
     QuietOption,
     RefineOption,
     RepairOption,
-    Scheme,
     SchemeOption,
-    Until,
     UntilOption,
 )
 from omtwarp.commands.texture import PatternName
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
+from omtwarp.options import MapOptions
 
 
 def report_on_map(
@@ -41,12 +38,12 @@ def report_on_map(
     optimality: Annotated[
         bool, typer.Option("--optimality", help="Also measure how far the map is from optimal (slower).")
     ] = False,
-    method: MethodOption = Method.OMT,
-    until: UntilOption = Until.REFINE,
-    cost: CostOption = Cost.SQUARED,
-    scheme: SchemeOption = Scheme.DEFAULT,
-    refine: RefineOption = "area",
-    device: DeviceOption = "auto",
+    method: MethodOption = MapOptions.method,
+    until: UntilOption = MapOptions.until,
+    cost: CostOption = MapOptions.cost,
+    scheme: SchemeOption = MapOptions.scheme,
+    refine: RefineOption = str(MapOptions.refine),
+    device: DeviceOption = MapOptions.device,
     repair: RepairOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -68,10 +65,10 @@ def report_on_map(
         repair=repair,
         quiet=quiet,
         device=device,
-        method=method.value,
-        until=until.value,
-        cost=cost.value,
-        scheme=scheme.value,
+        method=method,
+        until=until,
+        cost=cost,
+        scheme=scheme,
         refine=refine,
         optimality=optimality,
     )

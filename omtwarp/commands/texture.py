@@ -9,23 +9,20 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import (
-    Cost,
     CostOption,
     DeviceOption,
     MapOption,
-    Method,
     MethodOption,
     OptionalMesh,
     QuietOption,
     RefineOption,
     RepairOption,
-    Scheme,
     SchemeOption,
-    Until,
     UntilOption,
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
+from omtwarp.options import MapOptions
 
 
 class PatternName(StrEnum):
@@ -67,12 +64,12 @@ def texture_mesh(
         str, typer.Option(metavar="LONGITUDE|auto", help="Where an equirectangular texture is cut, in degrees.")
     ] = "180",
     size: Annotated[int | None, typer.Option(min=1, help="Width of the texture in texels.")] = None,
-    method: MethodOption = Method.OMT,
-    until: UntilOption = Until.REFINE,
-    cost: CostOption = Cost.SQUARED,
-    scheme: SchemeOption = Scheme.DEFAULT,
-    refine: RefineOption = "area",
-    device: DeviceOption = "auto",
+    method: MethodOption = MapOptions.method,
+    until: UntilOption = MapOptions.until,
+    cost: CostOption = MapOptions.cost,
+    scheme: SchemeOption = MapOptions.scheme,
+    refine: RefineOption = str(MapOptions.refine),
+    device: DeviceOption = MapOptions.device,
     repair: RepairOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -94,10 +91,10 @@ def texture_mesh(
         repair=repair,
         quiet=quiet,
         device=device,
-        method=method.value,
-        until=until.value,
-        cost=cost.value,
-        scheme=scheme.value,
+        method=method,
+        until=until,
+        cost=cost,
+        scheme=scheme,
         refine=refine,
     )
     textured = texture(

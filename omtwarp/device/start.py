@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import warp as wp
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.options import parse_device
 
 _NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
@@ -108,13 +109,11 @@ def resolve_device(device: str | None = "auto") -> wp.Device:
     Raises:
         OmtwarpError: an unknown device, or CUDA asked for where there is none.
     """
-    if device is None or device == "auto":
-        return wp.get_device("cuda:0") if wp.is_cuda_available() else wp.get_device("cpu")
     if isinstance(device, wp.Device):
         return device
-    name = str(device)
-    if name != "cpu" and name != "cuda" and not (name.startswith("cuda:") and name[5:].isdigit()):
-        raise OmtwarpError(f"unknown device '{name}': use auto, cpu, cuda or cuda:N")
+    name = parse_device(device)
+    if name == "auto":
+        return wp.get_device("cuda:0") if wp.is_cuda_available() else wp.get_device("cpu")
     if name != "cpu" and not wp.is_cuda_available():
         raise OmtwarpError(f"device '{name}' asked for, but this machine has no usable CUDA device: use --device cpu")
     try:

@@ -21,8 +21,8 @@ SPHERE_AREA = 4.0 * np.pi
 class Surface:
     """Vertices and faces as the caller gave them, and quantities derived from them.
 
-    The order of vertices and faces is the caller's. The class does not check the mesh: see
-    :func:`omtwarp.mesh.validate.require_valid`.
+    The order of vertices and faces is the caller's. The arrays are copies that cannot be written to, since everything
+    derived from them is kept. The class does not check the mesh: see :func:`omtwarp.mesh.checks.as_surface`.
 
     Every stage takes :attr:`face_areas` as the mass of a triangle, which is the area that its image is to have. These
     are the triangles' own areas unless ``areas`` gives another measure.
@@ -35,14 +35,17 @@ class Surface:
     Attributes:
         vertices: float64, shape [V, 3], in the units of the input.
         faces: int32, shape [F, 3], counter-clockwise seen from outside.
+        checked: whether the mesh was examined and can be mapped.
 
     Raises:
         OmtwarpError: ``areas`` is not one positive, finite number per triangle.
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, areas: ArrayLike | None = None):
-        self.vertices: NDArray[np.float64] = np.ascontiguousarray(vertices, dtype=np.float64)
-        self.faces: NDArray[np.int32] = np.ascontiguousarray(faces, dtype=np.int32)
+        self.vertices: NDArray[np.float64] = np.array(vertices, dtype=np.float64, order="C")
+        self.faces: NDArray[np.int32] = np.array(faces, dtype=np.int32, order="C")
+        self.vertices.flags.writeable = self.faces.flags.writeable = False
+        self.checked = False
         self._given_areas = None if areas is None else scaled_areas(areas, len(self.faces))
         self._sent: dict[str, dict[str, wp.array]] = {}
 
@@ -195,6 +198,7 @@ class Surface:
 # Cached properties that do not depend on the measure of the triangles, and arrays on a device that do.
 _UNWEIGHTED = frozenset(
     {
+        "checked",
         "scaled_vertices",
         "own_areas",
         "face_neighbours",

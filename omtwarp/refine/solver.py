@@ -20,6 +20,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import Surface
+from omtwarp.options import Refinement, parse_refinement
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import hold_back, retract, triangle_trouble
 from omtwarp.refine.relaxation import relax, stiff_vertices
@@ -27,7 +28,12 @@ from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.triangle_newton.line_search import SUFFICIENT
 from omtwarp.untangling.untangle import Schedule, untangle_patches
 
-WEIGHTS = {"area": 100.0, "balanced": 10.0, "angle": 2.0}  # λ: how much area counts against angle
+# λ: how much area counts against angle
+WEIGHTS = {
+    Refinement.AREA: 100.0,
+    Refinement.BALANCED: 10.0,
+    Refinement.ANGLE: 2.0,
+}
 # "area" promises mean and 95th percentile of area distortion; λ grows by HARDER until both are met: to HARD, and to
 # HARDEST where neither is then farther from 2 than CLOSE times the promise. There a larger λ mostly gets through; on
 # maps farther off it only costs angle.
@@ -77,15 +83,10 @@ def refinement_weight(weight: str | float) -> float:
     Raises:
         OmtwarpError: neither one of the names nor a positive number.
     """
-    if isinstance(weight, str) and weight in WEIGHTS:
-        return WEIGHTS[weight]
-    try:
-        value = float(weight)
-    except ValueError:
-        value = float("nan")
-    if not (0.0 < value < float("inf")):
-        raise OmtwarpError(f"cannot refine by '{weight}': use area, balanced, angle or a positive number")
-    return value
+    parsed = parse_refinement(weight)
+    if parsed is None:
+        raise OmtwarpError("the refinement 'none' leaves nothing to minimise: use area, balanced, angle or a weight")
+    return WEIGHTS[parsed] if isinstance(parsed, Refinement) else parsed
 
 
 @blas_threads(1)

@@ -1,11 +1,9 @@
 """Section 4.3: the optimal mass-preserving map, by a Lagrangian flow or by the paper's own scheme."""
 
-from omtwarp.transport.flow import COSTS, SCHEMES, TransportMap, optimal_transport, transport_cost
+from omtwarp.transport.flow import TransportMap, optimal_transport, transport_cost
 from omtwarp.transport.paper import FlowResult, PaperFlow, paper_flow
 
 __all__ = [
-    "COSTS",
-    "SCHEMES",
     "FlowResult",
     "PaperFlow",
     "TransportMap",

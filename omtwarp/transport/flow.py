@@ -21,9 +21,9 @@ from omtwarp.device.graphs import Graph
 from omtwarp.device.start import resolve_device, wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.device.threads import blas_threads, launch_parts
-from omtwarp.errors import OmtwarpError
 from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.options import Cost, Scheme, choose
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
     FlowState,
@@ -44,8 +44,6 @@ from omtwarp.transport.kernels import (
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 from omtwarp.wavelets.filter import WaveletFilter
 
-COSTS = ("squared", "geodesic")
-SCHEMES = ("default", "plain")
 MAXIMUM_ITERATIONS = {"default": 60, "plain": 1000}
 
 # A wavelet is used in full where it spans several mesh edges, and faded out where it does not: vertices cannot follow
@@ -155,10 +153,7 @@ def optimal_transport(
     Raises:
         OmtwarpError: an unknown cost or scheme.
     """
-    if cost not in COSTS:
-        raise OmtwarpError(f"unknown cost '{cost}': use {' or '.join(COSTS)}")
-    if scheme not in SCHEMES:
-        raise OmtwarpError(f"unknown scheme '{scheme}': use {' or '.join(SCHEMES)}")
+    cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))
     flow = _Flow(surface, start, initial, cost, scheme, resolve_device(device))
     most = MAXIMUM_ITERATIONS[scheme] if iterations is None else iterations
     converged = flow.run(flow.iterations(), most, tolerance, progress)

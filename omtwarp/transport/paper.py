@@ -45,6 +45,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.options import Cost, choose
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
 V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)
@@ -104,7 +105,7 @@ class PaperFlow:
         initial_map: ArrayLike,
         face_areas_on_surface: ArrayLike,
         *,
-        cost: str = "geodesic",
+        cost: str = Cost.GEODESIC,
         highest_resolution: int = max(V_CYCLE),
         butterfly: bool = False,
         device: str = "auto",
@@ -112,8 +113,6 @@ class PaperFlow:
         from omtwarp.device.start import wp
         from omtwarp.transport import paper_kernels as kernels
 
-        if cost not in ("geodesic", "squared"):
-            raise OmtwarpError(f"unknown cost '{cost}': use geodesic or squared")
         surface = Surface(conformal, faces)
         start = np.ascontiguousarray(initial_map, dtype=np.float64)
         masses = np.array(face_areas_on_surface, dtype=np.float64)
@@ -124,7 +123,7 @@ class PaperFlow:
             )
         masses *= 4 * np.pi / masses.sum()
         masses = np.maximum(masses, 1e-12 * masses.mean())  # mu is divided by; a triangle without area carries nothing
-        self.squared = int(cost == "squared")
+        self.squared = int(choose(Cost, cost) is Cost.SQUARED)
         self.operators = DifferentialOperators(surface.vertices, surface.faces, device=device)
         self.device = self.operators.device
 
@@ -280,7 +279,7 @@ def paper_flow(
     initial_map: ArrayLike,
     face_areas_on_surface: ArrayLike,
     *,
-    cost: str = "geodesic",
+    cost: str = Cost.GEODESIC,
     cycles: int = 100,
     resolutions: Sequence[int] | None = None,
     butterfly: bool = False,

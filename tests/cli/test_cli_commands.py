@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +17,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import SUFFIXES, write_mesh
+from omtwarp.metrics.certificate import certify
 from omtwarp.metrics.distortion import distortion
+from omtwarp.result import MapResult
 
 
 def run(capsys, *arguments) -> tuple[int, str, str]:
@@ -28,21 +29,15 @@ def run(capsys, *arguments) -> tuple[int, str, str]:
     return int(ended.value.code or 0), out, err
 
 
-class RadialMap(SimpleNamespace):
+def radial_map(vertices, faces, flip: bool = False) -> MapResult:
     """A star-shaped surface pushed straight out to the sphere: a map that needs no computation."""
-
-    def __init__(self, vertices, faces, flip: bool = False):
-        sphere = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-        if flip:
-            sphere[faces[5, 0]] *= -1
-        super().__init__(vertices=vertices, faces=faces, sphere=sphere, conformal=sphere)
-        self.report, self.history = {"stages": [float("inf")]}, []
-
-    def save(self, path):
-        np.savez(path, vertices=self.vertices, faces=self.faces, sphere=self.sphere, conformal=self.conformal)
-
-    def distortion(self):
-        return distortion(self.vertices, self.faces, self.sphere)
+    sphere = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    if flip:
+        sphere[faces[5, 0]] *= -1
+    certificate = certify(faces, sphere, device="cpu").to_dict()
+    stage = distortion(vertices, faces, sphere, device="cpu").to_dict() | {"seconds": float("inf")}
+    report = {"certificate": certificate, "stages": [stage]}
+    return MapResult(vertices, faces, sphere, sphere, np.ones(len(vertices)), report=report)
 
 
 @pytest.fixture
@@ -52,7 +47,7 @@ def radial(monkeypatch):
 
     def make(mesh, *, quiet, **options):
         seen.update(options)
-        return RadialMap(mesh.vertices, mesh.faces, flip=seen.get("flip", False))
+        return radial_map(mesh.vertices, mesh.faces, flip=seen.get("flip", False))
 
     monkeypatch.setattr("omtwarp.commands._work.make_map", make)
     return seen
@@ -77,7 +72,7 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
         np.testing.assert_array_equal(arrays["vertices"], blob.vertices)
         np.testing.assert_array_equal(arrays["faces"], blob.faces)
     written = json.loads(report.read_text())
-    assert written["input"]["path"].endswith("blob.ply") and written["stages"] == [None]
+    assert written["input"]["path"].endswith("blob.ply") and written["stages"][0]["seconds"] is None
     expected = {"until": "moser", "cost": "geodesic", "method": "omt", "scheme": "paper", "refine": "0.5"}
     assert radial == {**expected, "device": "cpu", "optimality": True}
 
@@ -180,7 +175,7 @@ from omtwarp import cli
 def busy(*args, **options):
     print("busy", file=sys.stderr, flush=True)
     {busy}
-def save(result, file, origins):
+def save(result, file):
     file.write_bytes(b"half")
     busy()
 import omtwarp.commands.map as map_command

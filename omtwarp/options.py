@@ -1,0 +1,199 @@
+"""Every option of a map: its name, its values, its default, and the one message for a value that it does not have.
+
+The command line and Python read options here alone. Nothing heavy is imported, so that ``omtwarp --help`` answers at
+once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, TypeVar
+
+from omtwarp.errors import OmtwarpError
+
+Progress = Callable[[str, int, int, dict[str, Any]], None]
+"""How long work reports on itself: ``progress(stage, done, total, details)``, the details being plain values."""
+
+
+class Method(StrEnum):
+    """How a surface is mapped: the whole pipeline, or a system that the paper compares with."""
+
+    OMT = "omt"
+    HAKER = "haker"
+    MOSER = "moser"
+    TUTTE = "tutte"
+    MEAN_VALUE = "mean-value"
+
+
+class Stage(StrEnum):
+    """Stages of the pipeline, in their order."""
+
+    CONFORMAL = "conformal"
+    MOSER = "moser"
+    OMT = "omt"
+    REFINE = "refine"
+
+
+class Cost(StrEnum):
+    """What transport minimises: squared geodesic distance, or the paper's geodesic distance."""
+
+    SQUARED = "squared"
+    GEODESIC = "geodesic"
+
+
+class Scheme(StrEnum):
+    """How transport is optimised; ``paper`` is Algorithms 1 and 2 as written."""
+
+    DEFAULT = "default"
+    PLAIN = "plain"
+    PAPER = "paper"
+
+
+class Refinement(StrEnum):
+    """Named weights of area against angle in the last stage."""
+
+    NONE = "none"
+    AREA = "area"
+    BALANCED = "balanced"
+    ANGLE = "angle"
+
+
+Kind = TypeVar("Kind", bound=StrEnum)
+
+_NAMES: dict[type[StrEnum], str] = {
+    Method: "method",
+    Stage: "stage",
+    Cost: "cost",
+    Scheme: "scheme",
+    Refinement: "refinement",
+}
+
+
+def choose(kind: type[Kind], value: object, *, without: tuple[Kind, ...] = ()) -> Kind:
+    """Return the member of an option's values that a text names.
+
+    Args:
+        kind: the option, such as :class:`Cost`.
+        value: a member, or its text.
+        without: members that are not offered here.
+
+    Raises:
+        OmtwarpError: the option has no such value; the message lists those it has.
+    """
+    offered = [member for member in kind if member not in without]
+    for member in offered:
+        if value == member.value:
+            return member
+    raise OmtwarpError(f"unknown {_NAMES[kind]} '{value}': use {', '.join(offered)}")
+
+
+def parse_refinement(value: object) -> Refinement | float | None:
+    """Return a named refinement or a positive weight; None for ``none`` and for None.
+
+    Raises:
+        OmtwarpError: neither a name nor a positive number.
+    """
+    if value is None or value == Refinement.NONE.value:
+        return None
+    if isinstance(value, str) and value in tuple(Refinement):
+        return Refinement(value)
+    try:
+        weight = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        weight = -1.0
+    if not 0.0 < weight < float("inf"):
+        raise OmtwarpError(f"unknown refinement '{value}': use {', '.join(Refinement)} or a positive number")
+    return weight
+
+
+def parse_device(value: object) -> str:
+    """Return a device's name: ``auto`` (also for None), ``cpu``, ``cuda`` or ``cuda:N``, whether it exists or not.
+
+    Raises:
+        OmtwarpError: another name.
+    """
+    name = "auto" if value is None else str(value)
+    if name not in ("auto", "cpu", "cuda") and not (name.startswith("cuda:") and name[5:].isdigit()):
+        raise OmtwarpError(f"unknown device '{name}': use auto, cpu, cuda or cuda:N")
+    return name
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """The options of :func:`omtwarp.map_to_sphere`, parsed; the defaults are here and nowhere else.
+
+    Attributes:
+        method: the pipeline, or a system that it is compared with.
+        until: the last stage that is run.
+        cost: what transport minimises.
+        scheme: how it does.
+        refine: a named refinement, the weight of area against angle, or None to leave refinement out.
+        optimality: whether the transported map's distance from the optimum is bounded too.
+        device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
+    """
+
+    method: Method = Method.OMT
+    until: Stage = Stage.REFINE
+    cost: Cost = Cost.SQUARED
+    scheme: Scheme = Scheme.DEFAULT
+    refine: Refinement | float | None = Refinement.AREA
+    optimality: bool = False
+    device: str = "auto"
+
+    @classmethod
+    def parse(
+        cls,
+        *,
+        method: str,
+        until: str,
+        cost: str,
+        scheme: str,
+        refine: str | float | None,
+        optimality: bool,
+        device: str | None,
+    ) -> MapOptions:
+        """Read options as users write them.
+
+        Raises:
+            OmtwarpError: an option has no such value.
+        """
+        return cls(
+            method=choose(Method, method),
+            until=choose(Stage, until),
+            cost=choose(Cost, cost),
+            scheme=choose(Scheme, scheme),
+            refine=parse_refinement(refine),
+            optimality=bool(optimality),
+            device=parse_device(device),
+        )
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages that these options ask for, in their order."""
+        last = {Method.HAKER: Stage.CONFORMAL, Method.MOSER: Stage.MOSER}.get(self.method, self.until)
+        every = tuple(Stage)
+        wanted = every[: every.index(last) + 1]
+        return tuple(stage for stage in wanted if stage is not Stage.REFINE or self.refine is not None)
+
+    def to_dict(self) -> dict[str, str | float | None]:
+        """What a report says about the options that shape a map; empty for what the method has no use for."""
+        if self.method in (Method.TUTTE, Method.MEAN_VALUE):
+            return {"method": str(self.method), "cost": "", "scheme": "", "refine": None}
+        weight = str(self.refine) if isinstance(self.refine, Refinement) else self.refine
+        return {"method": str(self.method), "cost": str(self.cost), "scheme": str(self.scheme), "refine": weight}
+
+
+__all__ = [
+    "Cost",
+    "MapOptions",
+    "Method",
+    "Progress",
+    "Refinement",
+    "Scheme",
+    "Stage",
+    "choose",
+    "parse_device",
+    "parse_refinement",
+]

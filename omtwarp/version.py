@@ -1,0 +1,13 @@
+"""The package's version."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+
+def package_version() -> str:
+    """Return the installed version, or ``0+unknown`` in a checkout that was never installed."""
+    try:
+        return version("omtwarp")
+    except PackageNotFoundError:
+        return "0+unknown"

@@ -1,0 +1,54 @@
+"""Options are parsed once, with the same words on the command line and in Python."""
+
+import pytest
+
+from omtwarp.cli import main
+from omtwarp.errors import OmtwarpError
+from omtwarp.options import Cost, MapOptions, Method, Refinement, Scheme, Stage, choose, parse_device
+from omtwarp.pipeline import map_to_sphere
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "value"),
+    [
+        ("--method", "method", "magic"),
+        ("--until", "until", "noon"),
+        ("--cost", "cost", "cubed"),
+        ("--scheme", "scheme", "fancy"),
+        ("--refine", "refine", "0"),
+    ],
+)
+def test_python_and_the_command_line_refuse_with_the_same_words(capsys, option, name, value):
+    with pytest.raises(OmtwarpError) as caught:
+        map_to_sphere(object(), **{name: value})
+    with pytest.raises(SystemExit) as ended:
+        main(["map", "mesh.ply", "-o", "map.npz", option, value])
+    assert ended.value.code == 2
+    assert str(caught.value) in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_value_left_out_is_not_offered():
+    with pytest.raises(OmtwarpError, match=r"unknown scheme 'paper': use default, plain$"):
+        choose(Scheme, "paper", without=(Scheme.PAPER,))
+
+
+@pytest.mark.parametrize("name", ["auto", "cpu", "cuda", "cuda:3"])
+def test_device_names(name):
+    assert parse_device(name) == name
+    assert parse_device(None) == "auto"
+
+
+def test_stages_follow_from_the_options():
+    every = tuple(Stage)
+    assert MapOptions().stages == every
+    assert MapOptions(refine=None).stages == every[:-1]
+    assert MapOptions(until=Stage.MOSER).stages == every[:2]
+    assert MapOptions(method=Method.HAKER).stages == every[:1]
+    assert MapOptions(method=Method.MOSER, until=Stage.REFINE).stages == every[:2]
+
+
+def test_what_a_report_says():
+    options = MapOptions(cost=Cost.GEODESIC, refine=Refinement.ANGLE)
+    assert options.to_dict() == {"method": "omt", "cost": "geodesic", "scheme": "default", "refine": "angle"}
+    assert all(type(value) is str for value in options.to_dict().values())
+    assert MapOptions(method=Method.TUTTE).to_dict() == {"method": "tutte", "cost": "", "scheme": "", "refine": None}
