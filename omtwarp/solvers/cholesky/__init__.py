@@ -1,6 +1,7 @@
-"""Sparse Cholesky factors of matrices whose pattern is the edges of a surface: one analysis, many factorisations."""
+"""Sparse factors of matrices whose pattern is the edges of a surface: one analysis, many factorisations."""
 
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect
 from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky, NotPositiveDefinite
+from omtwarp.solvers.cholesky.saddle import SaddleFactor
 
-__all__ = ["Dissection", "MultifrontalCholesky", "NotPositiveDefinite", "dissect"]
+__all__ = ["Dissection", "MultifrontalCholesky", "NotPositiveDefinite", "SaddleFactor", "dissect"]

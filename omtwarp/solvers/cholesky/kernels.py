@@ -68,17 +68,29 @@ ELIMINATE = """
                          const double*, double*, const int*);
     const char lower = 'L', right = 'R', transposed = 'T', plain = 'N';
     const double one = 1.0, minus = -1.0;
-    const int size = block * (starts.data[f + 1] - starts.data[f]), own = block * owned.data[f], rest = size - own;
+    const int size = block * (starts.data[f + 1] - starts.data[f]), own = block * owned.data[f];
     double* front = room.data + offsets.data[f];
     int info = 0;
-    if (own > 0) {
-        ((Potrf)routines.data[0])(&lower, &own, front, &size, &info);
+    // First the columns with positive pivots, then, with their sign turned, those with negative ones.
+    for (int sign = 1; sign >= -1 && info == 0; sign -= 2) {
+        const int begin = sign > 0 ? 0 : own - negative.data[f], end = sign > 0 ? own - negative.data[f] : own;
+        const int count = end - begin, rest = size - end;
+        if (count == 0) continue;
+        double* corner = front + begin + (long long)begin * size;
+        if (sign < 0)
+            for (int j = 0; j < count; ++j)
+                #pragma clang loop interleave(disable) unroll(disable)
+                for (long long i = j; i < size - begin; ++i) corner[i + (long long)j * size] *= -1.0;
+        ((Potrf)routines.data[0])(&lower, &count, corner, &size, &info);
         if (info == 0 && rest > 0) {
-            double* side = front + own;
-            ((Trsm)routines.data[1])(&right, &lower, &transposed, &plain, &rest, &own, &one, front, &size, side, &size);
-            ((Syrk)routines.data[2])(&lower, &plain, &rest, &own, &minus, side, &size, &one,
-                                     front + own + (long long)own * size, &size);
+            double* side = corner + count;
+            ((Trsm)routines.data[1])(&right, &lower, &transposed, &plain, &rest, &count, &one, corner, &size, side,
+                                     &size);
+            ((Syrk)routines.data[2])(&lower, &plain, &rest, &count, sign > 0 ? &minus : &one, side, &size, &one,
+                                     front + end + (long long)end * size, &size);
         }
+    }
+    if (own > 0) {
         double* __restrict__ kept = factor.data + factor_offsets.data[f];
         for (int j = 0; j < own; ++j)
             #pragma clang loop interleave(disable) unroll(disable)
@@ -116,6 +128,7 @@ def eliminate_front(  # type: ignore[empty-body]
     f: int,
     block: int,
     owned: wp.array[wp.int32],
+    negative: wp.array[wp.int32],
     starts: wp.array[wp.int64],
     offsets: wp.array[wp.int64],
     factor_offsets: wp.array[wp.int64],
@@ -132,6 +145,7 @@ def factorise_fronts(
     block: int,
     first: wp.array[wp.int32],
     owned: wp.array[wp.int32],
+    negative: wp.array[wp.int32],
     starts: wp.array[wp.int64],
     upward: wp.array[wp.int32],
     family_starts: wp.array[wp.int32],
@@ -155,8 +169,10 @@ def factorise_fronts(
 ):
     """Put fronts together, each from the matrix and its children, and eliminate them, one after another.
 
-    One thread does all of them, since a front may follow from the one before; ``failed`` is the first whose pivots are
-    not positive, or -1. Where ``eliminate`` is 0 they are only put together.
+    One thread does all of them, since a front may follow from the one before; ``failed`` is the first whose pivots have
+    the wrong sign, or -1. The last ``negative`` own columns of a front have negative pivots: with L the columns as they
+    are kept, the matrix is L S Lᵀ, S diagonal with entries 1 and -1. Where ``eliminate`` is 0 fronts are only put
+    together.
     """
     failed[0] = wp.int32(-1)
     for k in range(fronts.shape[0]):
@@ -166,7 +182,7 @@ def factorise_fronts(
             edge_columns, turned, offsets, diagonal, off_diagonal, room,
         )  # fmt: skip
         if eliminate == 1:
-            info = eliminate_front(f, block, owned, starts, offsets, factor_offsets, routines, room, factor)
+            info = eliminate_front(f, block, owned, negative, starts, offsets, factor_offsets, routines, room, factor)
             if info != 0:
                 failed[0] = f
                 return

@@ -39,16 +39,17 @@ def _callable(name: str, arguments: int) -> Any:
     return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(routine(name))
 
 
-def eliminate_together(own: int, size: int, corner: int) -> bool:
+def eliminate_together(own: int, size: int, corner: int, negative: int = 0) -> bool:
     """Eliminate the first columns of one large symmetric matrix on all threads; rounding depends on their number.
 
     Args:
         own: columns to eliminate.
         size: its rows.
         corner: address of its first number; its lower triangle is stored by columns.
+        negative: how many of the columns to eliminate, the last ones, have negative pivots.
 
     Returns:
-        Whether it is positive definite.
+        Whether all pivots have the sign that they should have.
     """
     potrf, trsm = _callable("dpotrf", 5), _callable("dtrsm", 11)
     syrk, gemm = _callable("dsyrk", 10), _callable("dgemm", 13)
@@ -64,8 +65,12 @@ def eliminate_together(own: int, size: int, corner: int) -> bool:
         room = np.array([*values, size], dtype=np.int32)
         return room, [room.ctypes.data + 4 * k for k in range(len(room))]
 
-    for first in range(0, own, PANEL):
-        last = min(first + PANEL, own)
+    panels = [(k, min(k + PANEL, own - negative)) for k in range(0, own - negative, PANEL)]
+    panels += [(k, min(k + PANEL, own)) for k in range(own - negative, own, PANEL)]
+    for first, last in panels:
+        positive = first < own - negative
+        if first == own - negative:
+            _turn_sign(own, size, corner, negative)
         status = ctypes.c_int(0)
         width, (n_width, n_size) = numbers(last - first)
         potrf(lower, n_width, at(first, first), n_size, ctypes.addressof(status))
@@ -80,20 +85,30 @@ def eliminate_together(own: int, size: int, corner: int) -> bool:
             )  # fmt: skip
             del kept
 
-        def update(columns: range, first: int = first, last: int = last) -> None:
+        def update(columns: range, first: int = first, last: int = last, positive: bool = positive) -> None:
             below = size - columns.stop
             kept, (n_columns, n_inner, n_below, n_lead) = numbers(len(columns), last - first, below)
             panel, own_block = at(columns.start, first), at(columns.start, columns.start)
-            syrk(lower, plain, n_columns, n_inner, minus, panel, n_lead, one, own_block, n_lead)
+            # Columns eliminated later among those with negative pivots have had their sign turned already.
+            factor = minus if positive or columns.start < own else one
+            syrk(lower, plain, n_columns, n_inner, factor, panel, n_lead, one, own_block, n_lead)
             if below:
                 gemm(
-                    plain, transposed, n_below, n_columns, n_inner, minus, at(columns.stop, first), n_lead,
+                    plain, transposed, n_below, n_columns, n_inner, factor, at(columns.stop, first), n_lead,
                     panel, n_lead, one, at(columns.stop, columns.start), n_lead,
                 )  # fmt: skip
             del kept
 
         del width
-        strips = [range(k, min(k + STRIP, size)) for k in range(last, size, STRIP)]
+        bounds = [(last, size)] if positive else [(last, own), (own, size)]
+        strips = [range(k, min(k + STRIP, end)) for begin, end in bounds for k in range(begin, end, STRIP)]
         run_all(scale, strips)
         run_all(update, strips)
     return True
+
+
+def _turn_sign(own: int, size: int, corner: int, count: int) -> None:
+    """Multiply the last of the columns to eliminate by -1, from the diagonal down."""
+    numbers = (ctypes.c_double * (size * own)).from_address(corner)
+    columns = np.ctypeslib.as_array(numbers).reshape(own, size)
+    columns[own - count :, own - count :] *= -1.0

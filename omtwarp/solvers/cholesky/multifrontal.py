@@ -30,7 +30,7 @@ BRANCHES = 4
 
 
 class NotPositiveDefinite(ArithmeticError):
-    """A matrix has a pivot that is not positive, to round-off."""
+    """A matrix has a pivot of the wrong sign, to round-off."""
 
 
 class MultifrontalCholesky:
@@ -42,10 +42,21 @@ class MultifrontalCholesky:
         threads: shares that independent fronts are cut into; one per core by default. On large meshes, where the last
             fronts are given to several threads together, results depend on it by rounding.
         room: what fronts are eliminated in; by default it is made for each factorisation, and let go of after it.
+        negative: how many of every front's own unknowns, the last ones, have negative pivots, shape [N]; none by
+            default. With them the matrix is quasi-definite instead of positive definite.
     """
 
-    def __init__(self, dissection: Dissection, block: int = 1, threads: int | None = None, room: Room | None = None):
+    def __init__(
+        self,
+        dissection: Dissection,
+        block: int = 1,
+        threads: int | None = None,
+        room: Room | None = None,
+        negative: NDArray[np.int32] | None = None,
+    ):
         self.dissection = dissection
+        count = len(dissection.owned)
+        self._negative = np.zeros(count, dtype=np.int32) if negative is None else negative
         self.block = block
         self.threads = threads or core_count()
         sizes = block * dissection.sizes
@@ -61,6 +72,7 @@ class MultifrontalCholesky:
         if room is not None:
             room.numbers(self._length)  # now: what is asked for sooner would leave a hole where it was
         self._carried = room or Room()
+        self._negative_places = self._find_negative() if negative is not None else None
         few = [fronts for fronts in self._trunk if len(fronts) < self.threads]
         self._shared = {int(f) for fronts in few for f in fronts if costs[f] > TOGETHER * self.threads}
         self._upload()
@@ -124,6 +136,13 @@ class MultifrontalCholesky:
             length += int(ends[-1])
         return offsets, length
 
+    def _find_negative(self) -> NDArray[np.intp]:
+        """Places of the unknowns with negative pivots in the order of elimination."""
+        d, block = self.dissection, self.block
+        place = np.arange(block * d.vertex_count)
+        end = np.repeat(block * (d.first + d.owned), block * d.owned)
+        return np.flatnonzero(place >= end - np.repeat(self._negative, block * d.owned))
+
     def _upload(self) -> None:
         d = self.dissection
 
@@ -131,6 +150,7 @@ class MultifrontalCholesky:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
         self._first, self._owned = keep(d.first, wp.int32), keep(d.owned, wp.int32)
+        self._w_negative = keep(self._negative, wp.int32)
         self._starts, self._rows = keep(d.starts, wp.int64), keep(d.rows, wp.int32)
         self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
         self._w_factor = wp.array(self._factor, device="cpu", copy=False)
@@ -140,6 +160,7 @@ class MultifrontalCholesky:
             self.block,
             self._first,
             self._owned,
+            self._w_negative,
             self._starts,
             *self._families,
             keep(d.order, wp.int32),
@@ -193,7 +214,7 @@ class MultifrontalCholesky:
         """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
         run(np.array([front], dtype=np.int32), eliminate=0)
         own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
-        if not eliminate_together(own, size, room.ctypes.data + 8 * begin):
+        if not eliminate_together(own, size, room.ctypes.data + 8 * begin, int(self._negative[front])):
             return front
         target = int(self._factor_offsets[front])
         self._factor[target : target + own * size] = room[begin : begin + own * size]
@@ -232,9 +253,12 @@ class MultifrontalCholesky:
             wp.launch(solve_triangular, dim=count, inputs=[own, transposed, *inputs], device="cpu")
 
         run_all(partial(run, transposed=0), self._jobs)
-        if self._trunk:
-            trunk = np.concatenate(self._trunk)
+        trunk = np.concatenate(self._trunk) if self._trunk else None
+        if trunk is not None:
             run(trunk, 0)
+        if self._negative_places is not None:
+            x.reshape(count, -1)[:, self._negative_places] *= -1.0
+        if trunk is not None:
             run(trunk, 1)
         run_all(partial(run, transposed=1), self._jobs)
         out = np.empty_like(flat)

@@ -1,0 +1,82 @@
+"""Saddle-point matrices: the solution is SciPy's, in every path of the elimination."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sparse
+from scipy.sparse.linalg import spsolve
+
+from omtwarp.mesh.shapes import icosphere
+from omtwarp.solvers.cholesky import NotPositiveDefinite, SaddleFactor
+from omtwarp.solvers.cholesky.lapack import eliminate_together
+
+
+def _random_saddle(surface, seed):
+    """Blocks of a random quasi-definite matrix on a mesh, and the matrix, coordinates before multipliers."""
+    rng = np.random.default_rng(seed)
+    count, edges = surface.vertex_count, surface.edges
+    off = rng.normal(size=(len(edges), 2, 2))
+    diagonal = np.zeros((count, 2, 2))
+    for ends in edges.T:
+        np.add.at(diagonal, ends, 2.5 * np.eye(2))  # dominates four entries of size about one a neighbour
+    twist = rng.normal(size=count)
+    diagonal[:, 0, 1] = diagonal[:, 1, 0] = twist
+    diagonal[:, [0, 1], [0, 1]] += np.abs(twist)[:, None] + np.abs(off).sum() / count
+    gradients = rng.normal(size=(2, len(edges), 2))
+    compliance = rng.uniform(1e-3, 1.0, size=count)
+
+    i, j = edges.T
+    rows, columns, values = [], [], []
+    for a in range(2):
+        for b in range(2):
+            rows += [2 * np.arange(count) + a, 2 * i + a, 2 * j + b]
+            columns += [2 * np.arange(count) + b, 2 * j + b, 2 * i + a]
+            values += [diagonal[:, a, b], off[:, a, b], off[:, a, b]]
+    upper = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))))
+    rows = np.concatenate([i, i, j, j])
+    columns = np.concatenate([2 * j, 2 * j + 1, 2 * i, 2 * i + 1])
+    values = np.concatenate([gradients[0, :, 0], gradients[0, :, 1], gradients[1, :, 0], gradients[1, :, 1]])
+    coupling = sparse.csr_matrix((values, (rows, columns)), shape=(count, 2 * count))
+    matrix = sparse.bmat([[upper, coupling.T], [coupling, -sparse.diags(compliance)]]).tocsc()
+    return (diagonal, off, gradients, compliance), matrix
+
+
+@pytest.mark.parametrize("level", [1, 4, 12])
+def test_solution_is_scipys(level):
+    surface = icosphere(level)
+    parts, matrix = _random_saddle(surface, level)
+    factor = SaddleFactor(surface.dissection)
+    rng = np.random.default_rng(9)
+    first, second = rng.normal(size=(surface.vertex_count, 2)), rng.normal(size=surface.vertex_count)
+    for _ in range(2):  # storage is used again
+        factor.factorise(*parts)
+        u, q = factor.solve(first, second)
+    expected = spsolve(matrix, np.concatenate([first.ravel(), second]))
+    found = np.concatenate([u.ravel(), q])
+    assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+
+
+def test_indefinite_coordinates_are_refused():
+    surface = icosphere(2)
+    (diagonal, off, gradients, compliance), _ = _random_saddle(surface, 0)
+    with pytest.raises(NotPositiveDefinite):
+        SaddleFactor(surface.dissection).factorise(-diagonal, off, gradients, compliance)
+
+
+@pytest.mark.parametrize(("own", "negative", "size"), [(500, 170, 900), (300, 300, 310), (410, 0, 700)])
+def test_shared_elimination_has_both_signs(own, negative, size):
+    # [A, B'; B, -C] in its first columns; what is left is the Schur complement of the rest.
+    rng = np.random.default_rng(own)
+    draw = rng.normal(size=(size, size)) / np.sqrt(size)
+    matrix = draw @ draw.T + np.eye(size)
+    turned = slice(own - negative, own)
+    matrix[turned, turned] *= -1.0
+    stored = np.asfortranarray(np.tril(matrix))
+    assert eliminate_together(own, size, stored.ctypes.data, negative)
+    columns = np.tril(stored)[:, :own]
+    signs = np.ones(own)
+    signs[turned] = -1.0
+    product = (columns * signs) @ columns.T
+    assert np.allclose(product[:, :own], matrix[:, :own], atol=1e-11)
+    rest = slice(own, size)
+    schur = matrix[rest, rest] - matrix[rest, :own] @ np.linalg.solve(matrix[:own, :own], matrix[:own, rest])
+    assert np.allclose(np.tril(stored)[rest, rest], np.tril(schur), atol=1e-9)
