@@ -28,7 +28,7 @@ PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 GL_LIBRARIES = ("libEGL.so.1", "libGL.so.1")
 GL_PACKAGES = ("libegl1", "libgl1")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-EXTRAS = {"test": "test"}  # of every other command: preview,report
+EXTRAS = {"test": "test"}  # of every other command: preview
 
 
 class SetupError(Exception):
@@ -45,7 +45,7 @@ def main(arguments: list[str]) -> int:
         if sys.version_info < (3, 11):  # noqa: UP036 (this script is the one that meets an older Python)
             raise SetupError(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
         make_environment()
-        install(EXTRAS.get(command, "preview,report"))
+        install(EXTRAS.get(command, "preview"))
         environment = {**os.environ, **opengl()}
     except SetupError as error:
         print(f"run.py: error: {error}", file=sys.stderr)
@@ -64,6 +64,7 @@ def test(options: list[str], environment: dict[str, str]) -> int:
     environment |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     steps = {
         "lint": ["-m", "ruff", "check", "."],
+        "format": ["-m", "ruff", "format", "--check", "."],
         "types": ["-m", "mypy"],
         # Each test process would compile every kernel for itself: compile them once before.
         "kernels": ["-m", "omtwarp.device.prewarm"],

@@ -16,6 +16,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 logging.getLogger("omtwarp.render").setLevel(logging.ERROR)  # which program drew a picture is no part of an example
 
 from sphinx.util.nodes import make_refnode  # noqa: E402
+from sphinx.util.osutil import relative_uri  # noqa: E402
 
 import omtwarp  # noqa: E402
 
@@ -34,6 +35,7 @@ extensions = [
     "mathml",
     "commands",
     "report_page",
+    "data_flow",
 ]
 exclude_patterns = ["_build", "README.md", "gallery/*.ipynb"]
 source_suffix = {".rst": "restructuredtext", ".md": "markdown"}
@@ -130,7 +132,31 @@ def find_by_last_name(app, env, node, contnode):
     return contnode if node["refdoc"].startswith("api/") else None
 
 
+def lead_source_back(app, pagename, templatename, context, doctree) -> None:
+    """Let the links of a source page lead to where an object is documented: below its module or below the package.
+
+    ``sphinx.ext.viewcode`` keeps one of the two for all objects of a module, which is wrong for the others.
+    """
+    if not pagename.startswith("_modules/"):
+        return
+    module = pagename.removeprefix("_modules/").replace("/", ".")
+    objects = app.env.get_domain("py").objects
+
+    def link(match: re.Match) -> str:
+        name = match[1].removeprefix(f"{module}.").removeprefix("omtwarp.")
+        for full in (f"{module}.{name}", f"omtwarp.{name}"):
+            if full in objects:
+                entry = objects[full]
+                page = relative_uri(app.builder.get_target_uri(pagename), app.builder.get_target_uri(entry.docname))
+                return f'<a class="viewcode-back" href="{page}#{entry.node_id}">[docs]</a>'
+        return ""
+
+    back = r'<a class="viewcode-back" href="[^"#]*#([^"]+)">\[docs\]</a>'
+    context["body"] = re.sub(back, link, context["body"])
+
+
 def setup(app) -> None:
+    app.connect("html-page-context", lead_source_back)
     app.connect("missing-reference", find_by_last_name)
     app.connect("source-read", name_optional_pages)
     app.connect("autodoc-skip-member", skip_what_is_public_above)

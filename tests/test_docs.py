@@ -156,6 +156,22 @@ def test_every_command_and_public_name_is_documented():
         assert f"omtwarp {name}" in told
 
 
+def dead_links(site: Path) -> list[str]:
+    """Links of a built site to pages or anchors that it does not have."""
+    texts = {page.resolve(): page.read_text("utf-8") for page in site.rglob("*.html")}
+    anchors = {page: set(re.findall(r'\b(?:id|name)="([^"]+)"', text)) for page, text in texts.items()}
+    dead = []
+    for page, text in texts.items():
+        for link in re.findall(r'<a\b[^>]*\bhref="([^"]+)"', text):
+            if re.match(r"(?:https?|mailto|data):", link):
+                continue
+            name, _, anchor = link.partition("#")
+            target = (page.parent / name).resolve() if name else page
+            if not target.exists() or (anchor and target in anchors and anchor not in anchors[target]):
+                dead.append(f"{page.name}: {link}")
+    return dead
+
+
 @pytest.mark.slow
 def test_site_builds_without_a_warning(tmp_path):
     """All but the gallery's pictures, which tests/test_examples.py runs."""
@@ -173,6 +189,9 @@ def test_site_builds_without_a_warning(tmp_path):
     assert "example_report.html" in index and (tmp_path / "html" / "example_report.html").stat().st_size > 500_000
     method = (tmp_path / "html" / "method.html").read_text("utf-8")
     assert method.count("<math") > 60 and "merror" not in method
+    architecture = (tmp_path / "html" / "architecture.html").read_text("utf-8")
+    assert '<svg class="data-flow"' in architecture and "transport/" in architecture
+    assert dead_links(tmp_path / "html") == []
     for page in (tmp_path / "html").rglob("*.html"):
         fetched = re.findall(r'<(?:script|link|img|iframe)[^>]+(?:src|href)="(https?:[^"]+)"', page.read_text("utf-8"))
         assert not fetched, f"{page.name} fetches {fetched[0]}"

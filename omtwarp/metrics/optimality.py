@@ -205,7 +205,7 @@ def exact_transport(
     try:
         import ot
     except ImportError as error:
-        raise OmtwarpError("the exact optimum needs the package POT: pip install POT") from error
+        raise OmtwarpError("the exact optimum needs the package POT: pip install 'omtwarp[test]'") from error
     x, z = (np.ascontiguousarray(p, dtype=np.float64) for p in (sources, targets))
     a, b = (np.asarray(w, dtype=np.float64) / np.sum(w) for w in (source_masses, target_masses))
     squared = 2.0 * np.arcsin(np.clip(np.sqrt(np.maximum(2.0 - 2.0 * (x @ z.T), 0.0)) / 2.0, 0.0, 1.0))

@@ -116,7 +116,7 @@ def _ffmpeg() -> Any:
 
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
-        raise OmtwarpError("an .mp4 needs ffmpeg: pip install imageio-ffmpeg, or write a .gif") from None
+        raise OmtwarpError("an .mp4 needs ffmpeg: pip install 'omtwarp[film]', or write a .gif") from None
     return imageio_ffmpeg
 
 

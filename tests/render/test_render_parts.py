@@ -197,7 +197,7 @@ def test_unreadable_files_are_named(tmp_path) -> None:
 
 def test_mp4_without_ffmpeg_is_refused_before_the_work(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(OmtwarpError, match="pip install imageio-ffmpeg"):
+    with pytest.raises(OmtwarpError, match=r"pip install 'omtwarp\[film\]'"):
         preview(TRIANGLE, tmp_path / "film.mp4", backend="warp")
 
 
