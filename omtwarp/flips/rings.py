@@ -73,7 +73,9 @@ def ring_turns(
 def tangled_faces(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.bool_]:
-    """Triangles that keep a map from being one to one: flipped, or around a vertex whose ring does not turn once.
+    """Triangles that keep a map from being one to one.
+
+    They are flipped, or lie around a vertex without a flipped triangle whose ring turns more than once.
 
     Args:
         sphere: float64 points, shape [V, 3]; or a Warp array of vec3d.
@@ -87,8 +89,10 @@ def tangled_faces(
     turns = ring_turns(sphere, faces, signs=signs, device=device)
     corners = faces.numpy() if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3)
     tangled: NDArray[np.bool_] = signs <= 0
-    if (turns != 1).any():
-        tangled |= (turns != 1)[corners].any(axis=1)
+    wound = turns != 1
+    if wound.any():
+        wound[corners[tangled]] = False
+        tangled |= wound[corners].any(axis=1)
     return tangled
 
 

@@ -55,6 +55,19 @@ def untangle_value(
 
 
 @wp.kernel
+def solid_angles(
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    solid: wp.array[wp.float64],
+):
+    """Signed solid angle of every triangle (van Oosterom and Strackee 1983)."""
+    t = wp.tid()
+    a, b, c = sphere[faces[t][0]], sphere[faces[t][1]], sphere[faces[t][2]]
+    solid[t] = TWO * wp.atan2(triple(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
+
+
+@wp.kernel
 def untangle_newton(
     sphere: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.vec3i),

@@ -4,6 +4,10 @@ Around every flipped triangle a patch of a few rings is freed and its distortion
 on flipped triangles and tends to a barrier as ε falls (Garanzha et al., "Foldover-free maps in 50 lines of code",
 2021). Patches that do not touch are independent problems: they share one sparse matrix but each has its own step
 length. Patches that stay tangled grow, up to the whole sphere.
+
+A triangle can become positive in two ways: by shrinking through zero, or by growing over half the sphere to the other
+side. The second changes how often the sphere is covered, and ends in vertices whose ring goes around them twice with no
+triangle flipped. Steps of that kind are not taken: the solid angles of a patch have the same sum before and after.
 """
 
 from __future__ import annotations
@@ -14,16 +18,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.start import resolve_device, wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.predicates import count_flips, flipped_faces
+from omtwarp.flips.rings import tangled_faces
 from omtwarp.mesh.patches import Patches, grow
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.triangle_newton.frames import triangle_frames
 from omtwarp.triangle_newton.line_search import search_patches
 from omtwarp.triangle_newton.newton import NewtonMatrix
-from omtwarp.untangling.kernels import move_in_tangent, untangle_newton, untangle_value
+from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,8 @@ SCHEDULES = (
     Schedule(rings=10**9, factor=0.7, steps=10, thinnest=0.3),
 )
 SMALLEST_EPSILON = 1e-4
+# Of the sphere: a patch whose triangles cover nothing in sum is not taken for one that covers everything.
+ROUNDING = 1e-9
 HALVINGS = 20
 SETTLED = 0.01  # of its energy: a patch that expects to gain less than half of that waits for a smaller ε
 NARROWING = 0.7  # of the triangles: when fewer are left in tangled patches, the others are dropped
@@ -65,12 +73,13 @@ NARROWING = 0.7  # of the triangles: when fewer are left in tangled patches, the
 
 @dataclass
 class UntangleResult:
-    """A map without flipped triangles, or the best one found.
+    """A map that is one to one, or the best one found.
 
     Attributes:
         sphere: unit vectors, float64, shape [V, 3].
         flips_before: triangles with det[s0, s1, s2] <= 0 in the map given.
         flips_after: the same in ``sphere``.
+        bijective: whether ``sphere`` is one to one: no triangle is flipped, and every ring turns once.
         rounds: rounds of minimisation over all attempts.
         vertices_moved: vertices that are not where they were.
         history: one record per attempt: rings, vertices freed, patches, rounds, flips left.
@@ -79,6 +88,7 @@ class UntangleResult:
     sphere: NDArray[np.float64]
     flips_before: int
     flips_after: int
+    bijective: bool
     rounds: int
     vertices_moved: int
     history: list[dict[str, int]] = field(default_factory=list)
@@ -93,37 +103,37 @@ def untangle(
     schedules: tuple[Schedule, ...] = SCHEDULES,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> UntangleResult:
-    """Move as few vertices as possible until no triangle is flipped.
+    """Move as few vertices as possible until the map is one to one.
 
     Args:
         surface: the original surface, V vertices and F faces.
         sphere: images of its vertices, unit vectors, shape [V, 3]; triangles may be flipped or of area zero.
         device: where the kernels run; the sparse systems are solved on the host.
-        schedules: attempts, each from what the one before it left, until one leaves no flip.
+        schedules: attempts, each from what the one before it left, until one leaves a bijection.
         progress: called with (text, attempt, attempts) before every attempt.
 
     Returns:
-        The map and what was done. ``flips_after`` is 0 unless every attempt failed.
+        The map and what was done. ``bijective`` is True unless every attempt failed.
     """
     where = resolve_device(device)
     start = np.array(sphere, dtype=np.float64)
     start /= np.linalg.norm(start, axis=1, keepdims=True)
     points, faces = start.copy(), surface.faces
-    flipped = flipped_faces(points, faces)
-    before = int(flipped.sum())
+    tangled = tangled_faces(points, faces)
+    before = count_flips(points, faces)
     rounds = 0
     history: list[dict[str, int]] = []
     for attempt, schedule in enumerate(schedules):
-        if not flipped.any():
+        if not tangled.any():
             break
-        seeds = _of_small_patches(faces, flipped, schedule)
+        seeds = _of_small_patches(faces, tangled, schedule)
         if not seeds.any():
             continue
         if progress is not None:
-            progress(f"untangling {int(flipped.sum())} triangles", attempt, len(schedules))
+            progress(f"untangling {int(tangled.sum())} triangles", attempt, len(schedules))
         untangling = _Untangling(surface, points, seeds, schedule, where)
         points, done = untangling.solve()
-        flipped = flipped_faces(points, faces)
+        tangled = tangled_faces(points, faces)
         rounds += done
         history.append(
             {
@@ -131,11 +141,11 @@ def untangle(
                 "vertices": untangling.whole.free,
                 "patches": untangling.whole.count,
                 "rounds": done,
-                "flips": int(flipped.sum()),
+                "flips": count_flips(points, faces),
             }
         )
     moved = int(np.any(points != start, axis=1).sum())
-    return UntangleResult(points, before, int(flipped.sum()), rounds, moved, history)
+    return UntangleResult(points, before, count_flips(points, faces), not tangled.any(), rounds, moved, history)
 
 
 def untangle_patches(
@@ -189,6 +199,11 @@ class _Untangling:
         self.whole = Patches.of_vertices(surface.faces, grow(surface.faces, seed, schedule.rings))
         self.frames = triangle_frames(surface, schedule.thinnest, self.whole.triangles)
         self._take(self.whole)
+        covered = self._covered(vectors(sphere[self.whole.vertices], device), self.whole)
+        # What lies around a patch says which part of the sphere it is to cover, up to whole spheres; all of it is one.
+        alone = self.whole.free == len(self.whole.vertices)
+        self.share = np.ones(1) if alone else covered - np.floor(covered + ROUNDING)
+        self.whole_share, self.surplus = self.share, np.rint(covered - self.share)
 
     def _take(self, patches: Patches) -> None:
         """Work on these patches: their matrix, where triangles enter their gradient, and room on the device."""
@@ -214,6 +229,7 @@ class _Untangling:
         """
         self._keep(points)
         self.frames = np.ascontiguousarray(self.frames[active[self.patches.face_patch]])
+        self.share, self.surplus = self.share[active], self.surplus[active]
         patches, places = self.patches.only(active)
         self._take(patches)
         return points[places]
@@ -236,7 +252,8 @@ class _Untangling:
                     break
             flipped = flipped_faces(points.numpy(), self.patches.faces)
             tangled = np.bincount(self.patches.face_patch[flipped], minlength=self.patches.count) > 0
-            active &= tangled & (epsilon > SMALLEST_EPSILON)
+            self.surplus = np.rint(self._covered(points, self.patches) - self.share)
+            active &= (tangled | (self.surplus != 0)) & (epsilon > SMALLEST_EPSILON)
             if not active.any():
                 break
             epsilon[active] = np.maximum(epsilon[active] * self.schedule.factor, SMALLEST_EPSILON)
@@ -250,7 +267,8 @@ class _Untangling:
     def _take_back(self) -> None:
         """Leave patches as they were that ended with no fewer flips: the next attempt frees more around them.
 
-        A patch too small for its triangles can end far more tangled than it was.
+        A patch too small for its triangles can end far more tangled than it was. So are those that cover their part of
+        the sphere too often: their flips say more of where they are tangled than vertices with rings that turn twice.
         """
         whole = self.whole
         faces = self.surface.faces[whole.triangles]
@@ -258,7 +276,9 @@ class _Untangling:
             np.bincount(whole.face_patch[flipped_faces(sphere, faces)], minlength=whole.count)
             for sphere in (self.sphere, self.result)
         )
-        back = whole.vertices[: whole.free][((after > 0) & (after >= before))[whole.vertex_patch]]
+        covered = self._covered(vectors(self.result[whole.vertices], self.device), whole)
+        twice = np.rint(covered - self.whole_share) != 0
+        back = whole.vertices[: whole.free][(((after > 0) & (after >= before)) | twice)[whole.vertex_patch]]
         self.result[back] = self.sphere[back]
 
     def _newton_step(self, points, epsilon, active) -> tuple[wp.array, bool]:
@@ -307,14 +327,17 @@ class _Untangling:
         return moved
 
     def _energy(self, points, face_epsilon) -> NDArray[np.float64]:
-        """Energy of every patch."""
+        """Energy of every patch; infinite where it covers the sphere once more than it did."""
         patches = self.patches
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
-        wp.launch(
-            untangle_value,
-            dim=len(patches.faces),
-            inputs=inputs,
-            outputs=[self.d_value],
-            device=self.device,
-        )
-        return patches.sum_of_faces(self.d_value.numpy())
+        wp.launch(untangle_value, dim=len(patches.faces), inputs=inputs, outputs=[self.d_value], device=self.device)
+        energy = patches.sum_of_faces(self.d_value.numpy())
+        energy[np.abs(np.rint(self._covered(points, self.patches) - self.share)) > np.abs(self.surplus)] = np.inf
+        return energy
+
+    def _covered(self, points: wp.array, patches: Patches) -> NDArray[np.float64]:
+        """How much of the sphere every patch covers, with signs and as often as it does, shape [count]; 1 is all."""
+        faces = triangles(patches.faces, self.device)
+        solid = wp.empty(len(faces), dtype=wp.float64, device=self.device)
+        wp.launch(solid_angles, dim=len(faces), inputs=[points, faces], outputs=[solid], device=self.device)
+        return patches.sum_of_faces(solid.numpy()) / SPHERE_AREA
