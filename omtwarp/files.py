@@ -1,27 +1,42 @@
 """Outputs that appear whole or not at all, and are known to be writable before the work starts.
 
-Every file that the package writes for a user goes through :func:`staged`.
+Every file that the package writes for a user goes through :func:`staged`, from Python and from the command line alike:
+links are followed and kept, an existing file's mode is kept, directories, devices, pipes and read-only files are
+refused, and what is written beside the named file never replaces a file of the user's.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import signal
+import stat
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from omtwarp.errors import OmtwarpError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 PREFIX = ".omtwarp-"  # of the directories that files are written in before they are moved
+MARK = b"omtwarp"  # near the beginning of every file that is written beside a named one
+MARK_WITHIN = 4096  # bytes of the beginning that are searched for it
+STALE_SECONDS = 3600.0  # age from which a staging directory that no process holds is removed
+STALE_UNKNOWN_SECONDS = 86400.0  # the same where it cannot be told whether a process holds it
+
+_places: dict[Path, Path] = {}  # staging directories of this process, and the files that they are for
 
 
-def check_output(path: Path, suffixes: tuple[str, ...], *inputs: Path | None) -> Path:
+def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *inputs: Path | None) -> Path:
     """Make sure that an output can be written, by trying, before anything long is computed.
 
     Args:
@@ -33,53 +48,229 @@ def check_output(path: Path, suffixes: tuple[str, ...], *inputs: Path | None) ->
         The path with links followed, so that replacing the file keeps the link.
 
     Raises:
-        OmtwarpError: an unknown suffix, no directory, no right to write, or an input as the output.
+        OmtwarpError: an unknown suffix, no directory, no right to write, something there that is not a regular file,
+            or an input as the output.
     """
-    if suffixes and path.suffix.lower() not in suffixes:
-        raise OmtwarpError(f"cannot write '{path}': unknown suffix '{path.suffix}', use {', '.join(suffixes)}")
-    target = Path(os.path.realpath(path))
-    if target.is_dir():
-        raise OmtwarpError(f"cannot write '{path}': it is a directory")
-    if target.exists() and not target.is_file():
-        raise OmtwarpError(f"cannot write '{path}': it is not a regular file")
-    if any(given is not None and target.exists() and given.exists() and target.samefile(given) for given in inputs):
-        raise OmtwarpError(f"cannot write '{path}': it is the input; choose another name")
-    if not target.parent.is_dir():
-        raise OmtwarpError(f"cannot write '{path}': there is no directory '{path.parent}'")
+    given = Path(path)
+    if suffixes and given.suffix.lower() not in suffixes:
+        raise OmtwarpError(f"cannot write '{path}': unknown suffix '{given.suffix}', use {', '.join(suffixes)}")
     try:
-        if target.exists() and not os.access(target, os.W_OK):
-            raise PermissionError(13, "Permission denied")
-        os.rmdir(tempfile.mkdtemp(prefix=PREFIX, dir=target.parent))
+        target = _destination(given)
+        if _is_one_of(target, inputs):
+            raise OmtwarpError(f"cannot write '{path}': it is the input; choose another name")
+        if target.parent not in _places:
+            os.rmdir(tempfile.mkdtemp(prefix=PREFIX, dir=target.parent))
     except OSError as error:
-        raise OmtwarpError(f"cannot write '{path}': {error.strerror or error}") from None
+        raise _cannot_write(given, error) from None
     return target
 
 
+def _destination(path: Path) -> Path:
+    """The file that is written for a path: links followed, and nothing there that must not be replaced.
+
+    Raises:
+        OmtwarpError: a directory, a device or pipe, a link to itself, or no directory to write in.
+        OSError: no right to write, a name that is too long.
+    """
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "no file can have such a name")
+    target = Path(os.path.realpath(path))
+    try:
+        mode = os.lstat(target).st_mode
+    except FileNotFoundError:
+        if not target.parent.is_dir():
+            raise OmtwarpError(f"cannot write '{path}': there is no directory '{path.parent}'") from None
+        return target
+    except NotADirectoryError:
+        raise OmtwarpError(f"cannot write '{path}': there is no directory '{path.parent}'") from None
+    if stat.S_ISDIR(mode):
+        raise OmtwarpError(f"cannot write '{path}': it is a directory")
+    if stat.S_ISLNK(mode):
+        raise OmtwarpError(f"cannot write '{path}': it is a symbolic link that leads to itself")
+    if not stat.S_ISREG(mode):
+        raise OmtwarpError(f"cannot write '{path}': it is not a regular file")
+    if not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, "Permission denied")
+    return target
+
+
+def _cannot_write(path: Path, error: OSError) -> OmtwarpError:
+    """The line about an output that failed, in the system's words."""
+    return OmtwarpError(f"cannot write '{path}': {error.strerror or error}")
+
+
+def _is_one_of(path: Path, others: Iterable[Path | None]) -> bool:
+    """Whether a path is the same file as one of the others."""
+    for other in others:
+        with contextlib.suppress(OSError):
+            if other is not None and path.samefile(other):
+                return True
+    return False
+
+
+def written_by_omtwarp(path: Path) -> bool:
+    """Whether a file carries the mark of those that the package writes beside a named one.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    if not path.is_file():
+        return False
+    with open(path, "rb") as stream:
+        return MARK in stream.read(MARK_WITHIN)
+
+
+def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path:
+    """A name for a file that belongs beside another, such as the picture of a textured mesh.
+
+    The name is free, or that of a file which the package wrote there before; never that of a file of the user's.
+
+    Args:
+        path: the file that it belongs to; only the name's stem is used, without spaces.
+        suffix: of the companion, with the dot.
+        keep: files that must not be replaced even if the package wrote them, such as inputs.
+
+    Returns:
+        A path in the same directory.
+
+    Raises:
+        OmtwarpError: what is there cannot be looked at.
+    """
+    folder = _destination(_places.get(path.parent, path)).parent
+    stem = "_".join(path.stem.split()) or "texture"
+    kept = tuple(keep)
+    number = 0
+    try:
+        while True:
+            ending = ("", "-texture")[number] if number < 2 else f"-texture-{number}"
+            there = folder / f"{stem}{ending}{suffix}"
+            if not os.path.lexists(there) or (written_by_omtwarp(there) and not _is_one_of(there, kept)):
+                return path.with_name(there.name)
+            number += 1
+    except OSError as error:
+        raise _cannot_write(path.with_name(there.name), error) from None
+
+
 @contextlib.contextmanager
-def staged(target: Path) -> Iterator[Path]:
+def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> Iterator[Path]:
     """Give a path of the same name in a new directory beside the target; at the end, move all that was written there.
 
     Whatever is written beside the file under that path (materials, textures) moves with it. After an error or an
-    interruption nothing is left, neither parts nor the directory, and an older file is as it was. May be nested.
+    interruption nothing is left, neither parts nor the directory, and an older file is as it was. Where the file is
+    staged already, by a caller, the path itself is given.
+
+    Args:
+        path: the file to be; links are followed and kept, and so is the mode of a file that is replaced.
+        keep: files that what is written beside the file must not replace.
 
     Raises:
-        OmtwarpError: there is no such directory, the disk is full, or the files cannot be moved.
+        OmtwarpError: no place that can be written to, a full disk, a device or pipe, or a file beside the target that
+            the package did not write and would have to replace.
     """
+    given = Path(path)
+    if given.parent in _places:
+        try:
+            yield given
+        except BaseException:
+            given.unlink(missing_ok=True)
+            raise
+        return
     folder: Path | None = None
     try:
+        target = _destination(given)
+        _sweep(target.parent)
         folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=target.parent))
-        with _tidy_when_interrupted(folder):
+        _places[folder] = target
+        with _held(folder), _tidy_when_interrupted(folder):
             yield folder / target.name
-            # Companions first, so that the file that refers to them is never there without them.
-            for file in sorted(folder.iterdir(), key=lambda file: file.name == target.name):
-                os.replace(file, target.parent / file.name)
+            _move(folder, target, given, tuple(keep))
     except BrokenPipeError:  # of standard output, not of a file
         raise
+    except OmtwarpError as error:
+        if folder is None or str(folder) not in str(error):
+            raise
+        raise OmtwarpError(str(error).replace(str(folder), str(given.parent))) from None
     except OSError as error:
-        raise OmtwarpError(f"cannot write '{target}': {error.strerror or error}") from error
+        raise _cannot_write(given, error) from error
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+            _places.pop(folder, None)
+
+
+def _move(folder: Path, target: Path, given: Path, keep: tuple[Path | None, ...]) -> None:
+    """Move what was written to where it belongs: companions first, so that the file never names one that is not there.
+
+    Raises:
+        OmtwarpError: a companion would replace a file of the user's.
+    """
+    moves = []
+    for file in sorted(folder.iterdir(), key=lambda file: file.name == target.name):
+        place = target.parent / file.name
+        if place != target:
+            foreign = os.path.lexists(place) and (not written_by_omtwarp(place) or _is_one_of(place, keep))
+            if foreign:
+                name = given.with_name(place.name)
+                raise OmtwarpError(f"cannot write '{given}': '{name}' would be replaced, which omtwarp did not write")
+        moves.append((file, place))
+    for file, place in moves:
+        with contextlib.suppress(FileNotFoundError):
+            old = os.stat(place)
+            with contextlib.suppress(OSError, AttributeError):  # only root gives files away; Windows has no owners
+                if (old.st_uid, old.st_gid) != (os.getuid(), os.getgid()):
+                    os.chown(file, old.st_uid, old.st_gid)
+            os.chmod(file, stat.S_IMODE(old.st_mode))
+        os.replace(file, place)
+
+
+@contextlib.contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold a lock on a directory that ends with the process, however that ends."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # not every file system has locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _sweep(parent: Path) -> None:
+    """Remove staging directories of processes that were killed: the user's own, old, and held by nobody."""
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(parent):
+            if entry.name.startswith(PREFIX) and entry.is_dir(follow_symlinks=False):
+                with contextlib.suppress(OSError):
+                    if _abandoned(Path(entry.path)):
+                        shutil.rmtree(entry.path, ignore_errors=True)
+
+
+def _abandoned(folder: Path) -> bool:
+    """Whether a staging directory is this user's, was left alone for long, and no process holds it.
+
+    Raises:
+        OSError: it cannot be looked at, for instance because it is gone.
+    """
+    status = os.stat(folder, follow_symlinks=False)
+    if hasattr(os, "getuid") and status.st_uid != os.getuid():
+        return False
+    changed = [status.st_mtime, *(os.stat(file, follow_symlinks=False).st_mtime for file in folder.iterdir())]
+    age = time.time() - max(changed)
+    if fcntl is None or age < STALE_SECONDS:
+        return age > STALE_UNKNOWN_SECONDS
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    except BlockingIOError:
+        return False
+    except OSError:  # no locks on this file system
+        return age > STALE_UNKNOWN_SECONDS
+    finally:
+        os.close(descriptor)
 
 
 def _die_by(number: int) -> None:

@@ -69,8 +69,10 @@ def benchmark(
     from omtwarp.files import check_output, staged
 
     given = tuple(meshes or ())
-    json_target = check_output(json_output, (".json",), *given) if json_output is not None else None
-    target = check_output(output, (".md", ".markdown", ".txt"), *given) if output is not None else None
+    if json_output is not None:
+        check_output(json_output, (".json",), *given)
+    if output is not None:
+        check_output(output, (".md", ".markdown", ".txt"), *given)
     if json_output is not None and output is not None and json_output.resolve() == output.resolve():
         raise OmtwarpError("--json and --output name the same file")
     wanted = [word.strip() for word in devices.split(",")]
@@ -93,11 +95,11 @@ def benchmark(
         cold=cold,
         progress=say,
     )
-    if json_target is not None:
-        with staged(json_target) as file:
+    if json_output is not None:
+        with staged(json_output) as file:
             file.write_text(report_text(result), "utf-8")
-    if target is not None:
-        with staged(target) as file:
+    if output is not None:
+        with staged(output) as file:
             file.write_text(markdown(result), "utf-8")
     else:
         print(markdown(result), end="")

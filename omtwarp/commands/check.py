@@ -9,7 +9,7 @@ import typer
 
 from omtwarp.commands._options import MeshArgument
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
+from omtwarp.files import check_output
 
 
 def check_mesh(
@@ -26,7 +26,8 @@ def check_mesh(
 
     if output is not None and not repair:
         raise OmtwarpError("--output is for the mended mesh: it needs --repair")
-    target = check_output(output, SUFFIXES, mesh) if output is not None else None
+    if output is not None:
+        check_output(output, SUFFIXES, mesh)
     given = read_mesh(mesh, triangulate=repair)
     vertices, faces = given.vertices, given.faces
     print(f"{mesh}: {len(vertices)} vertices, {len(faces)} faces")
@@ -45,9 +46,8 @@ def check_mesh(
         defects = check(vertices, faces)
         for defect in defects:
             print(f"  left: {defect}")
-    if target is not None:
-        with staged(target) as file:
-            write_mesh(file, vertices, faces)
+    if output is not None:
+        write_mesh(output, vertices, faces)
         print(f"{output}: {len(vertices)} vertices, {len(faces)} faces")
     if defects:
         count = len(defects)

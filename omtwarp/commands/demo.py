@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption
-from omtwarp.files import check_output, staged
+from omtwarp.files import check_output, staged, written_by_omtwarp
 from omtwarp.options import MapOptions
 
 POSE: dict[str, Any] = {"up": "z", "front": "-y", "views": (40.0, 15.0)}
@@ -37,9 +37,9 @@ def demo(
     except OSError as error:
         raise OmtwarpError(f"cannot make the directory '{output}': {error.strerror or error}") from None
     names = ["creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "circles.png", "comparison.png"]
-    mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = (
-        check_output(output / name, ()) for name in names
-    )
+    files = [output / name for name in names]
+    mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = files
+    _refuse_other_files(files)
     start = time.perf_counter()
 
     def tell(text: str) -> None:
@@ -50,8 +50,7 @@ def demo(
     from omtwarp.texturing import rasterize, texture
 
     surface = demo_shape(faces)
-    with staged(mesh_file) as file:
-        write_mesh(file, surface.vertices, surface.faces)
+    write_mesh(mesh_file, surface.vertices, surface.faces)
     tell(f"{mesh_file}: a creature of {surface.face_count} faces")
     result = make_map(surface, quiet=quiet, device=device)
     with staged(map_file) as file:
@@ -60,15 +59,31 @@ def demo(
         file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
     tell(summary(result, map_file))
     globe = texture(result, pattern="globe", rotate=[180.0, 0.0, 0.0], device=device)  # Africa on its flank
-    with staged(model_file) as file:
-        globe.export(file)
+    globe.export(model_file)
     tell(f"{model_file}: a globe pulled back to it")
     circles = texture(result, pattern="circles", device=device)
     for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
-        with staged(file_to_be) as file:
-            preview(textured.trimesh(), file, **POSE, device=device)
+        preview(textured.trimesh(), file_to_be, **POSE, device=device)
         tell(f"{file_to_be}")
-    with staged(comparison_file) as file:
-        comparison(result, file, image=rasterize("circles", 2048, device=device), **POSE, device=device)
+    comparison(result, comparison_file, image=rasterize("circles", 2048, device=device), **POSE, device=device)
     tell(f"{comparison_file}: the conformal map beside the area-preserving one")
     require_no_flips(result, map_file)
+
+
+def _refuse_other_files(files: list[Path]) -> None:
+    """Make sure that the results replace nothing but those of an earlier demo, which its mesh tells.
+
+    Args:
+        files: what will be written, the mesh first.
+
+    Raises:
+        OmtwarpError: a file of one of these names is something else's, or cannot be written.
+    """
+    from omtwarp.errors import OmtwarpError
+
+    for file in files:
+        check_output(file)
+    if not written_by_omtwarp(files[0]):
+        for file in files:
+            if file.exists():
+                raise OmtwarpError(f"'{file}' is there and not from an earlier demo: choose another directory with -o")

@@ -52,8 +52,9 @@ def map_mesh(
     from omtwarp.commands._work import make_map, read_sound_mesh, report_text, require_no_flips, start_device
     from omtwarp.mesh.write import SUFFIXES
 
-    target = check_output(output, (".npz", *SUFFIXES), mesh)
-    report_target = check_output(report, (".json",), mesh, output) if report is not None else None
+    check_output(output, (".npz", *SUFFIXES), mesh)
+    if report is not None:
+        check_output(report, (".json",), mesh, output)
     sound = read_sound_mesh(mesh, repair)
     start_device(device)
     result = make_map(
@@ -70,11 +71,11 @@ def map_mesh(
     if sound.origins:
         vertices, faces = sound.origins["vertex_origin"], sound.origins["face_origin"]
         result = replace(result, vertex_origin=vertices, face_origin=faces)
-    with staged(target) as file:
+    with staged(output) as file:
         save(result, file)
-    if report_target is not None:
+    if report is not None:
         source = {"path": str(mesh), "notes": sound.notes}
-        with staged(report_target) as file:
+        with staged(report) as file:
             file.write_text(report_text({"input": source, **result.report, "history": result.history}), "utf-8")
     if not quiet:
         print(summary(result, output))

@@ -10,7 +10,7 @@ import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption, SizeOption, as_size
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
+from omtwarp.files import check_output
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
 
@@ -73,7 +73,7 @@ def preview_mesh(
     """Draw a surface without a display."""
     from omtwarp.render import Camera, preview
 
-    target = check_output(output, PICTURES, subject, finished, image)
+    check_output(output, PICTURES, subject, finished, image)
     shown = finished if subject is None else subject
     if shown is None or (subject is not None and finished is not None):
         raise OmtwarpError("give either a mesh or map to draw, or a map with --map")
@@ -81,24 +81,23 @@ def preview_mesh(
         raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
     views: Any = view[0] if view and len(view) == 1 else view
     camera = Camera(zoom=zoom, field_of_view=field_of_view, projection=projection.value)
-    with staged(target) as file:
-        preview(
-            shown,
-            file,
-            size=as_size(size),
-            views=views or None,
-            camera=camera,
-            up=up,
-            front=front,
-            light=light.value,
-            background=background,
-            transparent=transparent,
-            wireframe=wireframe,
-            image=image,
-            frames=frames,
-            fps=fps,
-            backend=backend.value,
-            device=device,
-        )
+    preview(
+        shown,
+        output,
+        size=as_size(size),
+        views=views or None,
+        camera=camera,
+        up=up,
+        front=front,
+        light=light.value,
+        background=background,
+        transparent=transparent,
+        wireframe=wireframe,
+        image=image,
+        frames=frames,
+        fps=fps,
+        backend=backend.value,
+        device=device,
+    )
     if not quiet:
         print(f"{output}: drawn")

@@ -21,7 +21,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands.texture import PatternName
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
+from omtwarp.files import check_output
 from omtwarp.options import MapOptions
 
 
@@ -73,15 +73,14 @@ def report_on_map(
         optimality=optimality,
     )
     source = mesh or finished
-    with staged(target) as file:
-        write_report(
-            result,
-            file,
-            title=title or (source.stem if source is not None else None),
-            image=picture,
-            pattern=pattern.value if pattern else "circles",
-            up=up,
-            device=device,
-        )
+    write_report(
+        result,
+        output,
+        title=title or (source.stem if source is not None else None),
+        image=picture,
+        pattern=pattern.value if pattern else "circles",
+        up=up,
+        device=device,
+    )
     if not quiet:
         print(f"{output}: a report of {target.stat().st_size / 1e6:.1f} MB, to be opened in a browser")

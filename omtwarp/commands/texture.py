@@ -21,7 +21,7 @@ from omtwarp.commands._options import (
     UntilOption,
 )
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
+from omtwarp.files import check_output
 from omtwarp.options import MapOptions
 
 
@@ -78,7 +78,7 @@ def texture_mesh(
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.export import SUFFIXES
 
-    target = check_output(output, SUFFIXES, mesh, finished, image)
+    check_output(output, SUFFIXES, mesh, finished, image)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
     turn = rotation(rotate)
@@ -108,10 +108,11 @@ def texture_mesh(
         size=size,
         device=device,
     )
-    with staged(target) as file:
-        textured.export(file)
+    *beside, _ = textured.export(output, keep=(mesh, finished, image))
     if not quiet:
         print(f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured")
+        if beside:
+            print(f"with {' and '.join(str(file) for file in beside)}")
 
 
 def rotation(text: str) -> str | list[float] | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
 
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
@@ -22,12 +23,19 @@ def write_mesh(path: str | os.PathLike[str], vertices: NDArray, faces: NDArray) 
         faces: shape [F, 3].
 
     Raises:
-        OmtwarpError: another suffix.
-        OSError: the file cannot be written.
+        OmtwarpError: another suffix, or the file cannot be written; then an older file is as it was.
     """
     file = Path(path)
     suffix = file.suffix.lower()
     points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
+    if suffix not in SUFFIXES:
+        raise OmtwarpError(f"cannot write '{file}': unknown suffix '{file.suffix}', use {', '.join(SUFFIXES)}")
+    with staged(file) as place:
+        _write(place, suffix, points, triangles)
+
+
+def _write(file: Path, suffix: str, points: NDArray[np.float64], triangles: NDArray[np.int32]) -> None:
+    """Write a mesh in the format of one of ``SUFFIXES``."""
     if suffix == ".ply":
         file.write_bytes(_ply(points, triangles))
     elif suffix == ".obj":
@@ -39,12 +47,10 @@ def write_mesh(path: str | os.PathLike[str], vertices: NDArray, faces: NDArray) 
         rows += [f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
         rows += [f"3 {a} {b} {c}\n" for a, b, c in triangles.tolist()]
         file.write_text("".join(rows), "ascii")
-    elif suffix in (".stl", ".glb"):
+    else:
         import trimesh
 
         trimesh.Trimesh(points, triangles, process=False).export(file)
-    else:
-        raise OmtwarpError(f"cannot write '{file}': unknown suffix '{file.suffix}', use {', '.join(SUFFIXES)}")
 
 
 def _ply(points: NDArray[np.float64], faces: NDArray[np.int32]) -> bytes:

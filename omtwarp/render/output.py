@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import check_output, staged
 
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 FILM_FORMATS = (".gif", ".mp4")
+LEAST_FREE = 65536  # bytes: ffmpeg's failure on a disk with less is taken for a full disk
 OPAQUE_FORMATS = (".jpg", ".jpeg", ".mp4")
 
 
@@ -35,13 +37,7 @@ def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool)
         raise OmtwarpError(f"'{target}' is a film: ask for turntable frames, or use .png")
     if transparent and suffix in OPAQUE_FORMATS:
         raise OmtwarpError(f"'{target}' cannot be transparent: use .png, .webp or .gif")
-    if target.is_dir():
-        raise OmtwarpError(f"cannot write '{target}': it is a directory")
-    folder = target.parent
-    if not folder.is_dir():
-        raise OmtwarpError(f"cannot write '{target}': the directory '{folder}' does not exist")
-    if not os.access(folder, os.W_OK) or (target.exists() and not os.access(target, os.W_OK)):
-        raise OmtwarpError(f"cannot write '{target}': permission denied")
+    check_output(target)
     if suffix == ".mp4":
         _ffmpeg()
     return target
@@ -125,9 +121,16 @@ def _mp4(frames: Sequence[Any], file: Path, fps: float) -> None:
     writer = _ffmpeg().write_frames(
         str(file), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
     )
-    writer.send(None)
     try:
+        writer.send(None)
         for shown in frames:
             writer.send(shown.convert("RGB").crop((0, 0, width, height)).tobytes())
+        writer.close()
+        written = file.is_file() and file.stat().st_size > 0
+    except OSError:  # whose text is ffmpeg's command and all that it said
+        written = False
     finally:
         writer.close()
+    if not written:
+        full = shutil.disk_usage(file.parent).free < LEAST_FREE
+        raise OSError("No space left on device" if full else "ffmpeg could not write it")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import check_output, staged
 from omtwarp.reporting import sections
 from omtwarp.reporting.scene import (
     ANGLE_COLOURS,
@@ -69,8 +69,7 @@ def write_report(
         OmtwarpError: no map, an unusable image or option, or a file that cannot be written.
     """
     target = Path(path)
-    if target.is_dir():
-        raise OmtwarpError(f"cannot write '{target}': it is a directory")
+    check_output(target)
     page = report_page(
         result, title=title, image=image, pattern=pattern, up=up, picture_size=picture_size, device=device
     )

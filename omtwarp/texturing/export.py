@@ -9,6 +9,7 @@ import io
 import json
 import os
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import MARK, companion, staged
 
 if TYPE_CHECKING:
     from omtwarp.texturing.textured import TexturedSurface
@@ -42,38 +43,45 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
     return suffix
 
 
-def export(textured: TexturedSurface, path: str | os.PathLike[str]) -> list[Path]:
-    """Write a textured surface in the format of the path's suffix; returns the files written.
+def export(textured: TexturedSurface, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+    """Write a textured surface in the format of the path's suffix.
+
+    Args:
+        textured: the surface and its texture.
+        path: the file to write. The material and the picture of an OBJ get names beside it that are free, or those of
+            files that the package wrote there before.
+        keep: files that must not be replaced, such as inputs.
+
+    Returns:
+        The files written, the named one last.
 
     Raises:
-        OmtwarpError: another suffix, a folder that is missing or may not be written to, a full disk.
+        OmtwarpError: another suffix, a place that cannot be written to, a full disk.
     """
-    place = Path(path)
-    suffix = check_suffix(place)
-    if not place.parent.is_dir():
-        raise OmtwarpError(f"cannot write '{place}': the folder does not exist")
-    if suffix == ".glb":
-        files = [(place, glb_bytes(textured))]
-    elif suffix == ".ply":
-        files = [(place, ply_bytes(textured))]
-    else:
-        files = obj_files(textured, place)
-    for name, _ in files:
-        if name.is_dir():
-            raise OmtwarpError(f"cannot write '{name}': it is a folder")
-    with staged(place) as file:
+    suffix = check_suffix(path)
+    kept = (*keep, textured.source_image)
+    with staged(path, keep=kept) as file:
+        if suffix == ".glb":
+            files = [(file, glb_bytes(textured))]
+        elif suffix == ".ply":
+            files = [(file, ply_bytes(textured))]
+        else:
+            files = obj_files(textured, file, keep=kept)
         for name, content in files:
-            file.with_name(name.name).write_bytes(content)
-    return [name for name, _ in files]
+            name.write_bytes(content)
+    return [Path(path).with_name(name.name) for name, _ in files[:-1]] + [Path(path)]
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:
     """An image as a PNG file."""
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
     stream = io.BytesIO()
     level = 6 if image.size < 30_000_000 else 3  # large pictures: a tenth more bytes in a third of the time
-    Image.fromarray(image).save(stream, format="PNG", compress_level=level)
+    origin = PngInfo()
+    origin.add_text("Software", MARK.decode())  # tells a later run that the file may be replaced
+    Image.fromarray(image).save(stream, format="PNG", compress_level=level, pnginfo=origin)
     return stream.getvalue()
 
 
@@ -187,14 +195,14 @@ def _lines(prefix: str, rows: NDArray, form: str) -> str:
     return (pattern * len(rows)) % tuple(rows.ravel().tolist())
 
 
-def obj_files(textured: TexturedSurface, place: Path) -> list[tuple[Path, bytes]]:
-    """An OBJ with its material and picture.
+def obj_files(textured: TexturedSurface, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
+    """An OBJ with its material and picture, the OBJ last.
 
     Positions and normals are written once per vertex of the uncut mesh (the input's vertices first, in their order);
     only texture coordinates are doubled along the seams, as the format allows.
     """
-    stem = "_".join(place.stem.split()) or "texture"  # readers end the names in these files at a space
-    material, picture = place.with_name(stem + ".mtl"), place.with_name(stem + ".png")
+    # Names without spaces: readers end those in these files at one.
+    material, picture = companion(place, ".mtl", keep), companion(place, ".png", keep)
     count = int(textured.welded.max(initial=-1)) + 1
     first = np.zeros(count, dtype=np.int64)
     first[textured.welded[::-1]] = np.arange(len(textured.welded))[::-1]
@@ -214,7 +222,7 @@ def obj_files(textured: TexturedSurface, place: Path) -> list[tuple[Path, bytes]
         ]
     )
     lines = [
-        "# omtwarp",
+        f"# {MARK.decode()}",
         "newmtl texture",
         "Ka 1.000 1.000 1.000",
         "Kd 1.000 1.000 1.000",

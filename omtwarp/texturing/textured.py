@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,6 +48,7 @@ class TexturedSurface:
         atlas: how the sphere is laid out on the image.
         rotation: the texture's rotation on the sphere, shape [3, 3].
         original_vertices, original_faces, original_sphere: the input.
+        source_image: the file that the texture was made from, if any; an export never replaces it.
     """
 
     vertices: Floats
@@ -64,6 +66,7 @@ class TexturedSurface:
     original_vertices: Floats = field(repr=False)
     original_faces: Ints = field(repr=False)
     original_sphere: Floats = field(repr=False)
+    source_image: Path | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]
@@ -118,21 +121,26 @@ class TexturedSurface:
             validate=False,
         )
 
-    def export(self, path: str | os.PathLike[str]) -> list[Path]:
+    def export(self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
         """Write the textured surface.
 
         ``.glb`` embeds the texture in a PBR material; ``.obj`` is written with its ``.mtl`` and ``.png`` beside it;
         ``.ply`` holds the input's vertices and faces unchanged, with the texture's colour at every vertex.
 
+        Args:
+            path: the file to write. The files beside an ``.obj`` take its name where that is free or theirs already,
+                and another name (``NAME-texture.png``) where a file of that name is not the package's own.
+            keep: more files that must not be replaced, such as the mesh that the surface came from.
+
         Returns:
-            The files written.
+            The files written, the named one last.
 
         Raises:
             OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
         """
         from omtwarp.texturing.export import export
 
-        return export(self, path)
+        return export(self, path, keep=keep)
 
 
 def texture(
@@ -235,6 +243,7 @@ def texture(
         original_vertices=vertices,
         original_faces=faces,
         original_sphere=sphere,
+        source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
     )
 
 
