@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
+from omtwarp.inputs import open_input, read_arrays
+from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.metrics.distortion import Distortion, distortion
 
 Array = NDArray[np.float64]
@@ -159,8 +161,8 @@ class MapResult:
         source = Path(path)
         arrays = _read_arrays(source)
         fields = _checked_arrays(arrays, source)
-        report = _read_report(arrays)
-        return cls(**fields, history=report.pop("history", []), report=report)
+        report, history = _read_report(arrays)
+        return cls(**fields, history=history, report=report)
 
 
 def _owned(values: Any, dtype: type[np.generic]) -> NDArray[Any]:
@@ -173,18 +175,13 @@ def _owned(values: Any, dtype: type[np.generic]) -> NDArray[Any]:
 
 
 def _read_arrays(source: Path) -> dict[str, NDArray[Any]]:
-    """Every array of an .npz, or an error that says what is wrong with the file."""
-    try:
-        with np.load(source, allow_pickle=False) as data:
-            return {name: data[name] for name in data.files}
-    except FileNotFoundError:
-        raise OmtwarpError(f"'{source}' does not exist") from None
-    except PermissionError as error:
-        raise OmtwarpError(f"'{source}' cannot be read: {error.strerror}") from error
-    except (OSError, ValueError, EOFError, KeyError) as error:
-        raise OmtwarpError(f"'{source}' is not a map: make one with 'omtwarp map MESH -o MAP.npz'") from error
-    except Exception as error:  # zipfile and zlib raise kinds of their own on a damaged file
-        raise OmtwarpError(f"'{source}' is damaged: make it again with 'omtwarp map'") from error
+    """The arrays of a map's file, or an error that says what is wrong with it."""
+    with open_input(source, LARGEST_MESH_FILE, "map") as stream:
+        try:
+            return read_arrays(stream, (*LAYOUT, "report"))
+        except OmtwarpError as error:
+            words = f"'{source}' is not a map: {error}; make one with 'omtwarp map MESH -o MAP.npz'"
+            raise OmtwarpError(words) from None
 
 
 def _checked_arrays(arrays: Mapping[str, NDArray[Any]], source: Path) -> dict[str, Any]:
@@ -208,10 +205,13 @@ def _checked_arrays(arrays: Mapping[str, NDArray[Any]], source: Path) -> dict[st
     return fields
 
 
-def _read_report(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """The report, with the history in it; empty where it is missing or no JSON object."""
+def _read_report(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The report and the history; empty where they are missing or are not what they should be."""
     try:
         report = json.loads(str(arrays["report"])) if "report" in arrays else {}
-    except ValueError:
+    except (ValueError, RecursionError):
         report = {}
-    return report if isinstance(report, dict) else {}
+    report = report if isinstance(report, dict) else {}
+    history = report.pop("history", [])
+    entries = history if isinstance(history, list) else []
+    return report, [entry for entry in entries if isinstance(entry, dict)]

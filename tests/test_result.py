@@ -140,7 +140,7 @@ def damaged(path, result, how):
 def test_files_that_are_no_maps(tmp_path, result, how):
     path = tmp_path / "broken.npz"
     damaged(path, result, how)
-    with pytest.raises(OmtwarpError, match=r"broken\.npz' is (not a map|damaged)") as caught:
+    with pytest.raises(OmtwarpError, match=r"broken\.npz.*not a map") as caught:
         MapResult.load(path)
     assert "\n" not in str(caught.value)
 
@@ -155,7 +155,7 @@ def test_a_report_that_cannot_be_read_costs_only_the_report(tmp_path, result, te
 
 
 def test_files_that_are_not_there(tmp_path):
-    with pytest.raises(OmtwarpError, match="does not exist"):
+    with pytest.raises(OmtwarpError, match="no such file"):
         MapResult.load(tmp_path / "none.npz")
     with pytest.raises(OmtwarpError, match="not a map"):
         MapResult.load(tmp_path)

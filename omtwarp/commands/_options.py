@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -39,8 +40,7 @@ def refine_weight(text: str) -> str:
 
 def picture_size(text: str) -> str:
     """Check what --size is given: WIDTHxHEIGHT, or one number for both."""
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and (height or width).isdigit() and int(width) > 0 and int(height or width) > 0):
+    if not re.fullmatch(r"0*[1-9][0-9]{0,5}(x0*[1-9][0-9]{0,5})?", text.lower(), flags=re.ASCII):
         raise typer.BadParameter(f"'{text}' is not a size: use WIDTHxHEIGHT, such as 1024x768, or one number")
     return text
 

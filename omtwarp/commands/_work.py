@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import sys
@@ -124,11 +123,10 @@ def map_from(
         OmtwarpError: neither or both given, or whatever is wrong with what is given.
     """
     if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
-        import numpy as np
+        from omtwarp.inputs import holds_array
 
-        with contextlib.suppress(OSError, ValueError), np.load(mesh) as arrays:
-            if "sphere" in arrays:
-                mesh, finished = None, mesh  # a map stands where a mesh may stand
+        if holds_array(mesh, "sphere"):
+            mesh, finished = None, mesh  # a map stands where a mesh may stand
     if finished is not None:
         if mesh is not None:
             raise OmtwarpError(f"both a mesh '{mesh}' and a finished map '{finished}': the map has its mesh, give one")

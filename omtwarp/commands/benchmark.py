@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,7 @@ import typer
 
 from omtwarp.commands._options import RefineOption
 from omtwarp.errors import OmtwarpError
+from omtwarp.limits import MOST_FACES, MOST_REPEATS
 
 
 def face_counts(text: str) -> str:
@@ -27,9 +29,12 @@ def parse_sizes(text: str) -> tuple[int, ...]:
         if number and number[-1] in "km":
             number, factor = number[:-1], 1e3 if number[-1] == "k" else 1e6
         try:
-            sizes.append(round(float(number) * factor))
-        except (ValueError, OverflowError):
-            raise typer.BadParameter(f"'{word}' is not a number of faces: use 5000, 20k or 1M") from None
+            faces = float(number) * factor
+        except ValueError:
+            faces = math.nan
+        if not 1.0 <= faces <= MOST_FACES:
+            raise typer.BadParameter(f"'{word}' is not a number of faces up to {MOST_FACES:,}: use 5000, 20k or 1M")
+        sizes.append(round(faces))
     return tuple(sizes)
 
 
@@ -50,7 +55,7 @@ def benchmark(
     devices: Annotated[
         str, typer.Option("--device", metavar="cpu,cuda:0", help="Where to map; auto is all there is.")
     ] = "auto",
-    repeats: Annotated[int, typer.Option(min=1, help="Maps of which the median counts.")] = 3,
+    repeats: Annotated[int, typer.Option(min=1, max=MOST_REPEATS, help="Maps of which the median counts.")] = 3,
     refine: RefineOption = "area",
     kernels: Annotated[bool, typer.Option("--kernels", help="Also every kernel beside the memory it moves.")] = False,
     cold: Annotated[bool, typer.Option("--cold", help="Also compilation into an empty cache, and starts.")] = False,

@@ -10,6 +10,7 @@ import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption
 from omtwarp.files import check_output, staged, written_by_omtwarp
+from omtwarp.limits import MOST_DEMO_FACES
 from omtwarp.options import MapOptions
 
 POSE: dict[str, Any] = {"up": "z", "front": "-y", "views": (40.0, 15.0)}
@@ -20,7 +21,9 @@ def demo(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIRECTORY", help="Where the results go.")] = Path(
         "out"
     ),
-    faces: Annotated[int, typer.Option(min=2000, help="Roughly how many faces the shape has.")] = 20000,
+    faces: Annotated[
+        int, typer.Option(min=2000, max=MOST_DEMO_FACES, help="Roughly how many faces the shape has.")
+    ] = 20000,
     device: DeviceOption = MapOptions.device,
     quiet: QuietOption = False,
 ) -> None:

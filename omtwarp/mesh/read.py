@@ -6,9 +6,11 @@ triangulate, the reader here keeps the file's own mesh or says what is in the wa
 
 from __future__ import annotations
 
+import codecs
 import io
 import os
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.inputs import read_arrays, read_bytes
+from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
+from omtwarp.mesh.scenes import load_scene, scene_formats
 
+_NUMBERS = b"0123456789+-.eEnaifNAIF \t\r\n\f\v"  # the characters of numbers, NaN and infinity as text
 _REPAIR = "triangulate it in a mesh editor, or with --repair"
 
 
@@ -56,19 +62,12 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> Mes
             geometries.
     """
     file = Path(path)
-    try:
-        data = file.read_bytes()
-    except FileNotFoundError:
-        raise OmtwarpError(f"{file}: no such file") from None
-    except IsADirectoryError:
-        raise OmtwarpError(f"{file}: a directory, not a mesh file") from None
-    except OSError as error:
-        raise OmtwarpError(f"{file}: cannot be read: {error.strerror or error}") from None
-    if not data:
-        raise OmtwarpError(f"{file}: an empty file, not a mesh")
+    data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
     suffix = _suffix(file)
     try:
-        vertices, faces, notes = _reader(suffix, data)(data, file, triangulate)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what parsers take for granted; results are looked at below
+            vertices, faces, notes = _reader(suffix, data)(data, file, triangulate)
         mesh = MeshFile(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64), tuple(notes))
     except OmtwarpError as error:
         raise OmtwarpError(f"{file}: {error}") from None
@@ -79,6 +78,8 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> Mes
         raise OmtwarpError(f"{file}: cannot be read as {suffix or 'a mesh'}: {detail}") from None
     if mesh.vertices.ndim != 2 or mesh.vertices.shape[1] != 3 or mesh.faces.ndim != 2 or mesh.faces.shape[1] != 3:
         raise OmtwarpError(f"{file}: not a triangle mesh: no list of triangles in it")
+    if len(mesh.faces) > MOST_FACES:
+        raise OmtwarpError(f"{file}: {len(mesh.faces):,} triangles, and {MOST_FACES:,} is the most")
     return mesh
 
 
@@ -102,15 +103,19 @@ def _reader(suffix: str, data: bytes) -> Callable[[bytes, Path, bool], _Read]:
 
 
 def _read_npz(data: bytes, file: Path, triangulate: bool) -> _Read:
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        if "vertices" not in arrays or "faces" not in arrays:
-            raise OmtwarpError("no arrays 'vertices' and 'faces' in it")
-        return arrays["vertices"], arrays["faces"], []
+    arrays = read_arrays(io.BytesIO(data), ("vertices", "faces"))
+    if len(arrays) < 2:
+        raise OmtwarpError("no arrays 'vertices' and 'faces' in it")
+    if arrays["vertices"].dtype.kind not in "iuf" or arrays["faces"].dtype.kind not in "iu":
+        raise OmtwarpError("'vertices' are not real numbers, or 'faces' not whole ones")
+    return arrays["vertices"], arrays["faces"], []
 
 
 def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
     from trimesh.exchange.ply import load_ply
 
+    data = _utf8(data)
+    _require_whole_ply(data)
     # Without these two the loader splits vertices along the seams of a texture.
     try:
         loaded = load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True)
@@ -138,19 +143,54 @@ def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
     return loaded["vertices"], faces, notes
 
 
+def _require_whole_ply(data: bytes) -> None:
+    """Make sure that a PLY file of text holds as many lines of numbers as its header says; binary ones tell by length.
+
+    Raises:
+        OmtwarpError: a file that is cut short, or words among the numbers.
+        ValueError: no header.
+    """
+    head, end, body = data.partition(b"end_header")
+    if not data.startswith(b"ply") or not end:
+        raise ValueError("no header of a PLY file, or one cut short")
+    elements = re.findall(rb"^[ \t]*element[ \t]+(\S+)[ \t]+(\d+)", head.replace(b"\r", b"\n"), flags=re.MULTILINE)
+    if not re.search(rb"^[ \t]*format[ \t]+ascii", head.replace(b"\r", b"\n"), flags=re.MULTILINE):
+        return
+    if body.translate(None, _NUMBERS):
+        raise OmtwarpError("damaged: letters or signs among its numbers")
+    lines = sum(1 for line in body.splitlines() if line.strip())
+    announced = sum(int(count) for _, count in elements)
+    if lines < announced:
+        words = " and ".join(f"{int(count)} of '{name.decode(errors='replace')}'" for name, count in elements)
+        raise OmtwarpError(f"cut short: {words} announced, {lines} lines there")
+
+
+def _utf8(data: bytes) -> bytes:
+    """Text without a byte order mark, and in UTF-8 where the mark says that it is in another encoding."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16").encode("utf-8")
+    return data.removeprefix(codecs.BOM_UTF8)
+
+
 def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
     """Object File Format by its lines; what follows coordinates and corners, such as colours, is left."""
-    lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", data).replace(b"\r", b"\n").split(b"\n")]
+    lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", _utf8(data)).replace(b"\r", b"\n").split(b"\n")]
     lines = [line for line in lines if line]
     if lines and lines[0][0].endswith(b"OFF"):
         lines[0].pop(0)  # the counts may stand beside the keyword
         lines = lines if lines[0] else lines[1:]
     vertex_count, face_count = (int(word) for word in lines[0][:2])
+    if vertex_count < 0 or face_count < 0:
+        raise OmtwarpError(f"damaged: {vertex_count} vertices and {face_count} faces announced")
     if len(lines) < 1 + vertex_count + face_count:
         announced = f"{vertex_count} vertices and {face_count} faces announced"
         raise OmtwarpError(f"cut short: {announced}, {len(lines) - 1} lines there")
     vertices = np.array([line[:3] for line in lines[1 : 1 + vertex_count]], dtype=np.float64)
-    polygons = [line[1 : 1 + int(line[0])] for line in lines[1 + vertex_count : 1 + vertex_count + face_count]]
+    rows = lines[1 + vertex_count : 1 + vertex_count + face_count]
+    polygons = [line[1 : 1 + int(line[0])] for line in rows]
+    short = [k for k, polygon in enumerate(polygons) if len(polygon) != int(rows[k][0])]
+    if short:
+        raise OmtwarpError(f"cut short: face {short[0]} has fewer corners than it announces")
     return vertices, *_from_polygons(polygons, triangulate)
 
 
@@ -159,7 +199,7 @@ def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
 
     Its texture coordinates, normals, materials and groups make a general reader split, drop and reorder vertices.
     """
-    text = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
+    text = _utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
     lines = re.findall(rb"^[ \t]*([vf])[ \t]+([^\n#]*)", text, flags=re.MULTILINE)
     vertices = np.array([rest.split()[:3] for kind, rest in lines if kind == b"v"], dtype=np.float64)
     polygons = [[word.partition(b"/")[0] for word in rest.split()] for kind, rest in lines if kind == b"f"]
@@ -195,9 +235,16 @@ def _from_polygons(
 
 
 def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
-    import trimesh
-
-    loaded = trimesh.load_scene(io.BytesIO(data), file_type="stl", process=False)
+    count = int.from_bytes(data[80:84], "little")
+    whole = 84 + 50 * count  # a head, a count, and for every triangle twelve numbers and an attribute
+    binary = len(data) >= 84 and (len(data) == whole or not data.lstrip()[:5].lower() == b"solid")
+    if binary and len(data) < whole:
+        raise OmtwarpError(f"cut short: {count} triangles announced, {(len(data) - 84) // 50} there")
+    if not binary and b"\0" in data:
+        raise OmtwarpError("neither a binary STL file nor one of text")
+    if not binary and b"endsolid" not in data.lower():
+        raise OmtwarpError("cut short, or not an STL file: it does not end with 'endsolid'")
+    loaded = load_scene(data[:whole] if binary else data, file, "stl" if binary else "stl_ascii")
     corners, faces, _ = _single_geometry(loaded, triangulate)
     corners = corners[faces.ravel()] + 0.0  # plus zero: makes -0 and 0 the same bits
     _, first, inverse = np.unique(corners, axis=0, return_index=True, return_inverse=True)
@@ -230,13 +277,11 @@ def _nibabel() -> Any:
 
 
 def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
-    import trimesh
-
     suffix = _suffix(file)
-    known = {*trimesh.available_formats(), "npz", "gii"} - {"dxf", "xyz"}
+    known = {*scene_formats(), "npz", "gii"}
     if suffix not in known:
         raise OmtwarpError(f"unknown format '.{suffix}': known are {', '.join(sorted(known))}")
-    return _single_geometry(trimesh.load_scene(file, process=False), triangulate)
+    return _single_geometry(load_scene(data, file, suffix), triangulate)
 
 
 def _single_geometry(scene: Any, together: bool) -> _Read:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.render import annotate, gl_client, output
 from omtwarp.render.arrows import Arrows, arrow_part
 from omtwarp.render.camera import VIEWS, Camera, as_views, frame, turntable
@@ -30,8 +31,6 @@ from omtwarp.render.subject import as_surface_view, map_view
 
 logger = logging.getLogger("omtwarp.render")
 BACKENDS = ("auto", "pyrender", "warp")
-LARGEST = 8192
-
 _told: set[str] = set()
 
 
@@ -105,8 +104,9 @@ def preview(
         frames = 36
     film = frames is not None
     target = None if path is None else output.check_target(path, film=film, transparent=transparent)
-    if film and not fps > 0:
-        raise OmtwarpError(f"{fps} frames per second asked for: use more than 0")
+    slowest, fastest = FRAMES_PER_SECOND
+    if film and not slowest <= fps <= fastest:
+        raise OmtwarpError(f"{fps} frames per second asked for: use {slowest:g} to {fastest:g}")
     options = _Options(
         size=size,
         views=views,
@@ -286,11 +286,16 @@ class _Options:
             width, height = (int(length) for length in self.size)
         except (TypeError, ValueError):
             raise OmtwarpError(f"{self.size!r} is not a size: use (width, height) in pixels") from None
-        if not (16 <= width <= LARGEST and 16 <= height <= LARGEST):
+        if not (16 <= width <= LARGEST_VIEW and 16 <= height <= LARGEST_VIEW):
             raise OmtwarpError(
-                f"cannot draw a picture of {width} x {height} pixels: use 16 to {LARGEST} along each side"
+                f"cannot draw a picture of {width} x {height} pixels: use 16 to {LARGEST_VIEW} along each side"
             )
         self.size = (width, height)
+        if self.frames is not None and self.frames > min(MOST_FRAMES, MOST_FILM_PIXELS // (width * height)):
+            raise OmtwarpError(
+                f"a film of {self.frames} frames of {width} x {height} pixels: {MOST_FRAMES} frames and "
+                f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels in all is the most"
+            )
         if self.samples is not None and not 1 <= int(self.samples) <= 4:
             raise OmtwarpError(f"{self.samples} samples along a pixel's side asked for: use 1 to 4")
         if self.light is not None:

@@ -102,15 +102,9 @@ def read_image(image: Any) -> NDArray[np.uint8]:
     """
     if not isinstance(image, (str, os.PathLike)):
         return as_image(image)
-    from PIL import Image, UnidentifiedImageError
+    from omtwarp.texturing.image import read_image as read_picture
 
-    try:
-        with Image.open(image) as opened:
-            return as_image(opened)
-    except FileNotFoundError:
-        raise OmtwarpError(f"no such image: '{image}'") from None
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
-        raise OmtwarpError(f"'{image}' is not an image that can be read: {str(error).splitlines()[0]}") from error
+    return as_image(read_picture(image))
 
 
 def read_mesh(path: Path) -> Any:
@@ -119,15 +113,28 @@ def read_mesh(path: Path) -> Any:
     Raises:
         OmtwarpError: the file is missing, unreadable, or holds no triangles.
     """
-    if not path.is_file():
-        raise OmtwarpError(f"no such file: '{path}'" if not path.exists() else f"'{path}' is not a file")
     import trimesh
 
+    from omtwarp.inputs import read_bytes
+    from omtwarp.limits import LARGEST_MESH_FILE
+    from omtwarp.mesh.read import read_mesh as read_triangles
+    from omtwarp.mesh.scenes import load_scene, scene_formats
+
+    suffix = path.suffix.lower().lstrip(".")
+    if suffix not in scene_formats():  # one without colours or textures
+        mesh = read_triangles(path, triangulate=True)
+        return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    data = read_bytes(path, LARGEST_MESH_FILE, "mesh file")
+    loaded: Any
     try:
-        loaded = trimesh.load(path, process=False)
+        loaded = load_scene(data, path, suffix)
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{path}: {error}") from None
+    except MemoryError:
+        raise
     except Exception as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise OmtwarpError(f"cannot read the mesh '{path}': {reason}") from error
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise OmtwarpError(f"{path}: cannot be read as {suffix}: {reason}") from None
     if isinstance(loaded, trimesh.Scene):
         nodes = [
             name
@@ -136,14 +143,14 @@ def read_mesh(path: Path) -> Any:
         ]
         if len(nodes) == 1:  # joining would repack the texture
             transform, name = loaded.graph[nodes[0]]
-            mesh: Any = loaded.geometry[name]
+            loaded = loaded.geometry[name]
             if not np.array_equal(transform, np.eye(4)):
-                mesh = mesh.copy()
-                mesh.apply_transform(transform)
-            return mesh
-        loaded = loaded.to_mesh() if nodes else None  # type: ignore[assignment]
+                loaded = loaded.copy()
+                loaded.apply_transform(transform)
+        else:
+            loaded = loaded.to_mesh() if nodes else None
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
-        raise OmtwarpError(f"'{path}' holds no triangles: nothing to draw")
+        raise OmtwarpError(f"{path}: no triangles in it, so nothing to draw")
     return loaded
 
 

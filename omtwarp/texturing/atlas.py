@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.limits import LONGEST_SIDE, MOST_TEXELS
 from omtwarp.texturing.cutting import ON_CUT, Arc, normalised
 
 Floats = NDArray[np.float64]
@@ -286,9 +287,15 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
     if len(pair) == 2 and name != "equirectangular":
         raise OmtwarpError(f"texture size {size!r}: the {name} atlas takes a width only")
     width = pair[0]
+    atlas: Atlas
     if name == "equirectangular":
-        return Equirectangular(width, pair[1] if len(pair) == 2 else max(width // 2, 1), seam)
-    return Cube(max(width // 12, 2) * 4) if name == "cube" else Octahedral(width)
+        atlas = Equirectangular(width, pair[1] if len(pair) == 2 else max(width // 2, 1), seam)
+    else:
+        atlas = Cube(max(width // 12, 2) * 4) if name == "cube" else Octahedral(width)
+    if atlas.width * atlas.height > MOST_TEXELS:
+        texels = f"{atlas.width} x {atlas.height} texels"
+        raise OmtwarpError(f"texture size {size!r}: {texels}, and {MOST_TEXELS / 1e6:.0f} million is the most")
+    return atlas
 
 
 def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:
@@ -298,7 +305,7 @@ def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:
         OmtwarpError: not whole numbers from 16 to 32768.
     """
     pair = tuple(size) if isinstance(size, (tuple, list, np.ndarray)) else (size,)
-    whole = all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and 16 <= n <= 32768 for n in pair)
+    whole = all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and 16 <= n <= LONGEST_SIDE for n in pair)
     if not whole or len(pair) not in (1, 2):
-        raise OmtwarpError(f"texture size {size!r}: give whole numbers from 16 to 32768 texels")
+        raise OmtwarpError(f"texture size {size!r}: give whole numbers from 16 to {LONGEST_SIDE} texels")
     return tuple(int(n) for n in pair)

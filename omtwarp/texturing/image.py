@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.inputs import open_input
+from omtwarp.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-LARGEST_SIDE = 32768
+# Formats of pixels that Pillow decodes by itself; it would hand others, such as EPS, to programs of the system.
+FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")
+
+_pillow = threading.Lock()  # over Pillow's own limit, which is one number for the whole process
 
 
 def read_image(source: Any) -> NDArray[Any]:
@@ -34,35 +40,45 @@ def read_image(source: Any) -> NDArray[Any]:
 
     if isinstance(source, (str, os.PathLike)):
         path = Path(source)
-        if not path.exists():
-            raise OmtwarpError(f"image '{path}' does not exist")
-        if path.is_dir():
-            raise OmtwarpError(f"image '{path}' is a folder, not a picture")
-        try:
-            if path.stat().st_size == 0:
-                raise OmtwarpError(f"image '{path}' is empty (0 bytes)")
-            with pil.open(path) as opened:
-                return _from_pil(opened, f"image '{path}'")
-        except OmtwarpError:
-            raise
-        except PermissionError as error:
-            raise OmtwarpError(f"image '{path}' may not be read: permission denied") from error
-        except pil.UnidentifiedImageError as error:
-            raise OmtwarpError(
-                f"image '{path}' is not a picture in a format that can be read (PNG, JPEG, TIFF, ...)"
-            ) from error
-        except Exception as error:  # damaged files end in many kinds of error inside the decoders
-            raise OmtwarpError(f"image '{path}' cannot be read: {_first_line(error)}") from error
+        with open_input(path, LARGEST_PICTURE_FILE, "picture") as stream:
+            try:
+                with _open(stream) as opened:
+                    return _from_pil(opened, str(path))
+            except (OmtwarpError, MemoryError):
+                raise
+            except pil.UnidentifiedImageError:
+                raise OmtwarpError(
+                    f"{path}: not a picture in a format that can be read ({', '.join(FORMATS)})"
+                ) from None
+            except Exception as error:  # damaged files end in many kinds of error inside the decoders
+                raise OmtwarpError(f"{path}: cannot be read as a picture: {_first_line(error)}") from None
     if isinstance(source, pil.Image):
         return _from_pil(source, "image")
     return _from_array(source)
 
 
+def _open(stream: BinaryIO) -> Image:
+    """A picture of which the header has been read, without Pillow's own limit: :func:`_from_pil` has one that fits."""
+    from PIL import Image as pil
+
+    with _pillow:
+        limit = pil.MAX_IMAGE_PIXELS
+        pil.MAX_IMAGE_PIXELS = None
+        try:
+            return pil.open(stream, formats=FORMATS)
+        finally:
+            pil.MAX_IMAGE_PIXELS = limit
+
+
 def _from_pil(image: Image, name: str) -> NDArray[Any]:
     from PIL import ImageOps
 
-    if max(image.size) > LARGEST_SIDE:
-        raise OmtwarpError(f"{name} is {image.width}x{image.height} texels: no side may be longer than {LARGEST_SIDE}")
+    if max(image.size) > LONGEST_SIDE:
+        raise OmtwarpError(f"{name}: {image.width}x{image.height} texels; no side may be longer than {LONGEST_SIDE}")
+    if image.width * image.height > MOST_TEXELS:
+        raise OmtwarpError(
+            f"{name}: {image.width}x{image.height} texels; a picture may have {MOST_TEXELS / 1e6:.0f} million at most"
+        )
     if image.mode in ("I;16", "I;16L", "I;16B", "I", "F"):  # more than 8 bits: Pillow's own conversion would clip
         values = np.asarray(image, dtype=np.float32)
         top = 65535.0 if image.mode != "F" else 1.0

@@ -232,7 +232,7 @@ def test_maps_that_are_none(tmp_path, capsys):
         assert_one_line(err, name)
     status, _, err = run(capsys, "texture", "--map", tmp_path / "none.npz", "-o", tmp_path / "out.glb")
     assert status == 1
-    assert_one_line(err, "none.npz", "does not exist")
+    assert_one_line(err, "none.npz", "no such file")
 
 
 @pytest.mark.parametrize(

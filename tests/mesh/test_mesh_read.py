@@ -151,7 +151,7 @@ def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygo
         ("noise.stl", b"\x00\x01" * 300, "stl"),
         ("noise.glb", b"\x00\x01" * 300, "cannot be read as glb"),
         ("noise.off", b"OFF\nthree four five\n", "cannot be read as off"),
-        ("noise.npz", b"PK but not really", "cannot be read as npz"),
+        ("noise.npz", b"PK but not really", "no .npz"),
         ("words.obj", b"v a b c\nf 1 2 3\n", "cannot be read as obj"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\n", "no faces in it"),
         ("line.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "face 0 has fewer than three corners"),

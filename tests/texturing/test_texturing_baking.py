@@ -213,7 +213,7 @@ def test_rotating_the_texture_moves_it_as_the_matrix_says():
         (lambda: bake("checker", "mercator"), "equirectangular, cube or octahedral"),
         (lambda: bake("checker", projection="mercator"), "equirectangular or sinusoidal"),
         (lambda: bake(lambda d: d[:5]), "directions"),
-        (lambda: bake("nowhere.png"), "does not exist"),
+        (lambda: bake("nowhere.png"), "no such file"),
         (lambda: bake("checker", device="gpu"), "unknown device"),
         (lambda: sample(np.zeros((30, 31, 1)), [[0, 0, 1]], "cube"), "not a cube atlas"),
         (lambda: bake_vertex_values([1.0, np.nan], np.eye(3), [[0, 1, 2]]), "finite"),

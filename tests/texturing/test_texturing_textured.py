@@ -306,11 +306,11 @@ def broken_files(folder):
     Image.fromarray(np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)).save(whole)
     (folder / "cut.png").write_bytes(whole.read_bytes()[:2000])
     return [
-        (folder / "missing.png", "does not exist"),
+        (folder / "missing.png", "no such file"),
         (folder / "empty.png", "empty"),
         (folder / "text.png", "not a picture"),
         (folder / "cut.png", "cannot be read"),
-        (folder, "folder"),
+        (folder, "a directory"),
     ]
 
 

@@ -1,0 +1,130 @@
+"""Reading what a user names: regular files of bounded size, and arrays whose sizes are known before they are read.
+
+Every reader of the package goes through :func:`read_bytes` or :func:`read_arrays`, so that a pipe that nobody feeds, a
+device without an end, or a file that inflates without end is one line and not a hang.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import stat
+import zipfile
+from collections.abc import Iterable, Iterator
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.limits import LARGEST_ARRAYS, LARGEST_MESH_FILE, LARGEST_REPORT, amount
+
+_LONGEST_HEADER = 10_000  # characters of an array's header, as numpy.lib.format has it by default
+
+
+@contextlib.contextmanager
+def open_input(path: str | os.PathLike[str], most: int, kind: str = "file") -> Iterator[BinaryIO]:
+    """Open a regular file that is neither empty nor too large, for reading.
+
+    Args:
+        path: the file.
+        most: bytes that it may have.
+        kind: what it should be, for the error's text: ``mesh file``, ``picture``, ``map``.
+
+    Raises:
+        OmtwarpError: no such file, a directory, a device or pipe, an empty or too large file, or no right to read.
+    """
+    if "\0" in str(path):
+        raise OmtwarpError(f"{path}: no such file")
+    try:
+        # Without waiting: a pipe is opened at once although nobody writes into it, and told from a file.
+        flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+        descriptor = os.open(path, flags)
+    except (FileNotFoundError, NotADirectoryError):
+        raise OmtwarpError(f"{path}: no such file") from None
+    except OSError as error:
+        if os.path.isdir(path):  # which cannot be opened on Windows
+            raise OmtwarpError(f"{path}: a directory, not a {kind}") from None
+        raise OmtwarpError(f"{path}: cannot be read: {error.strerror or error}") from None
+    try:
+        status = os.fstat(descriptor)
+        if stat.S_ISDIR(status.st_mode):
+            raise OmtwarpError(f"{path}: a directory, not a {kind}")
+        if not stat.S_ISREG(status.st_mode):
+            raise OmtwarpError(f"{path}: a pipe or device, not a {kind}; standard input is read as '-'")
+        if status.st_size > most:
+            raise OmtwarpError(f"{path}: {amount(status.st_size)}, and a {kind} may have {amount(most)} at most")
+        if not status.st_size:
+            raise OmtwarpError(f"{path}: an empty file, not a {kind}")
+        with open(descriptor, "rb", closefd=False) as stream:
+            yield stream
+    finally:
+        os.close(descriptor)
+
+
+def read_bytes(path: str | os.PathLike[str], most: int, kind: str = "file") -> bytes:
+    """Read a regular file; arguments and errors are those of :func:`open_input`.
+
+    Raises:
+        OmtwarpError: the file cannot be read.
+    """
+    with open_input(path, most, kind) as stream:
+        try:
+            return stream.read(most)
+        except OSError as error:
+            raise OmtwarpError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
+    """Some of the arrays of an ``.npz``, whose sizes are checked before anything is inflated; nothing is unpickled.
+
+    Args:
+        source: the file.
+        names: arrays that are wanted; those that are missing are left out, and others are not looked at.
+
+    Raises:
+        OmtwarpError: no ``.npz``, a damaged one, an array that is not of numbers or text, or too much in it.
+    """
+    try:
+        with zipfile.ZipFile(source) as archive:
+            entries = {entry.filename: entry for entry in archive.infolist()}
+            wanted = {name: entries[f"{name}.npy"] for name in names if f"{name}.npy" in entries}
+            total = sum(entry.file_size for entry in wanted.values())
+            if total > LARGEST_ARRAYS:
+                raise OmtwarpError(f"its arrays inflate to {amount(total)}, and {amount(LARGEST_ARRAYS)} is the most")
+            return {name: _read_array(archive, entry, name) for name, entry in wanted.items()}
+    except (OmtwarpError, MemoryError):
+        raise
+    except Exception as error:  # zipfile, zlib and NumPy raise many kinds on a damaged file
+        detail = " ".join(str(error).split())[:120] or type(error).__name__
+        raise OmtwarpError(f"damaged, or no .npz: {detail}") from None
+
+
+def holds_array(path: str | os.PathLike[str], name: str) -> bool:
+    """Whether a file is an ``.npz`` with an array of this name; False for what cannot be read."""
+    with contextlib.suppress(OmtwarpError, OSError, ValueError, zipfile.BadZipFile):
+        with open_input(path, LARGEST_MESH_FILE) as stream, zipfile.ZipFile(stream) as archive:
+            return f"{name}.npy" in archive.namelist()
+    return False
+
+
+def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> NDArray:
+    """One array, after its header was found to fit the size of its entry.
+
+    Raises:
+        OmtwarpError: objects, or a header that promises more or less than there is.
+    """
+    with archive.open(entry) as stream:
+        version = np.lib.format.read_magic(stream)
+        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(stream, max_header_size=_LONGEST_HEADER)
+        size = math.prod(shape) * dtype.itemsize
+        if dtype.hasobject:
+            raise OmtwarpError(f"'{name}' is not an array of numbers")
+        if size != entry.file_size - stream.tell():
+            raise OmtwarpError(f"damaged: '{name}' is not as long as its header says")
+        if dtype.kind in "US" and size > LARGEST_REPORT:
+            raise OmtwarpError(f"'{name}' has {amount(size)} of text, and {amount(LARGEST_REPORT)} is the most")
+    with archive.open(entry) as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False, max_header_size=_LONGEST_HEADER)

@@ -1,0 +1,26 @@
+"""How large inputs and outputs may be: limits that real work does not meet, checked before any work is done.
+
+They keep a damaged or hostile file, or a slip of the finger, from filling memory or running for ever.
+"""
+
+LARGEST_MESH_FILE = 4 * 2**30  # bytes: 80 million triangles as binary PLY, 30 million as OBJ
+LARGEST_ARRAYS = 4 * 2**30  # bytes that an .npz may inflate to: a map of 20 million triangles with every stage has 2e9
+LARGEST_REPORT = 256 * 2**20  # bytes of a report's text in an .npz: those of long flows have 1e6
+MOST_FACES = 2**25  # triangles: maps of 2 million were measured, and each takes about 1.3 kB of memory
+MOST_DEMO_FACES = 2_000_000  # of the demo's shape, which a grid of 4e8 numbers is computed for
+LARGEST_PICTURE_FILE = 2 * 2**30  # bytes: the largest pictures below, uncompressed
+LONGEST_SIDE = 32768  # texels of a picture or texture along one side
+MOST_TEXELS = LONGEST_SIDE * LONGEST_SIDE // 2  # of a picture: 2.3 times the largest NASA Blue Marble (21600 x 10800)
+LARGEST_VIEW = 8192  # pixels of a drawn picture along one side
+MOST_FRAMES = 3600  # of a film: a minute at 60 per second
+MOST_FILM_PIXELS = 2**31  # of all its frames together, which are in memory at a time, 3 bytes each
+FRAMES_PER_SECOND = (0.1, 240.0)
+MOST_REPEATS = 1000  # of a measurement
+
+
+def amount(bytes_: int) -> str:
+    """A number of bytes for readers, such as ``4.3 GB``."""
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if bytes_ >= size:
+            return f"{bytes_ / size:.1f} {unit}"
+    return f"{bytes_} bytes"
