@@ -247,7 +247,7 @@ class _Springs:
         tension = wp.empty(self.count, dtype=wp.float64, device=self.device)
         deviation = wp.empty_like(tension)
         wp.launch(
-            kernels.sweep,
+            kernels.sweep_vertices,
             dim=self.count,
             inputs=[self._offsets, self._columns, self._weights, self._upload(points), force, tension, deviation],
             device=self.device,

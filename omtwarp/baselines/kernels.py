@@ -26,7 +26,7 @@ def mean_value_edge_weights(
     # Mesh:
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
-    # Out:
+    # Data out:
     weights_out: wp.array2d[wp.float64],
 ):
     """What each face adds to the symmetric weight of its edges (k, k+1): the mean of both directed mean values."""
@@ -43,14 +43,14 @@ def mean_value_edge_weights(
 
 
 @wp.kernel
-def sweep(
+def sweep_vertices(
     # Weights as compressed rows:
     offsets: wp.array[wp.int32],
     columns: wp.array[wp.int32],
     weights: wp.array[wp.float64],
     # Map:
     x: wp.array[wp.vec3d],
-    # Out:
+    # Data out:
     force_out: wp.array[wp.vec3d],
     tension_out: wp.array[wp.float64],
     deviation_out: wp.array[wp.float64],
@@ -79,7 +79,7 @@ def newton_blocks(
     # Tangent frames:
     frame_u: wp.array[wp.vec3d],
     frame_v: wp.array[wp.vec3d],
-    # Out:
+    # Data out:
     blocks_out: wp.array[wp.mat22d],
 ):
     """-w_ij times the 2 x 2 matrix that takes tangent coordinates at x_j to those at x_i."""
@@ -98,7 +98,7 @@ def newton_blocks(
 @wp.kernel
 def tangent_frames(
     x: wp.array[wp.vec3d],
-    # Out:
+    # Data out:
     frame_u_out: wp.array[wp.vec3d],
     frame_v_out: wp.array[wp.vec3d],
 ):
@@ -120,7 +120,7 @@ def move_on_sphere(
     x: wp.array[wp.vec3d],
     direction: wp.array[wp.vec3d],
     step: wp.float64,
-    # Out:
+    # Data out:
     x_out: wp.array[wp.vec3d],
 ):
     """Step along the tangential part of a direction and return to the sphere."""

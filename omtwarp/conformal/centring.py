@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.conformal.kernels import apply_ball_inversion, moments
+from omtwarp.conformal.kernels import apply_ball_inversion, weighted_moments
 from omtwarp.device.arrays import vectors
 from omtwarp.device.start import resolve_device, wp
 from omtwarp.device.sums import RowSums, partial_count
@@ -108,7 +108,9 @@ class _DeviceMoments:
 
     def of(self, points: wp.array) -> NDArray[np.float64]:
         inputs = [points, self._weights]
-        wp.launch(moments, dim=self._partial.shape, inputs=inputs, outputs=[self._partial], device=points.device)
+        wp.launch(
+            weighted_moments, dim=self._partial.shape, inputs=inputs, outputs=[self._partial], device=points.device
+        )
         self._numbers: NDArray[np.float64] = self._sums(self._partial).numpy().sum(axis=0)
         return self._numbers[:3]
 

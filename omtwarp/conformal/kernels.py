@@ -51,7 +51,7 @@ def apply_ball_inversion(
 
 
 @wp.kernel
-def moments(
+def weighted_moments(
     points: wp.array[wp.vec3d],
     weights: wp.array[wp.float64],
     # Data out:

@@ -81,8 +81,9 @@ with contextlib.nullcontext() if _has_cuda_driver() else _without_driver_message
 # instantiated in it once is not instantiated again in each file. Inlining is left at the compiler's own limit, which
 # Warp raises forty times; functions that need it ask for it. None of this changes a bit of the results.
 #
-# Kernels with one index and arrays of one dimension are compiled twice, with and without the assumption that arrays
-# are contiguous. It makes short ones faster; long ones ask for two indices (the second is 0) and are compiled once.
+# Kernels of one index over arrays of one dimension are compiled twice, with and without the assumption that arrays are
+# contiguous. That makes short kernels faster. A long one asks for two indices, `i, _compiled_once = wp.tid()`, of which
+# the second is always 0, and is compiled once. (wp.tid() cannot be called in a function, which could hide this.)
 KERNEL_OPTIONS = {
     "enable_backward": False,
     "max_unroll": 0,

@@ -116,7 +116,7 @@ def shorten_steps(
     changed: wp.array[wp.int32],
 ):
     """Halve the steps of bad triangles' corners, once each; ``wanted`` keeps where those were going at first."""
-    thread, _ = wp.tid()
+    thread, _compiled_once = wp.tid()
     this = counters[ROUND]
     if this > most:
         for v in range(thread, before.shape[0], threads):

@@ -21,7 +21,7 @@ def add_turning_angles(
     The direction from p towards a is that of the normal p x (a - p) of the great circle through both. The additions
     may come in any order, since their sum is only compared with multiples of 2π.
     """
-    f, _ = wp.tid()
+    f, _compiled_once = wp.tid()
     face = faces[f]
     for k in range(3):
         p = points[face[k]]

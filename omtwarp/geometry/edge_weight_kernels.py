@@ -14,7 +14,7 @@ def cotangent_at(corner: int, points: wp.array[wp.vec3d], faces: wp.array[wp.vec
 
 
 @wp.kernel
-def edge_weight_kernel(
+def edge_weights_of_corners(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     corners: wp.array[wp.vec2i],

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.start import wp
-from omtwarp.geometry.edge_weight_kernels import edge_weight_kernel
+from omtwarp.geometry.edge_weight_kernels import edge_weights_of_corners
 from omtwarp.mesh.surface import Surface
 
 
@@ -24,7 +24,7 @@ def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDA
     mesh = surface.on("cpu")
     weights = wp.empty(len(mesh.edge_corners), dtype=wp.float64, device="cpu")
     inputs = [vectors(points, weights.device), mesh.faces, mesh.edge_corners]
-    wp.launch(edge_weight_kernel, dim=weights.size, inputs=inputs, outputs=[weights], device="cpu")
+    wp.launch(edge_weights_of_corners, dim=weights.size, inputs=inputs, outputs=[weights], device="cpu")
     return weights.numpy()
 
 

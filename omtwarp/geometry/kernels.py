@@ -45,10 +45,11 @@ def corner_cotangent(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
 
 
 @wp.kernel
-def gradient_kernel(
+def face_gradients(
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     values: wp.array[wp.float64],
+    # Data out:
     gradient_out: wp.array[wp.vec3d],
 ):
     f = wp.tid()
@@ -59,10 +60,11 @@ def gradient_kernel(
 
 
 @wp.kernel
-def rotate_kernel(
+def rotate_in_faces(
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     field: wp.array[wp.vec3d],
+    # Data out:
     rotated_out: wp.array[wp.vec3d],
 ):
     f = wp.tid()
@@ -71,12 +73,13 @@ def rotate_kernel(
 
 
 @wp.kernel
-def divergence_kernel(
+def vertex_divergence(
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     field: wp.array[wp.vec3d],
+    # Data out:
     flux_out: wp.array[wp.float64],
 ):
     i = wp.tid()
@@ -91,12 +94,13 @@ def divergence_kernel(
 
 
 @wp.kernel
-def laplacian_kernel(
+def vertex_laplacian(
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     values: wp.array[wp.float64],
+    # Data out:
     laplacian_out: wp.array[wp.float64],
 ):
     i = wp.tid()
@@ -113,11 +117,12 @@ def laplacian_kernel(
 
 
 @wp.kernel
-def voronoi_area_kernel(
+def vertex_voronoi_areas(
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
+    # Data out:
     area_out: wp.array[wp.float64],
 ):
     i = wp.tid()
@@ -135,12 +140,13 @@ def voronoi_area_kernel(
 
 
 @wp.kernel
-def interpolate_dual_kernel(
+def interpolate_at_vertices(
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     field: wp.array[wp.vec3d],
+    # Data out:
     interpolated_out: wp.array[wp.vec3d],
 ):
     i = wp.tid()

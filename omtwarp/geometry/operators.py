@@ -242,28 +242,28 @@ class DifferentialOperators:
         from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
-        return self._run(kernels.gradient_kernel, True, values, wp.float64, wp.vec3d, out, False)
+        return self._run(kernels.face_gradients, True, values, wp.float64, wp.vec3d, out, False)
 
     def rotate(self, field: Any, out: Any = None) -> Any:
         """J in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
         from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
-        return self._run(kernels.rotate_kernel, True, field, wp.vec3d, wp.vec3d, out, False)
+        return self._run(kernels.rotate_in_faces, True, field, wp.vec3d, wp.vec3d, out, False)
 
     def divergence(self, field: Any, out: Any = None) -> Any:
         """Outflow of each vertex' cell, [F, 3] -> [V]: :func:`divergence_matrix`, integrated (appendix A.2)."""
         from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
-        return self._run(kernels.divergence_kernel, False, field, wp.vec3d, wp.float64, out, True)
+        return self._run(kernels.vertex_divergence, False, field, wp.vec3d, wp.float64, out, True)
 
     def laplacian(self, values: Any, out: Any = None) -> Any:
         """:func:`cotangent_laplacian` applied, [V] -> [V] (section 4.1's D; positive semi-definite)."""
         from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
-        return self._run(kernels.laplacian_kernel, False, values, wp.float64, wp.float64, out, True)
+        return self._run(kernels.vertex_laplacian, False, values, wp.float64, wp.float64, out, True)
 
     def interpolate_dual(self, field: Any, out: Any = None) -> Any:
         """Vectors at dual vertices interpolated linearly at the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
@@ -276,11 +276,11 @@ class DifferentialOperators:
         from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
-        return self._run(kernels.interpolate_dual_kernel, False, field, wp.vec3d, wp.vec3d, out, True)
+        return self._run(kernels.interpolate_at_vertices, False, field, wp.vec3d, wp.vec3d, out, True)
 
     def voronoi_areas(self) -> Any:
         """:func:`voronoi_areas` by kernel, as a Warp array [V]."""
         from omtwarp.device.start import wp
         from omtwarp.geometry import kernels
 
-        return self._run(kernels.voronoi_area_kernel, False, None, None, wp.float64, None, True)
+        return self._run(kernels.vertex_voronoi_areas, False, None, None, wp.float64, None, True)

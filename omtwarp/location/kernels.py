@@ -116,7 +116,7 @@ def find_faces(
 
     Single precision only says which triangles to look at; float64 decides.
     """
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     p = wp.normalize(queries[i])
     best = -LARGE
     best_face = int(-1)
@@ -189,7 +189,7 @@ def find_closest(
 
     The triangle that holds the point (``found`` and ``coordinates`` coming in) bounds how far there is to look.
     """
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     best_face = found[i]
     if best_face < 0:
         return

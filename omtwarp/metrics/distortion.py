@@ -129,7 +129,7 @@ def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]
     """
     from omtwarp.device.start import wp
     from omtwarp.device.sums import DeviceSum, RowSums
-    from omtwarp.metrics.kernels import not_finite, pick, weighted_distortions
+    from omtwarp.metrics.kernels import not_finite, pick_values, weighted_distortions
 
     surface_area, sphere_area, _, angle, *_ = of_triangles
     where, count = angle.device, angle.size
@@ -155,7 +155,7 @@ def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]
         wp.copy(keys, values, count=count)
         wp.utils.radix_sort_pairs(keys, order, count)
         picked = wp.empty(len(places), dtype=wp.float64, device=where)
-        wp.launch(pick, dim=len(places), inputs=[keys, chosen], outputs=[picked], device=where)
+        wp.launch(pick_values, dim=len(places), inputs=[keys, chosen], outputs=[picked], device=where)
         first, second, low, high, largest = picked.numpy().tolist()
         # As NumPy interpolates. A sort says nothing of what is not a number; a mean does.
         part = at - int(at)

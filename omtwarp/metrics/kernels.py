@@ -100,7 +100,7 @@ def not_finite(
 
 
 @wp.kernel
-def pick(
+def pick_values(
     values: wp.array[wp.float64],
     places: wp.array[wp.int32],
     # Data out:

@@ -86,7 +86,7 @@ def vertex_field(
     Weighting by angle rather than area keeps a large triangle from speaking for a small one: the area error left by the
     flow is a third of what area weights leave on scanned shapes.
     """
-    thread, _ = wp.tid()
+    thread, _compiled_once = wp.tid()
     v = first + thread
     total = wp.vec3d()
     weight = wp.float64(0.0)
@@ -129,7 +129,7 @@ def integrate_particles(
     The velocity is linear on every triangle, so steps shorter than a triangle resolve it, and particles in calm regions
     take long steps: no particle waits for another.
     """
-    v, _ = wp.tid()
+    v, _compiled_once = wp.tid()
     p = particles[v]
     f = corners[first_corners[v]] // 3
     s = wp.float64(0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.step_kernels import add_to_diagonal, gather_rows, rotation_blocks, traces
+from omtwarp.refine.step_kernels import add_to_diagonal, block_traces, gather_rows, rotation_blocks
 from omtwarp.solvers.cholesky import MultifrontalCholesky
 from omtwarp.solvers.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
 from omtwarp.triangle_newton.newton import REGULARISATION, factorise_stiffened
@@ -56,7 +56,7 @@ class DeviceNewtonMatrix:
         wp.launch(gather_rows, dim=source.size, inputs=inputs, outputs=[values], device=device)
         del inputs
         trace = wp.empty(count, dtype=wp.float64, device=device)
-        wp.launch(traces, dim=count, inputs=[own, values], outputs=[trace], device=device)
+        wp.launch(block_traces, dim=count, inputs=[own, values], outputs=[trace], device=device)
         self._sum.total(trace, self._trace)
         inputs = [own, self._trace, wp.float64(REGULARISATION)]
         wp.launch(add_to_diagonal, dim=count, inputs=inputs, outputs=[values], device=device)

@@ -57,13 +57,14 @@ def needle_curvature(cosine: wp.float64) -> wp.float64:
 
 @wp.kernel
 def triangle_terms(
-    sphere: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.vec3i),
-    frames: wp.array(dtype=wp.vec3d),
-    angle_excess: wp.array(dtype=wp.float64),
-    ratio: wp.array(dtype=wp.float64),
-    volume: wp.array(dtype=wp.float64),
-    steepness: wp.array(dtype=wp.float64),
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    # Data out:
+    angle_excess: wp.array[wp.float64],
+    ratio: wp.array[wp.float64],
+    volume: wp.array[wp.float64],
+    steepness: wp.array[wp.float64],
 ):
     """Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
     t = wp.tid()
@@ -87,14 +88,15 @@ def triangle_terms(
 
 @wp.kernel
 def triangle_gradient(
-    sphere: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.vec3i),
-    frames: wp.array(dtype=wp.vec3d),
-    areas: wp.array(dtype=wp.float64),
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
     linear: wp.float64,
     inverse: wp.float64,
     barrier: wp.float64,
-    corner_gradient: wp.array(dtype=wp.vec3d),
+    # Data out:
+    corner_gradient: wp.array[wp.vec3d],
 ):
     """Gradient of A [fro / D + linear D + inverse / D + barrier needle] by the three corners, shape [3F]."""
     t = wp.tid()
@@ -128,13 +130,14 @@ def triangle_gradient(
 
 @wp.kernel
 def gather_tangent(
-    sphere: wp.array(dtype=wp.vec3d),
-    offsets: wp.array(dtype=wp.int32),
-    corners: wp.array(dtype=wp.int32),
-    corner_gradient: wp.array(dtype=wp.vec3d),
+    sphere: wp.array[wp.vec3d],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    corner_gradient: wp.array[wp.vec3d],
     divisor: wp.float64,
     first: int,
-    gradient: wp.array(dtype=wp.vec3d),
+    # Data out:
+    gradient: wp.array[wp.vec3d],
 ):
     """Sum at every vertex, from a first one on, what its corners hold, keep the tangent part, and divide it."""
     i = first + wp.tid()
@@ -146,12 +149,13 @@ def gather_tangent(
 
 
 @wp.kernel
-def retract(
-    sphere: wp.array(dtype=wp.vec3d),
-    direction: wp.array(dtype=wp.vec3d),
-    share: wp.array(dtype=wp.float64),
+def retract_to_sphere(
+    sphere: wp.array[wp.vec3d],
+    direction: wp.array[wp.vec3d],
+    share: wp.array[wp.float64],
     length: wp.float64,
-    moved: wp.array(dtype=wp.vec3d),
+    # Data out:
+    moved: wp.array[wp.vec3d],
 ):
     """Every vertex moved by its share of a step and put back on the sphere."""
     i = wp.tid()
@@ -160,11 +164,12 @@ def retract(
 
 @wp.kernel
 def triangle_trouble(
-    moved: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.vec3i),
-    volume: wp.array(dtype=wp.float64),
-    trouble: wp.array(dtype=wp.int32),
-    count: wp.array(dtype=wp.int32),
+    moved: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    volume: wp.array[wp.float64],
+    # Data out:
+    trouble: wp.array[wp.int32],
+    count: wp.array[wp.int32],
 ):
     """1 where a step flips a triangle or takes nearly all its volume, shape [F], and how many there are."""
     t = wp.tid()
@@ -180,11 +185,12 @@ def triangle_trouble(
 
 @wp.kernel
 def hold_back(
-    offsets: wp.array(dtype=wp.int32),
-    corners: wp.array(dtype=wp.int32),
-    trouble: wp.array(dtype=wp.int32),
-    share: wp.array(dtype=wp.float64),
-    held: wp.array(dtype=wp.float64),
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    trouble: wp.array[wp.int32],
+    share: wp.array[wp.float64],
+    # Data out:
+    held: wp.array[wp.float64],
 ):
     """Halve the share of every vertex of a triangle in trouble."""
     i = wp.tid()
@@ -199,16 +205,17 @@ def hold_back(
 
 @wp.kernel
 def triangle_hessian(
-    sphere: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.vec3i),
-    frames: wp.array(dtype=wp.vec3d),
-    areas: wp.array(dtype=wp.float64),
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
     linear: wp.float64,
     inverse: wp.float64,
     barrier: wp.float64,
     caution: wp.float64,
     divisor: wp.float64,
-    hessian: wp.array2d(dtype=wp.float64),
+    # Data out:
+    hessian: wp.array2d[wp.float64],
 ):
     """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the corners' tangent bases, divided, [F, 21].
 
@@ -220,7 +227,7 @@ def triangle_hessian(
     from the minimum the cut-off matrix needs all of it. Near it the pressure is smooth, where it is smooth the
     curvatures of neighbouring triangles cancel, and cutting off the negative ones only would stiffen the matrix.
     """
-    t, _ = wp.tid()
+    t, _compiled_once = wp.tid()
     face = faces[t]
     frame = frames[t]
     a = sphere[face[0]]
@@ -296,9 +303,10 @@ def triangle_hessian(
 
 @wp.kernel
 def to_tangent(
-    sphere: wp.array(dtype=wp.vec3d),
-    vectors: wp.array(dtype=wp.vec3d),
-    coordinates: wp.array2d(dtype=wp.float64),
+    sphere: wp.array[wp.vec3d],
+    vectors: wp.array[wp.vec3d],
+    # Data out:
+    coordinates: wp.array2d[wp.float64],
 ):
     """Coordinates of vectors in the tangent bases that the Hessian is written in, shape [V, 2]."""
     i = wp.tid()
@@ -310,9 +318,10 @@ def to_tangent(
 
 @wp.kernel
 def from_tangent(
-    sphere: wp.array(dtype=wp.vec3d),
-    coordinates: wp.array2d(dtype=wp.float64),
-    vectors: wp.array(dtype=wp.vec3d),
+    sphere: wp.array[wp.vec3d],
+    coordinates: wp.array2d[wp.float64],
+    # Data out:
+    vectors: wp.array[wp.vec3d],
 ):
     """Vectors with these coordinates in the tangent bases, shape [V]."""
     i = wp.tid()
@@ -323,11 +332,12 @@ def from_tangent(
 
 @wp.kernel
 def newton_decrements(
-    sphere: wp.array(dtype=wp.vec3d),
-    gradient: wp.array(dtype=wp.vec3d),
-    places: wp.array(dtype=wp.int32),
-    blocks: wp.array(dtype=wp.float64),
-    decrement: wp.array(dtype=wp.float64),
+    sphere: wp.array[wp.vec3d],
+    gradient: wp.array[wp.vec3d],
+    places: wp.array[wp.int32],
+    blocks: wp.array[wp.float64],
+    # Data out:
+    decrement: wp.array[wp.float64],
 ):
     """gᵀ B⁻¹ g of every vertex, with B its own block, at a place among all blocks: twice what it gains alone.
 
@@ -350,10 +360,10 @@ def newton_decrements(
 
 @wp.kernel
 def take_vectors(
-    vectors: wp.array(dtype=wp.vec3d),
-    places: wp.array(dtype=wp.int32),
+    vectors: wp.array[wp.vec3d],
+    places: wp.array[wp.int32],
     # Data out:
-    taken: wp.array(dtype=wp.vec3d),
+    taken: wp.array[wp.vec3d],
 ):
     """The vectors at some places."""
     i = wp.tid()
@@ -362,10 +372,10 @@ def take_vectors(
 
 @wp.kernel
 def put_vectors(
-    places: wp.array(dtype=wp.int32),
-    vectors: wp.array(dtype=wp.vec3d),
+    places: wp.array[wp.int32],
+    vectors: wp.array[wp.vec3d],
     # Data out:
-    whole: wp.array(dtype=wp.vec3d),
+    whole: wp.array[wp.vec3d],
 ):
     """The other way round: vectors to their places, of which none is named twice."""
     i = wp.tid()

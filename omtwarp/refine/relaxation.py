@@ -16,7 +16,14 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.energy import DistortionEnergy, Terms, TriangleKernels
-from omtwarp.refine.kernels import from_tangent, put_vectors, retract, take_vectors, to_tangent, triangle_trouble
+from omtwarp.refine.kernels import (
+    from_tangent,
+    put_vectors,
+    retract_to_sphere,
+    take_vectors,
+    to_tangent,
+    triangle_trouble,
+)
 from omtwarp.triangle_newton.line_search import search_patches
 from omtwarp.triangle_newton.newton import NewtonMatrix
 
@@ -128,7 +135,7 @@ class Relaxation:
         moved = wp.clone(self._points)
         share = wp.array(length[self._patches.vertex_patch], dtype=wp.float64, device=self._device)
         inputs = [self._points, vectors, share, ONE]
-        wp.launch(retract, dim=self._patches.free, inputs=inputs, outputs=[moved], device=self._device)
+        wp.launch(retract_to_sphere, dim=self._patches.free, inputs=inputs, outputs=[moved], device=self._device)
         return moved
 
     def _energies(self, points: wp.array, before: wp.array | None = None) -> tuple[NDArray[np.float64], wp.array]:

@@ -22,7 +22,7 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Refinement, parse_refinement
 from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.refine.kernels import hold_back, retract, triangle_trouble
+from omtwarp.refine.kernels import hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.triangle_newton.line_search import SUFFICIENT
@@ -283,7 +283,7 @@ class Refiner:
         moved = wp.empty(vertices, dtype=wp.vec3d, device=device)
         trouble = wp.empty(faces, dtype=wp.int32, device=device)
         inputs = [points, direction, share, wp.float64(length)]
-        wp.launch(retract, dim=vertices, inputs=inputs, outputs=[moved], device=device)
+        wp.launch(retract_to_sphere, dim=vertices, inputs=inputs, outputs=[moved], device=device)
         if self._count_trouble(moved, volume, trouble) == 0:
             return moved, 0
         seeds = trouble.numpy() > 0
@@ -310,7 +310,7 @@ class Refiner:
         trouble = wp.empty(faces, dtype=wp.int32, device=device)
         for _ in range(HOLDS):
             inputs = [points, direction, share, wp.float64(length)]
-            wp.launch(retract, dim=count, inputs=inputs, outputs=[moved], device=device)
+            wp.launch(retract_to_sphere, dim=count, inputs=inputs, outputs=[moved], device=device)
             if self._count_trouble(moved, volume, trouble) == 0:
                 return moved, share
             inputs = [*energy.triangles.rows, trouble, share]

@@ -55,7 +55,7 @@ def add_share(
 
 
 @wp.kernel
-def differences(
+def gradient_differences(
     after: wp.array[wp.vec3d],
     before: wp.array[wp.vec3d],
     # Data out:
@@ -66,7 +66,7 @@ def differences(
 
 
 @wp.kernel
-def downhill(
+def descent_direction(
     points: wp.array[wp.vec3d],
     step: wp.array[wp.vec3d],
     gradient: wp.array[wp.vec3d],
@@ -143,7 +143,7 @@ def gather_rows(
 
 
 @wp.kernel
-def traces(
+def block_traces(
     diagonal: wp.array[wp.int32],
     values: wp.array[wp.float64],
     # Data out:

@@ -18,7 +18,13 @@ from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.device_newton import DeviceNewtonMatrix
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import from_tangent, newton_decrements, to_tangent
-from omtwarp.refine.step_kernels import add_share, differences, downhill, largest_of_strides, subtract_share
+from omtwarp.refine.step_kernels import (
+    add_share,
+    descent_direction,
+    gradient_differences,
+    largest_of_strides,
+    subtract_share,
+)
 from omtwarp.solvers.poisson import on_device
 from omtwarp.triangle_newton.newton import NewtonMatrix
 
@@ -172,7 +178,7 @@ class DeviceSteps:
     def direction(self, points: wp.array, gradient: wp.array) -> Direction:
         self._correct(gradient)
         vectors = wp.empty(self._count, dtype=wp.vec3d, device=self._device)
-        self._launch(downhill, [points, self._step, gradient], [vectors, self._along, self._reach])
+        self._launch(descent_direction, [points, self._step, gradient], [vectors, self._along, self._reach])
         self._sum.total(self._along, self._places[0])
         inputs, outputs = [self._reach], [self._reaches]
         wp.launch(largest_of_strides, dim=self.REACHES, inputs=inputs, outputs=outputs, device=self._device)
@@ -182,8 +188,8 @@ class DeviceSteps:
     def learn(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
         change, turn, product = self._spare or self._room()
         self._spare = change, turn, product
-        self._launch(differences, [new_points, points], [change])
-        self._launch(differences, [new_gradient, gradient], [turn])
+        self._launch(gradient_differences, [new_points, points], [change])
+        self._launch(gradient_differences, [new_gradient, gradient], [turn])
         for place, (one, other) in zip(self._places, ((change, turn), (change, change), (turn, turn)), strict=True):
             self._sum.dot(flat(one), flat(other), place)
         wp.copy(product, self._places[0])

@@ -109,10 +109,9 @@ def _picture(job: RenderJob, where: Any) -> Any:
     for level in range(1, len(sizes)):
         (source_width, source_height), (width, height) = sizes[level - 1], sizes[level]
         wp.launch(
-            kernels.halve,
+            kernels.halve_texels,
             (height, width),
             inputs=[
-                texels,
                 decode,
                 int(offsets[level - 1]),
                 source_width,
@@ -121,6 +120,7 @@ def _picture(job: RenderJob, where: Any) -> Any:
                 width,
                 height,
             ],
+            outputs=[texels],
             device=where,
         )
     picture: Any = kernels.Picture()

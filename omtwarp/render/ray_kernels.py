@@ -32,20 +32,20 @@ class View:
 @wp.struct
 class Geometry:
     mesh: wp.uint64
-    normals: wp.array(dtype=wp.vec3)
-    values: wp.array(dtype=wp.vec3)
-    faces: wp.array2d(dtype=wp.int32)
-    kinds: wp.array(dtype=wp.int32)  # per face, one of KIND_*
-    edges: wp.array(dtype=wp.int32)  # per face, 1 where its edges are drawn
+    normals: wp.array[wp.vec3]
+    values: wp.array[wp.vec3]
+    faces: wp.array2d[wp.int32]
+    kinds: wp.array[wp.int32]  # per face, one of KIND_*
+    edges: wp.array[wp.int32]  # per face, 1 where its edges are drawn
 
 
 @wp.struct
 class Picture:
-    texels: wp.array2d(dtype=wp.uint8)  # every level, one after the other, [texels, 3], rows from the top
-    offsets: wp.array(dtype=wp.int32)
-    widths: wp.array(dtype=wp.int32)
-    heights: wp.array(dtype=wp.int32)
-    decode: wp.array(dtype=wp.float32)  # sRGB byte to linear
+    texels: wp.array2d[wp.uint8]  # every level, one after the other, [texels, 3], rows from the top
+    offsets: wp.array[wp.int32]
+    widths: wp.array[wp.int32]
+    heights: wp.array[wp.int32]
+    decode: wp.array[wp.float32]  # sRGB byte to linear
     levels: wp.int32
     repeat: wp.int32
     repeat_rows: wp.int32
@@ -54,8 +54,8 @@ class Picture:
 
 @wp.struct
 class Look:
-    directions: wp.array(dtype=wp.vec3)  # towards the lights, in the camera's frame
-    powers: wp.array(dtype=wp.float32)
+    directions: wp.array[wp.vec3]  # towards the lights, in the camera's frame
+    powers: wp.array[wp.float32]
     sky: wp.float32
     ground: wp.float32
     roughness: wp.float32
@@ -341,7 +341,13 @@ def sample(view: View, shape: Geometry, picture: Picture, look: Look, x: float, 
 
 @wp.kernel
 def draw_centres(
-    view: View, shape: Geometry, picture: Picture, look: Look, spacing: wp.float32, colors: wp.array2d(dtype=wp.vec4)
+    view: View,
+    shape: Geometry,
+    picture: Picture,
+    look: Look,
+    spacing: wp.float32,
+    # Data out:
+    colors: wp.array2d[wp.vec4],
 ):
     row, column = wp.tid()
     colors[row, column] = sample(view, shape, picture, look, float(column) + 0.5, float(row) + 0.5, spacing)
@@ -354,7 +360,12 @@ def differ(a: wp.vec4, b: wp.vec4, contrast: float):
 
 
 @wp.kernel
-def mark_contrast(colors: wp.array2d(dtype=wp.vec4), contrast: wp.float32, marked: wp.array2d(dtype=wp.int32)):
+def mark_contrast(
+    colors: wp.array2d[wp.vec4],
+    contrast: wp.float32,
+    # Data out:
+    marked: wp.array2d[wp.int32],
+):
     """Mark pixels that differ from a neighbour: only there would more samples change anything."""
     row, column = wp.tid()
     here = colors[row, column]
@@ -374,9 +385,10 @@ def draw_finely(
     shape: Geometry,
     picture: Picture,
     look: Look,
-    pixels: wp.array(dtype=wp.int32),
+    pixels: wp.array[wp.int32],
     side: wp.int32,
-    colors: wp.array2d(dtype=wp.vec4),
+    # Data out:
+    colors: wp.array2d[wp.vec4],
 ):
     """Replace listed pixels by the mean over ``side`` x ``side`` samples."""
     pixel = pixels[wp.tid()]
@@ -393,15 +405,16 @@ def draw_finely(
 
 
 @wp.kernel
-def halve(
-    texels: wp.array2d(dtype=wp.uint8),
-    decode: wp.array(dtype=wp.float32),
+def halve_texels(
+    decode: wp.array[wp.float32],
     source: wp.int32,
     source_width: wp.int32,
     source_height: wp.int32,
     target: wp.int32,
     target_width: wp.int32,
     target_height: wp.int32,
+    # Data in and out:
+    texels: wp.array2d[wp.uint8],
 ):
     """One mip level from the one before: the mean light over the texels that each new one covers."""
     row, column = wp.tid()

@@ -104,7 +104,7 @@ def propose_collapses(
     target: wp.array[wp.int32],
 ):
     """The cheapest legal half-edge collapse of every vertex: its cost, and the half-edge towards the vertex kept."""
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     v = alive[i]
     begin = offsets[v]
     end = offsets[v + 1]

@@ -28,8 +28,8 @@ def insert_vertices(
     removed: wp.array[wp.int32],
     rings: wp.array2d[wp.int32],
     valences: wp.array[wp.int32],
+    # Data in and out, the normals as a workspace:
     normals: wp.array[wp.vec3d],
-    # Data in and out:
     sphere: wp.array[wp.vec3d],
     colours: wp.array[wp.int32],
     # Data out:
@@ -41,7 +41,7 @@ def insert_vertices(
     where the smallest cap around the edges' unit normals is: a point that two or three of the normals determine. All of
     these are tried, so that rounding in a nearly degenerate one cannot mislead.
     """
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     v = removed[i]
     count = valences[i]
     begin = i * _MAX_VALENCE
@@ -100,7 +100,7 @@ def triangle_coefficients(
     Adding one number to all three squared lengths adds an equilateral triangle's metric: slivers, and the flattened
     limbs of coarse levels, become triangles whose shape can be asked for.
     """
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     p = points[vertices[i]]
     for h in range(offsets[i], offsets[i + 1]):
         q = points[heads[h]]
@@ -167,7 +167,7 @@ def relax_vertices(
     The energy of ``star_energy`` is a sum of quadratics over positive linear functions of ``x``, hence convex: its
     Hessian needs no mending and the step is a descent direction.
     """
-    slot, _ = wp.tid()
+    slot, _compiled_once = wp.tid()
     i = slots[slot]
     v = vertices[i]
     begin = offsets[i]

@@ -69,7 +69,7 @@ class _PictureSource(_Source):
     def values(self, directions: wp.array, out: wp.array) -> None:
         numbers = [self._kind, wp.float64(self._offset), wp.float64(self._gutter), self._picture]
         launch_parts(
-            kernels.sample_picture_kernel,
+            kernels.sample_picture,
             len(directions),
             lambda part: ([*numbers, directions[part], out[part]], []),
             directions.device,
@@ -146,7 +146,7 @@ def bake(
     def fill(texels: NDArray[np.int32], samples: int) -> None:
         def look(part: wp.array, directions: wp.array) -> None:
             wp.launch(
-                kernels.texel_directions_kernel,
+                kernels.texel_sample_directions,
                 dim=len(directions),
                 inputs=[
                     target.kind,
@@ -179,13 +179,13 @@ def _fill(given: _Source, texels: NDArray[np.int32], samples: int, look: Any, pi
         values = wp.empty((count, given.channels), dtype=wp.float64, device=where)
         look(part, directions)
         given.values(directions, values)
-        wp.launch(kernels.average_kernel, dim=len(part), inputs=[values, samples, part, picture], device=where)
+        wp.launch(kernels.average_samples, dim=len(part), inputs=[values, samples, part, picture], device=where)
 
 
 def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
     flags = wp.zeros(width * height, dtype=wp.uint8, device=picture.device)
     wp.launch(
-        kernels.flag_changes_kernel,
+        kernels.flag_changes,
         dim=width * height,
         inputs=[picture, width, height, wp.float32(CHANGE), flags],
         device=picture.device,
@@ -264,7 +264,7 @@ class _Layout:
     def _claim(self, grow: float) -> NDArray[np.int32]:
         owner = wp.full(self.width * self.height, NOBODY, dtype=wp.int32, device=self.where)
         wp.launch(
-            kernels.own_texels_kernel,
+            kernels.own_texels,
             dim=len(self.corners),
             inputs=[self.corners, self.width, self.height, wp.float64(grow), owner],
             device=self.where,
@@ -280,14 +280,14 @@ class _Layout:
             offset, gutter = self._atlas.parameters
             picture = [self._atlas.kind, wp.float64(offset), wp.float64(gutter)]
             wp.launch(
-                kernels.owner_values_on_sphere_kernel,
+                kernels.owner_values_on_sphere,
                 dim=len(texels) * samples**2,
                 inputs=[*picture, self._chords, values, self.owner, texels, self.width, self.height, samples, out],
                 device=self.where,
             )
             return
         wp.launch(
-            kernels.owner_values_kernel,
+            kernels.owner_values,
             dim=len(texels) * samples**2,
             inputs=[self.corners, values, self.owner, texels, self.width, samples, out],
             device=self.where,
@@ -305,7 +305,7 @@ class _Layout:
         ring = 0
         while ring != rings and not (rings < 0 and known.numpy().all()):
             wp.launch(
-                kernels.dilate_kernel,
+                kernels.dilate_texels,
                 dim=self.width * self.height,
                 inputs=[picture, known, self.width, self.height, other, other_known],
                 device=self.where,
@@ -387,7 +387,7 @@ def bake_to_uv(
         def look(part: wp.array, directions: wp.array) -> None:
             chords = wp.empty((len(directions), 3), dtype=wp.float64, device=where)
             layout.interpolate(points, part, samples, chords)
-            wp.launch(kernels.vectors_kernel, dim=len(directions), inputs=[chords, directions], device=where)
+            wp.launch(kernels.unit_vectors, dim=len(directions), inputs=[chords, directions], device=where)
 
         _fill(given, texels, samples, look, picture, where)
 
@@ -430,7 +430,7 @@ def _bake_linear(layout: _Layout, corner_values: Floats, supersample: int, paddi
         part: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         out = wp.empty((len(part) * samples**2, channels), dtype=wp.float64, device=where)
         layout.interpolate(values, part, samples, out)
-        wp.launch(kernels.average_kernel, dim=len(part), inputs=[out, samples, part, picture], device=where)
+        wp.launch(kernels.average_samples, dim=len(part), inputs=[out, samples, part, picture], device=where)
     return layout.dilate(picture, padding).numpy().reshape(layout.height, layout.width, channels)
 
 
@@ -517,8 +517,8 @@ def uv_to_sphere(
         points = wp.empty((count, 2), dtype=wp.float64, device=where)
         colours = wp.empty((count, channels), dtype=wp.float64, device=where)
         layout.interpolate(values, some, samples, points)
-        wp.launch(kernels.sample_plane_kernel, dim=count, inputs=[source, points, colours], device=where)
-        wp.launch(kernels.average_kernel, dim=len(some), inputs=[colours, samples, some, out], device=where)
+        wp.launch(kernels.sample_plane, dim=count, inputs=[source, points, colours], device=where)
+        wp.launch(kernels.average_samples, dim=len(some), inputs=[colours, samples, some, out], device=where)
     return layout.dilate(out, -1).numpy().reshape(target.height, target.width, channels)
 
 

@@ -142,7 +142,7 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
 
 
 @wp.func
-def texel(picture: wp.array3d(dtype=wp.float32), kind: int, row: int, column: int, c: int):
+def texel(picture: wp.array3d[wp.float32], kind: int, row: int, column: int, c: int):
     """A texel's value; an equirectangular picture goes on around the sphere and over the poles."""
     height = picture.shape[0]
     width = picture.shape[1]
@@ -165,7 +165,7 @@ def texel(picture: wp.array3d(dtype=wp.float32), kind: int, row: int, column: in
 
 
 @wp.func
-def bilinear(picture: wp.array3d(dtype=wp.float32), kind: int, x: wp.float64, y: wp.float64, c: int):
+def bilinear(picture: wp.array3d[wp.float32], kind: int, x: wp.float64, y: wp.float64, c: int):
     """Value at a point (in texels, centres at halves) between the four nearest texels."""
     column = int(wp.floor(x - HALF))
     row = int(wp.floor(y - HALF))
@@ -177,15 +177,16 @@ def bilinear(picture: wp.array3d(dtype=wp.float32), kind: int, x: wp.float64, y:
 
 
 @wp.kernel
-def texel_directions_kernel(
+def texel_sample_directions(
     kind: int,
     width: int,
     height: int,
     offset: wp.float64,
     gutter: wp.float64,
-    texels: wp.array(dtype=wp.int32),
+    texels: wp.array[wp.int32],
     samples: int,
-    directions: wp.array(dtype=wp.vec3d),
+    # Data out:
+    directions: wp.array[wp.vec3d],
 ):
     """Directions of the samples (a regular grid of samples x samples) of texels given by number, row by row."""
     i = wp.tid()
@@ -199,13 +200,14 @@ def texel_directions_kernel(
 
 
 @wp.kernel
-def sample_picture_kernel(
+def sample_picture(
     kind: int,
     offset: wp.float64,
     gutter: wp.float64,
-    picture: wp.array3d(dtype=wp.float32),
-    directions: wp.array(dtype=wp.vec3d),
-    out: wp.array2d(dtype=wp.float64),
+    picture: wp.array3d[wp.float32],
+    directions: wp.array[wp.vec3d],
+    # Data out:
+    out: wp.array2d[wp.float64],
 ):
     """What a picture of the sphere shows in directions."""
     i = wp.tid()
@@ -215,11 +217,12 @@ def sample_picture_kernel(
 
 
 @wp.kernel
-def average_kernel(
-    values: wp.array2d(dtype=wp.float64),
+def average_samples(
+    values: wp.array2d[wp.float64],
     samples: int,
-    texels: wp.array(dtype=wp.int32),
-    out: wp.array2d(dtype=wp.float32),
+    texels: wp.array[wp.int32],
+    # Data out:
+    out: wp.array2d[wp.float32],
 ):
     """Mean of the samples of every texel, written to the texel's place."""
     i = wp.tid()
@@ -232,12 +235,13 @@ def average_kernel(
 
 
 @wp.kernel
-def flag_changes_kernel(
-    picture: wp.array2d(dtype=wp.float32),
+def flag_changes(
+    picture: wp.array2d[wp.float32],
     width: int,
     height: int,
     threshold: wp.float32,
-    flags: wp.array(dtype=wp.uint8),
+    # Data out:
+    flags: wp.array[wp.uint8],
 ):
     """1 where a texel differs from one of its four neighbours by more than a threshold; ``flags`` starts at 0.
 
@@ -267,12 +271,13 @@ def edge_side(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64, px
 
 
 @wp.kernel
-def own_texels_kernel(
-    corners: wp.array2d(dtype=wp.vec2d),
+def own_texels(
+    corners: wp.array2d[wp.vec2d],
     width: int,
     height: int,
     grow: wp.float64,
-    owner: wp.array(dtype=wp.int32),
+    # Data out:
+    owner: wp.array[wp.int32],
 ):
     """Each triangle claims the texels whose centres it contains; the lowest number wins, whatever the order of threads.
 
@@ -329,14 +334,15 @@ def drawn_back(u: wp.float64, v: wp.float64, slack: wp.float64):
 
 
 @wp.kernel
-def owner_values_kernel(
-    corners: wp.array2d(dtype=wp.vec2d),
-    values: wp.array3d(dtype=wp.float64),
-    owner: wp.array(dtype=wp.int32),
-    texels: wp.array(dtype=wp.int32),
+def owner_values(
+    corners: wp.array2d[wp.vec2d],
+    values: wp.array3d[wp.float64],
+    owner: wp.array[wp.int32],
+    texels: wp.array[wp.int32],
     width: int,
     samples: int,
-    out: wp.array2d(dtype=wp.float64),
+    # Data out:
+    out: wp.array2d[wp.float64],
 ):
     """Values at corners, linear over the owning triangle, at the samples of texels that have an owner.
 
@@ -356,20 +362,21 @@ def owner_values_kernel(
 
 
 @wp.kernel
-def owner_values_on_sphere_kernel(
+def owner_values_on_sphere(
     kind: int,
     offset: wp.float64,
     gutter: wp.float64,
-    points: wp.array2d(dtype=wp.vec3d),
-    values: wp.array3d(dtype=wp.float64),
-    owner: wp.array(dtype=wp.int32),
-    texels: wp.array(dtype=wp.int32),
+    points: wp.array2d[wp.vec3d],
+    values: wp.array3d[wp.float64],
+    owner: wp.array[wp.int32],
+    texels: wp.array[wp.int32],
     width: int,
     height: int,
     samples: int,
-    out: wp.array2d(dtype=wp.float64),
+    # Data out:
+    out: wp.array2d[wp.float64],
 ):
-    """As owner_values_kernel, but with the place in the owning triangle taken from the sample's own direction.
+    """As owner_values, but with the place in the owning triangle taken from the sample's own direction.
 
     ``points`` are the triangles' corners on the sphere. Which triangle owns a texel is known from texture coordinates,
     which are linear only to a fraction of a texel; where in it the sample lies is exact.
@@ -397,15 +404,22 @@ def owner_values_on_sphere_kernel(
 
 
 @wp.kernel
-def vectors_kernel(values: wp.array2d(dtype=wp.float64), out: wp.array(dtype=wp.vec3d)):
+def unit_vectors(
+    values: wp.array2d[wp.float64],
+    # Data out:
+    out: wp.array[wp.vec3d],
+):
     """Rows of three numbers as unit vectors."""
     i = wp.tid()
     out[i] = wp.normalize(wp.vec3d(values[i, 0], values[i, 1], values[i, 2]))
 
 
 @wp.kernel
-def sample_plane_kernel(
-    picture: wp.array3d(dtype=wp.float32), points: wp.array2d(dtype=wp.float64), out: wp.array2d(dtype=wp.float64)
+def sample_plane(
+    picture: wp.array3d[wp.float32],
+    points: wp.array2d[wp.float64],
+    # Data out:
+    out: wp.array2d[wp.float64],
 ):
     """Bilinear samples of a picture at texture coordinates (v up), clamped at its borders."""
     i = wp.tid()
@@ -416,13 +430,14 @@ def sample_plane_kernel(
 
 
 @wp.kernel
-def dilate_kernel(
-    picture: wp.array2d(dtype=wp.float32),
-    known: wp.array(dtype=wp.uint8),
+def dilate_texels(
+    picture: wp.array2d[wp.float32],
+    known: wp.array[wp.uint8],
     width: int,
     height: int,
-    out: wp.array2d(dtype=wp.float32),
-    out_known: wp.array(dtype=wp.uint8),
+    # Data out:
+    out: wp.array2d[wp.float32],
+    out_known: wp.array[wp.uint8],
 ):
     """One ring more: a texel without a value takes the mean of its known neighbours."""
     i = wp.tid()

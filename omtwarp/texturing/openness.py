@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
-from omtwarp.texturing.openness_kernels import openness_kernel
+from omtwarp.texturing.openness_kernels import vertex_openness
 
 RAYS = 24
 RAY_BUDGET = 400_000  # about half a second on one CPU core
@@ -33,7 +33,7 @@ def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
     origins = (p[chosen].mean(axis=1) + 1e-4 * normal[chosen]).astype(np.float32)
     out = wp.zeros(len(chosen), dtype=wp.float32, device=device)
     wp.launch(
-        openness_kernel,
+        vertex_openness,
         dim=len(chosen),
         inputs=[
             mesh.id,

@@ -7,15 +7,16 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel
-def openness_kernel(
+def vertex_openness(
     mesh: wp.uint64,
-    origins: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
+    origins: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
     rays: int,
-    openness: wp.array(dtype=wp.float32),
+    # Data out:
+    openness: wp.array[wp.float32],
 ):
     """Part of the cosine-weighted rays from a point that leave the surface behind them."""
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     n = normals[i]
     helper = wp.vec3(1.0, 0.0, 0.0)
     if wp.abs(n[0]) > 0.7:

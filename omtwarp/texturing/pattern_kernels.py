@@ -29,12 +29,13 @@ def cell_of(value: wp.float64, low: wp.float64, high: wp.float64, count: int):
 
 
 @wp.kernel
-def checker_kernel(
-    directions: wp.array(dtype=wp.vec3d),
+def checker_colours(
+    directions: wp.array[wp.vec3d],
     columns: int,
     rows: int,
-    colours: wp.array(dtype=wp.vec3d),
-    out: wp.array2d(dtype=wp.float64),
+    colours: wp.array[wp.vec3d],
+    # Data out:
+    out: wp.array2d[wp.float64],
 ):
     i = wp.tid()
     d = directions[i]
@@ -46,21 +47,22 @@ def checker_kernel(
 
 
 @wp.kernel
-def circles_kernel(
-    directions: wp.array(dtype=wp.vec3d),
+def circle_colours(
+    directions: wp.array[wp.vec3d],
     columns: int,
     rows: int,
-    offsets: wp.array(dtype=wp.int32),
-    candidates: wp.array(dtype=wp.int32),
-    centres: wp.array(dtype=wp.vec3d),
-    inner: wp.array(dtype=wp.vec3d),
-    rim: wp.array(dtype=wp.vec3d),
+    offsets: wp.array[wp.int32],
+    candidates: wp.array[wp.int32],
+    centres: wp.array[wp.vec3d],
+    inner: wp.array[wp.vec3d],
+    rim: wp.array[wp.vec3d],
     outer: wp.float64,
     rim_starts: wp.float64,
     background: wp.vec3d,
-    out: wp.array2d(dtype=wp.float64),
+    # Data out:
+    out: wp.array2d[wp.float64],
 ):
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     d = wp.normalize(directions[i])
     # Only circles that reach this cell of a grid of longitude and latitude are looked at.
     cell = cell_of(latitude(d), -HALF * PI, HALF * PI, rows) * columns + cell_of(longitude(d), -PI, PI, columns)
@@ -120,19 +122,20 @@ def cube_face(d: wp.vec3d):
 
 
 @wp.kernel
-def puzzle_kernel(
-    directions: wp.array(dtype=wp.vec3d),
-    frames: wp.array(dtype=wp.mat33d),
+def puzzle_colours(
+    directions: wp.array[wp.vec3d],
+    frames: wp.array[wp.mat33d],
     side: int,
-    neighbours: wp.array2d(dtype=wp.int32),
-    tabs: wp.array2d(dtype=wp.int32),
-    shifts: wp.array2d(dtype=wp.float64),
-    colours: wp.array(dtype=wp.vec3d),
+    neighbours: wp.array2d[wp.int32],
+    tabs: wp.array2d[wp.int32],
+    shifts: wp.array2d[wp.float64],
+    colours: wp.array[wp.vec3d],
     line: wp.float64,
     line_colour: wp.vec3d,
-    out: wp.array2d(dtype=wp.float64),
+    # Data out:
+    out: wp.array2d[wp.float64],
 ):
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     d = directions[i]
     face = cube_face(d)
     local = frames[face] * d
@@ -217,23 +220,24 @@ def near_multiple(value: wp.float64, step: wp.float64):
 
 
 @wp.kernel
-def globe_kernel(
-    directions: wp.array(dtype=wp.vec3d),
+def globe_colours(
+    directions: wp.array[wp.vec3d],
     columns: int,
     rows: int,
-    offsets: wp.array(dtype=wp.int32),
-    members: wp.array(dtype=wp.int32),
-    pieces: wp.array(dtype=wp.vec4d),
-    real_coast: wp.array(dtype=wp.int32),
-    land_at_centre: wp.array(dtype=wp.int32),
-    colours: wp.array(dtype=wp.vec3d),
+    offsets: wp.array[wp.int32],
+    members: wp.array[wp.int32],
+    pieces: wp.array[wp.vec4d],
+    real_coast: wp.array[wp.int32],
+    land_at_centre: wp.array[wp.int32],
+    colours: wp.array[wp.vec3d],
     coast_width: wp.float64,
     shelf_width: wp.float64,
     step: wp.float64,
     line_width: wp.float64,
-    out: wp.array2d(dtype=wp.float64),
+    # Data out:
+    out: wp.array2d[wp.float64],
 ):
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     d = directions[i]
     degree = wp.float64(180.0) / PI
     lon = longitude(d) * degree

@@ -84,7 +84,7 @@ class Checker(Pattern):
     """
 
     name = "checker"
-    _kernel = kernels.checker_kernel
+    _kernel = kernels.checker_colours
 
     def __init__(self, columns: int = 24, rows: int = 12):
         if columns < 2 or columns % 2 or rows < 1:
@@ -125,7 +125,7 @@ class Circles(Pattern):
     """
 
     name = "circles"
-    _kernel = kernels.circles_kernel
+    _kernel = kernels.circle_colours
 
     def __init__(self, count: int = 162, coverage: float = 0.56):
         if not 4 <= count <= 20_000 or not 0 < coverage < 1:
@@ -192,7 +192,7 @@ class Puzzle(Pattern):
     """
 
     name = "puzzle"
-    _kernel = kernels.puzzle_kernel
+    _kernel = kernels.puzzle_colours
 
     def __init__(self, side: int = 5, seed: int = 7):
         if not 1 <= side <= 64:
@@ -269,7 +269,7 @@ class Globe(Pattern):
     """
 
     name = "globe"
-    _kernel = kernels.globe_kernel
+    _kernel = kernels.globe_colours
     coast_width, shelf_width, line_width = 0.32, 3.0, 0.3  # degrees
 
     def __init__(self, step: float = 15.0):

@@ -34,7 +34,7 @@ from omtwarp.transport.descent_kernels import (
     turn_direction,
 )
 from omtwarp.transport.kernels import (
-    advect,
+    advect_points,
     centre_distance,
     cost_and_force,
     divide_by_area,
@@ -273,7 +273,7 @@ class _Flow:
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             return [self.points[part], self.state, *self.grid, velocity], [self.hints[part], self.trial[part]]
 
-        launch_parts(advect, self.count, arguments, self.device)
+        launch_parts(advect_points, self.count, arguments, self.device)
         if self.guarded:
             self.guard.hold(self.points, self.trial, GUARD_ROUNDS)
         inputs = [self.measure(self.trial), wp.float64(SPHERE_AREA), self.state]

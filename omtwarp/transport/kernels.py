@@ -165,7 +165,7 @@ def stream_velocity(
 
 
 @wp.kernel
-def advect(
+def advect_points(
     points: wp.array[wp.vec3d],
     state: wp.array[FlowState],
     nodes: wp.array[wp.vec3d],
@@ -181,7 +181,7 @@ def advect(
 
     ``hints`` remembers in which triangle it ended, where the next one is likely to begin; -1 where nothing is known.
     """
-    v, _ = wp.tid()
+    v, _compiled_once = wp.tid()
     p = points[v]
     step = state[0].step
     half = HALF * step

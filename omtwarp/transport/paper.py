@@ -158,8 +158,8 @@ class PaperFlow:
 
         at_vertices = send(start, wp.vec3d)
         to_dual = [self.operators.faces, self._weights]
-        self._launch(kernels.to_dual_kernel, count, [*to_dual, self.operators.vertices], [self._points])
-        self._launch(kernels.to_dual_kernel, count, [*to_dual, at_vertices], [self.dual_map])
+        self._launch(kernels.average_to_dual, count, [*to_dual, self.operators.vertices], [self._points])
+        self._launch(kernels.average_to_dual, count, [*to_dual, at_vertices], [self.dual_map])
         self.map: Any = wp.empty(vertex_count, dtype=wp.vec3d, device=self.device)
         self._advanced_map: Any = wp.empty(vertex_count, dtype=wp.vec3d, device=self.device)
         self._flipped: Any = wp.empty(count, dtype=wp.int32, device=self.device)
@@ -185,7 +185,7 @@ class PaperFlow:
         from omtwarp.transport import paper_kernels as kernels
 
         inputs = [self._points, dual_map, self._masses, self.squared]
-        self._launch(kernels.cost_kernel, len(dual_map), inputs, [self._per_face])
+        self._launch(kernels.dual_costs, len(dual_map), inputs, [self._per_face])
         return float(self._per_face.numpy().sum())
 
     def area_of(self, image: Any) -> float:
@@ -193,7 +193,7 @@ class PaperFlow:
         from omtwarp.transport import paper_kernels as kernels
 
         inputs = [self.operators.faces, image, self._masses]
-        self._launch(kernels.area_distortion_kernel, len(self.dual_map), inputs, [self._per_face, self._image_areas])
+        self._launch(kernels.area_distortions, len(self.dual_map), inputs, [self._per_face, self._image_areas])
         return float(self._per_face.numpy().sum() / self._image_areas.numpy().sum())
 
     def _to_vertices(self, dual_map: Any, out: Any) -> None:
@@ -201,14 +201,14 @@ class PaperFlow:
         from omtwarp.transport import paper_kernels as kernels
 
         self.operators.interpolate_dual(dual_map, out=out)
-        self._launch(kernels.correct_and_normalise_kernel, len(out), [self._correction, out], [])
+        self._launch(kernels.correct_and_normalise, len(out), [self._correction, out], [])
 
     def set_hamiltonian(self, resolution: int) -> None:
         """H at the wavelets' nodes from g, without levels j > ``resolution`` (Algorithm 1, lines 2 to 14)."""
         from omtwarp.transport import paper_kernels as kernels
 
         inputs = [self._points, self.dual_map, self.squared, self._smallest]
-        self._launch(kernels.rotated_cost_gradient_kernel, len(self.dual_map), inputs, [self._field])
+        self._launch(kernels.rotated_cost_gradients, len(self.dual_map), inputs, [self._field])
         self.operators.divergence(self._field, out=self._flux)
         self.sampler.restrict(self._flux, out=self.hamiltonian)
         self.wavelets.analyse(self.hamiltonian)
@@ -227,7 +227,7 @@ class PaperFlow:
         self.sampler.interpolate(self.hamiltonian, out=self._at_vertices)
         mesh = [self.operators.vertices, self.operators.faces]
         inputs = [*mesh, self._areas, self._masses, self._at_vertices]
-        self._launch(kernels.velocity_kernel, len(self.dual_map), inputs, [self._velocity, self._rate])
+        self._launch(kernels.dual_velocity, len(self.dual_map), inputs, [self._velocity, self._rate])
         return float(np.quantile(self._rate.numpy(), WITHIN_COURANT))
 
     def advance(self, step: float) -> bool:
@@ -243,14 +243,14 @@ class PaperFlow:
         self._held.zero_()
         for _ in range(HOLDING_ROUNDS):
             inputs = [*mesh, self._velocity, self._rate, COURANT / step, self._held, step, self.map, self.dual_map]
-            self._launch(kernels.advance_kernel, count, inputs, [self._advanced])
+            self._launch(kernels.advance_map, count, inputs, [self._advanced])
             self._to_vertices(self._advanced, self._advanced_map)
             inputs = [faces, self.map, self._advanced_map]
-            self._launch(kernels.newly_flipped_kernel, count, inputs, [self._flipped])
+            self._launch(kernels.newly_flipped, count, inputs, [self._flipped])
             if not self._flipped.numpy().any():
                 return True
-            self._launch(kernels.mark_vertices_kernel, len(self.map), [*rows, self._flipped], [self._marked])
-            self._launch(kernels.hold_faces_kernel, count, [faces, self._marked], [self._held])
+            self._launch(kernels.mark_vertices, len(self.map), [*rows, self._flipped], [self._marked])
+            self._launch(kernels.hold_faces, count, [faces, self._marked], [self._held])
         return False
 
     def advanced_cost(self) -> float:

@@ -32,7 +32,7 @@ def rotated_cost_gradient(x: wp.vec3d, g: wp.vec3d, squared: wp.int32, smallest:
 
 
 @wp.kernel
-def rotated_cost_gradient_kernel(
+def rotated_cost_gradients(
     dual_points: wp.array[wp.vec3d],
     dual_map: wp.array[wp.vec3d],
     squared: wp.int32,
@@ -45,7 +45,7 @@ def rotated_cost_gradient_kernel(
 
 
 @wp.kernel
-def cost_kernel(
+def dual_costs(
     dual_points: wp.array[wp.vec3d],
     dual_map: wp.array[wp.vec3d],
     masses: wp.array[wp.float64],
@@ -61,7 +61,7 @@ def cost_kernel(
 
 
 @wp.kernel
-def to_dual_kernel(
+def average_to_dual(
     faces: wp.array2d[wp.int32],
     weights: wp.array[wp.vec3d],
     at_vertices: wp.array[wp.vec3d],
@@ -75,7 +75,7 @@ def to_dual_kernel(
 
 
 @wp.kernel
-def newly_flipped_kernel(
+def newly_flipped(
     faces: wp.array2d[wp.int32],
     before: wp.array[wp.vec3d],
     after: wp.array[wp.vec3d],
@@ -90,7 +90,7 @@ def newly_flipped_kernel(
 
 
 @wp.kernel
-def mark_vertices_kernel(
+def mark_vertices(
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     flipped: wp.array[wp.int32],
@@ -106,7 +106,7 @@ def mark_vertices_kernel(
 
 
 @wp.kernel
-def hold_faces_kernel(
+def hold_faces(
     faces: wp.array2d[wp.int32],
     marked: wp.array[wp.int32],
     # Data in and out:
@@ -118,7 +118,7 @@ def hold_faces_kernel(
 
 
 @wp.kernel
-def area_distortion_kernel(
+def area_distortions(
     faces: wp.array2d[wp.int32],
     image: wp.array[wp.vec3d],
     masses: wp.array[wp.float64],
@@ -135,7 +135,7 @@ def area_distortion_kernel(
 
 
 @wp.kernel
-def correct_and_normalise_kernel(
+def correct_and_normalise(
     correction: wp.array[wp.vec3d],
     # Data in and out:
     field: wp.array[wp.vec3d],
@@ -151,7 +151,7 @@ def hat_gradient(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
 
 
 @wp.kernel
-def velocity_kernel(
+def dual_velocity(
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     sphere_areas: wp.array[wp.float64],
@@ -179,7 +179,7 @@ def velocity_kernel(
 
 
 @wp.kernel
-def advance_kernel(
+def advance_map(
     vertices: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     velocity: wp.array[wp.vec3d],

@@ -30,7 +30,7 @@ from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, TransportMap
 from omtwarp.transport.polish_kernels import (
     cost_and_area_errors,
-    displacements,
+    displacements_to_start,
     missing_areas,
     move_by_potentials,
     weak_curl_and_area,
@@ -116,7 +116,7 @@ def polish_transport(
     kept: dict[str, float] = {}
     least, held, step, last = np.inf, 0, STEP, False
     for number in range(rounds + 1):
-        wp.launch(displacements, dim=count, inputs=[origin, points], outputs=[pull], device=where)
+        wp.launch(displacements_to_start, dim=count, inputs=[origin, points], outputs=[pull], device=where)
         launch_parts(weak_curl_and_area, count, around_vertices, where)
         vertex_sums.total(area, total)
         inputs = [wanted, area, total, wp.float64(SPHERE_AREA)]

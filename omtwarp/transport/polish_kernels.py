@@ -30,7 +30,7 @@ def cost_and_area_errors(
 
 
 @wp.kernel
-def displacements(
+def displacements_to_start(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
     # Data out:
@@ -61,7 +61,7 @@ def weak_curl_and_area(
     u is the mean of the displacements at a triangle's corners. With n the normal of length 2A and e the edge opposite
     the vertex, A J∇φ = n × (n × e) / (4A) = -A e / (2A) ... = -e / 2: the area drops out, and slivers do no harm.
     """
-    thread, _ = wp.tid()
+    thread, _compiled_once = wp.tid()
     v = first + thread
     total_curl = wp.float64(0.0)
     total_energy = wp.float64(0.0)

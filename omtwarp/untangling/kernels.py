@@ -34,13 +34,14 @@ def signed_ratio(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.f
 
 @wp.kernel
 def untangle_value(
-    sphere: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.vec3i),
-    frames: wp.array(dtype=wp.vec3d),
-    areas: wp.array(dtype=wp.float64),
-    epsilon: wp.array(dtype=wp.float64),
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
+    epsilon: wp.array[wp.float64],
     weight: wp.float64,
-    value: wp.array(dtype=wp.float64),
+    # Data out:
+    value: wp.array[wp.float64],
 ):
     t = wp.tid()
     face = faces[t]
@@ -69,17 +70,18 @@ def solid_angles(
 
 @wp.kernel
 def untangle_newton(
-    sphere: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.vec3i),
-    frames: wp.array(dtype=wp.vec3d),
-    areas: wp.array(dtype=wp.float64),
-    epsilon: wp.array(dtype=wp.float64),
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
+    epsilon: wp.array[wp.float64],
     weight: wp.float64,
-    gradient: wp.array2d(dtype=wp.float64),
-    hessian: wp.array2d(dtype=wp.float64),
+    # Data out:
+    gradient: wp.array2d[wp.float64],
+    hessian: wp.array2d[wp.float64],
 ):
     """Gradient [F, 6] and Hessian [F, 21], see :func:`packed`, in the tangent bases of the three corners."""
-    t, _ = wp.tid()
+    t, _compiled_once = wp.tid()
     face = faces[t]
     frame = frames[t]
     a = sphere[face[0]]
@@ -140,9 +142,10 @@ def untangle_newton(
 
 @wp.kernel
 def move_in_tangent(
-    sphere: wp.array(dtype=wp.vec3d),
-    step: wp.array2d(dtype=wp.float64),
-    moved: wp.array(dtype=wp.vec3d),
+    sphere: wp.array[wp.vec3d],
+    step: wp.array2d[wp.float64],
+    # Data out:
+    moved: wp.array[wp.vec3d],
 ):
     """Points moved by coordinates [V, 2] in their tangent bases and put back on the sphere."""
     i = wp.tid()

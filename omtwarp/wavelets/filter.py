@@ -57,7 +57,7 @@ class WaveletFilter:
         from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
-        wp.launch(kernels.scale_kernel, dim=len(values), inputs=[self._factors, values], device=self.device)
+        wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
 
 
 __all__ = ["WaveletFilter"]

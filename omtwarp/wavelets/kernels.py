@@ -11,7 +11,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel
-def predict_kernel(
+def predict_nodes(
     first: wp.int32,
     stencil: wp.array2d[wp.int32],
     weights: wp.array[wp.float64],
@@ -28,7 +28,7 @@ def predict_kernel(
 
 
 @wp.kernel
-def predict_adjoint_kernel(
+def predict_adjoint(
     first: wp.int32,
     offsets: wp.array[wp.int32],
     entries: wp.array[wp.int32],
@@ -48,7 +48,7 @@ def predict_adjoint_kernel(
 
 
 @wp.kernel
-def update_kernel(
+def update_nodes(
     first: wp.int32,
     offsets: wp.array[wp.int32],
     entries: wp.array[wp.int32],
@@ -68,7 +68,7 @@ def update_kernel(
 
 
 @wp.kernel
-def update_adjoint_kernel(
+def update_adjoint(
     first: wp.int32,
     parents: wp.array2d[wp.int32],
     fine_integrals: wp.array[wp.float64],
@@ -84,18 +84,31 @@ def update_adjoint_kernel(
 
 
 @wp.kernel
-def clear_from_kernel(first: wp.int32, values: wp.array[wp.float64]):
+def clear_from(
+    first: wp.int32,
+    # Data out:
+    values: wp.array[wp.float64],
+):
     values[first + wp.tid()] = ZERO
 
 
 @wp.kernel
-def scale_kernel(factors: wp.array[wp.float64], values: wp.array[wp.float64]):
+def scale_values(
+    factors: wp.array[wp.float64],
+    # Data in and out:
+    values: wp.array[wp.float64],
+):
     i = wp.tid()
     values[i] = factors[i] * values[i]
 
 
 @wp.kernel
-def dense_product_kernel(matrix: wp.array2d[wp.float64], values: wp.array[wp.float64], product: wp.array[wp.float64]):
+def dense_product(
+    matrix: wp.array2d[wp.float64],
+    values: wp.array[wp.float64],
+    # Data out:
+    product: wp.array[wp.float64],
+):
     """Small dense matrix times the first entries of ``values``."""
     i = wp.tid()
     total = wp.float64(0.0)

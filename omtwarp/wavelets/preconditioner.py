@@ -110,13 +110,13 @@ class WaveletPreconditioner:
         self.wavelets.synthesise_adjoint(values)
         inputs = [self._coarse_inverse, values]
         wp.launch(
-            kernels.dense_product_kernel,
+            kernels.dense_product,
             dim=len(self._coarse),
             inputs=inputs,
             outputs=[self._coarse],
             device=self.device,
         )
-        wp.launch(kernels.scale_kernel, dim=len(values), inputs=[self._factors, values], device=self.device)
+        wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
         wp.copy(values, self._coarse, count=len(self._coarse))
         self.wavelets.synthesise(values)
         return np.asarray(values.numpy()) if from_numpy else values

@@ -131,15 +131,15 @@ class SphereSampler:
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             return [self.points[part], *grid], [self.point_faces[part], self.coordinates[part]]
 
-        launch_parts(kernels.locate_kernel, count, arguments, self.device)
-        self._launch(kernels.sort_keys_kernel, count, [self.point_faces], [self._keys, self._order])
+        launch_parts(kernels.locate_points, count, arguments, self.device)
+        self._launch(kernels.sort_keys, count, [self.point_faces], [self._keys, self._order])
         bits = int(self.face_count - 1).bit_length()
         wp.utils.radix_sort_pairs(self._keys, self._order, count, end_bit=bits)
 
         def rows(part: slice) -> tuple[list[Any], list[Any]]:
             return [self._keys, count, part.start], [self._point_rows]
 
-        launch_parts(kernels.face_rows_kernel, self.face_count + 1, rows, self.device)
+        launch_parts(kernels.face_rows, self.face_count + 1, rows, self.device)
         self._level_masses = []
 
     def matrix(self) -> sparse.csr_matrix:
@@ -157,7 +157,7 @@ class SphereSampler:
         source, from_numpy = self._take(values, wp.float64)
         out = self._room(out, self.point_count, wp.float64)
         inputs = [self._faces, self.point_faces, self.coordinates, source]
-        self._launch(kernels.interpolate_kernel, self.point_count, inputs, [out])
+        self._launch(kernels.interpolate_at_points, self.point_count, inputs, [out])
         return out.numpy() if from_numpy else out
 
     def adjoint(self, at_points: Any, out: Any = None) -> Any:
@@ -168,7 +168,7 @@ class SphereSampler:
         source, from_numpy = self._take(at_points, wp.float64)
         out = self._room(out, self.node_count, wp.float64)
         rows, whole = [self._point_rows, self._order], [self.coordinates, source]
-        self._launch_parts(kernels.gather_scalars_to_faces_kernel, self.face_count, rows, [], whole, self._face_vectors)
+        self._launch_parts(kernels.gather_scalars_to_faces, self.face_count, rows, [], whole, self._face_vectors)
         self._gather_corners(out)
         return out.numpy() if from_numpy else out
 
@@ -202,9 +202,9 @@ class SphereSampler:
             count = self.hierarchy.node_counts[j]
             if j > 0:
                 first = self.hierarchy.node_counts[j - 1]
-                self._launch(kernels.refine_kernel, count - first, [first, self._parents[j - 1], out], [])
+                self._launch(kernels.refine_values, count - first, [first, self._parents[j - 1], out], [])
             inputs = [self._level_sums[j], self._level_masses[j], smallest]
-            self._launch(kernels.mean_kernel, count, inputs, [out])
+            self._launch(kernels.mean_values, count, inputs, [out])
         return out.numpy() if from_numpy else out
 
     def _prepare_levels(self) -> None:
@@ -227,7 +227,7 @@ class SphereSampler:
         room[self.level] = finest
         for j in reversed(range(self.level)):
             count = self.hierarchy.node_counts[j]
-            self._launch(kernels.coarsen_kernel, count, [count, *self._edge_rows[j], room[j + 1]], [room[j]])
+            self._launch(kernels.coarsen_sums, count, [count, *self._edge_rows[j], room[j + 1]], [room[j]])
         return room
 
     def gradient(self, values: Any, out: Any = None, *, smooth: bool = False) -> Any:
@@ -247,25 +247,25 @@ class SphereSampler:
         if smooth:
             self.node_gradient(source)
             inputs = [self.points, self._faces, self.point_faces, self.coordinates, self._node_vectors]
-            self._launch(kernels.point_node_gradient_kernel, self.point_count, inputs, [out])
+            self._launch(kernels.node_gradients_at_points, self.point_count, inputs, [out])
         else:
             self._face_gradients(source, weighted=False)
             inputs = [self.points, self.point_faces, self._face_vectors]
-            self._launch(kernels.point_face_gradient_kernel, self.point_count, inputs, [out])
+            self._launch(kernels.face_gradients_at_points, self.point_count, inputs, [out])
         return out.numpy() if from_numpy else out
 
     def _face_gradients(self, values: Any, weighted: bool) -> None:
-        from omtwarp.wavelets.sampling_kernels import face_gradient_kernel
+        from omtwarp.wavelets.sampling_kernels import level_face_gradients
 
         whole = [self._nodes, values, weighted]
-        self._launch_parts(face_gradient_kernel, self.face_count, [], [self._faces], whole, self._face_vectors)
+        self._launch_parts(level_face_gradients, self.face_count, [], [self._faces], whole, self._face_vectors)
 
     def _gather_corners(self, out: Any) -> None:
         """Sum at every node what the three numbers of every triangle have for it."""
-        from omtwarp.wavelets.sampling_kernels import gather_corners_to_nodes_kernel
+        from omtwarp.wavelets.sampling_kernels import gather_corners_to_nodes
 
         rows, whole = self._corner_rows, [self._face_vectors]
-        self._launch_parts(gather_corners_to_nodes_kernel, self.node_count, rows, [], whole, out)
+        self._launch_parts(gather_corners_to_nodes, self.node_count, rows, [], whole, out)
 
     def node_gradient(self, values: Any) -> Any:
         """Area-weighted means of the gradients around each node, Warp vec3d [N]: what ``smooth`` interpolates.
@@ -279,7 +279,7 @@ class SphereSampler:
         self._face_gradients(source, weighted=True)
         rows, sliced = self._corner_rows, [self._nodes, self._weights]
         gathered, out = [self._face_vectors], self._node_vectors
-        self._launch_parts(kernels.node_gradient_kernel, self.node_count, rows, sliced, gathered, out)
+        self._launch_parts(kernels.mean_node_gradients, self.node_count, rows, sliced, gathered, out)
         return self._node_vectors
 
     def gradient_adjoint(self, field: Any, out: Any = None, *, smooth: bool = False) -> Any:
@@ -296,13 +296,13 @@ class SphereSampler:
         rows, faces, nodes = [self._point_rows, self._order], [self._faces], self._nodes
         if smooth:
             whole, corners = [self.points, self.coordinates, source], self._corner_vectors
-            self._launch_parts(kernels.gather_corner_vectors_kernel, self.face_count, rows, [], whole, corners)
+            self._launch_parts(kernels.gather_corner_vectors, self.face_count, rows, [], whole, corners)
             own, vectors = [nodes, self._weights], self._node_vectors
-            self._launch_parts(kernels.node_vector_kernel, self.node_count, self._corner_rows, own, [corners], vectors)
-            whole, kernel = [nodes, vectors], kernels.spread_to_faces_kernel
+            self._launch_parts(kernels.mean_node_vectors, self.node_count, self._corner_rows, own, [corners], vectors)
+            whole, kernel = [nodes, vectors], kernels.spread_to_faces
             self._launch_parts(kernel, self.face_count, [], faces, whole, self._face_vectors)
         else:
-            whole, kernel = [nodes, self.points, source], kernels.gather_vectors_to_faces_kernel
+            whole, kernel = [nodes, self.points, source], kernels.gather_vectors_to_faces
             self._launch_parts(kernel, self.face_count, rows, faces, whole, self._face_vectors)
         self._gather_corners(out)
         return out.numpy() if from_numpy else out

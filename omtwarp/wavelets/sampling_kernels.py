@@ -39,7 +39,7 @@ def tangential(v: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
 
 
 @wp.kernel
-def locate_kernel(
+def locate_points(
     points: wp.array[wp.vec3d],
     nodes: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
@@ -80,14 +80,19 @@ def locate_kernel(
 
 
 @wp.kernel
-def sort_keys_kernel(point_faces: wp.array[wp.int32], keys: wp.array[wp.int32], order: wp.array[wp.int32]):
+def sort_keys(
+    point_faces: wp.array[wp.int32],
+    # Data out:
+    keys: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+):
     i = wp.tid()
     keys[i] = point_faces[i]
     order[i] = i
 
 
 @wp.kernel
-def face_rows_kernel(
+def face_rows(
     keys: wp.array[wp.int32],
     count: wp.int32,
     first: wp.int32,
@@ -108,7 +113,7 @@ def face_rows_kernel(
 
 
 @wp.kernel
-def interpolate_kernel(
+def interpolate_at_points(
     faces: wp.array2d[wp.int32],
     point_faces: wp.array[wp.int32],
     coordinates: wp.array[wp.vec3d],
@@ -122,7 +127,7 @@ def interpolate_kernel(
 
 
 @wp.kernel
-def gather_scalars_to_faces_kernel(
+def gather_scalars_to_faces(
     row_offsets: wp.array[wp.int32],
     order: wp.array[wp.int32],
     coordinates: wp.array[wp.vec3d],
@@ -139,7 +144,7 @@ def gather_scalars_to_faces_kernel(
 
 
 @wp.kernel
-def gather_corners_to_nodes_kernel(
+def gather_corners_to_nodes(
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     corner_sums: wp.array[wp.vec3d],
@@ -170,7 +175,7 @@ def corner_products(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: w
 
 
 @wp.kernel
-def face_gradient_kernel(
+def level_face_gradients(
     faces: wp.array2d[wp.int32],
     nodes: wp.array[wp.vec3d],
     values: wp.array[wp.float64],
@@ -189,7 +194,7 @@ def face_gradient_kernel(
 
 
 @wp.kernel
-def point_face_gradient_kernel(
+def face_gradients_at_points(
     points: wp.array[wp.vec3d],
     point_faces: wp.array[wp.int32],
     face_gradients: wp.array[wp.vec3d],
@@ -201,7 +206,7 @@ def point_face_gradient_kernel(
 
 
 @wp.kernel
-def node_gradient_kernel(
+def mean_node_gradients(
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     nodes: wp.array[wp.vec3d],
@@ -219,7 +224,7 @@ def node_gradient_kernel(
 
 
 @wp.kernel
-def point_node_gradient_kernel(
+def node_gradients_at_points(
     points: wp.array[wp.vec3d],
     faces: wp.array2d[wp.int32],
     point_faces: wp.array[wp.int32],
@@ -235,7 +240,7 @@ def point_node_gradient_kernel(
 
 
 @wp.kernel
-def gather_vectors_to_faces_kernel(
+def gather_vectors_to_faces(
     row_offsets: wp.array[wp.int32],
     order: wp.array[wp.int32],
     faces: wp.array2d[wp.int32],
@@ -254,7 +259,7 @@ def gather_vectors_to_faces_kernel(
 
 
 @wp.kernel
-def gather_corner_vectors_kernel(
+def gather_corner_vectors(
     row_offsets: wp.array[wp.int32],
     order: wp.array[wp.int32],
     points: wp.array[wp.vec3d],
@@ -279,7 +284,7 @@ def gather_corner_vectors_kernel(
 
 
 @wp.kernel
-def node_vector_kernel(
+def mean_node_vectors(
     corner_offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     nodes: wp.array[wp.vec3d],
@@ -297,7 +302,7 @@ def node_vector_kernel(
 
 
 @wp.kernel
-def spread_to_faces_kernel(
+def spread_to_faces(
     faces: wp.array2d[wp.int32],
     nodes: wp.array[wp.vec3d],
     node_vectors: wp.array[wp.vec3d],
@@ -310,7 +315,7 @@ def spread_to_faces_kernel(
 
 
 @wp.kernel
-def coarsen_kernel(
+def coarsen_sums(
     first: wp.int32,
     offsets: wp.array[wp.int32],
     entries: wp.array[wp.int32],
@@ -327,7 +332,7 @@ def coarsen_kernel(
 
 
 @wp.kernel
-def mean_kernel(
+def mean_values(
     sums: wp.array[wp.float64],
     masses: wp.array[wp.float64],
     smallest: wp.float64,
@@ -341,6 +346,11 @@ def mean_kernel(
 
 
 @wp.kernel
-def refine_kernel(first: wp.int32, parents: wp.array2d[wp.int32], values: wp.array[wp.float64]):
+def refine_values(
+    first: wp.int32,
+    parents: wp.array2d[wp.int32],
+    # Data in and out:
+    values: wp.array[wp.float64],
+):
     m = wp.tid()
     values[first + m] = HALF * (values[parents[m, 0]] + values[parents[m, 1]])

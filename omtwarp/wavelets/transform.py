@@ -99,7 +99,7 @@ class SphericalWavelets:
         from omtwarp.wavelets import kernels
 
         inputs = [level["coarse"], level["stencil"], level["weights"], sign, values]
-        wp.launch(kernels.predict_kernel, dim=level["added"], inputs=inputs, device=self.device)
+        wp.launch(kernels.predict_nodes, dim=level["added"], inputs=inputs, device=self.device)
 
     def _update(self, level: dict[str, Any], values: Any, sign: float) -> None:
         from omtwarp.device.start import wp
@@ -107,14 +107,14 @@ class SphericalWavelets:
 
         if self.lifted:
             inputs = [level["coarse"], *level["edges"], *level["integrals"], sign, values]
-            wp.launch(kernels.update_kernel, dim=level["coarse"], inputs=inputs, device=self.device)
+            wp.launch(kernels.update_nodes, dim=level["coarse"], inputs=inputs, device=self.device)
 
     def _predict_adjoint(self, level: dict[str, Any], values: Any, sign: float) -> None:
         from omtwarp.device.start import wp
         from omtwarp.wavelets import kernels
 
         inputs = [level["coarse"], *level["stencil_rows"], level["width"], level["weights"], sign, values]
-        wp.launch(kernels.predict_adjoint_kernel, dim=level["coarse"], inputs=inputs, device=self.device)
+        wp.launch(kernels.predict_adjoint, dim=level["coarse"], inputs=inputs, device=self.device)
 
     def _update_adjoint(self, level: dict[str, Any], values: Any, sign: float) -> None:
         from omtwarp.device.start import wp
@@ -122,7 +122,7 @@ class SphericalWavelets:
 
         if self.lifted:
             inputs = [level["coarse"], level["parents"], *level["integrals"], sign, values]
-            wp.launch(kernels.update_adjoint_kernel, dim=level["added"], inputs=inputs, device=self.device)
+            wp.launch(kernels.update_adjoint, dim=level["added"], inputs=inputs, device=self.device)
 
     def analyse(self, values: Any) -> None:
         """Values at nodes to coefficients, in place: SWfwd of Algorithm 1."""
@@ -171,7 +171,7 @@ class SphericalWavelets:
         first = self.hierarchy.node_counts[min(max(int(resolution) + 1, 0), self.hierarchy.level)]
         if first < self.hierarchy.node_count:
             count = self.hierarchy.node_count - first
-            wp.launch(kernels.clear_from_kernel, dim=count, inputs=[first, coefficients], device=self.device)
+            wp.launch(kernels.clear_from, dim=count, inputs=[first, coefficients], device=self.device)
 
     def _on_copy(self, values: ArrayLike, transform: Any) -> NDArray[np.float64]:
         from omtwarp.device.start import wp

@@ -20,7 +20,7 @@ from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.mesh.validate import check
-from omtwarp.wavelets.kernels import scale_kernel
+from omtwarp.wavelets.kernels import scale_values
 
 
 @pytest.fixture(scope="module")
@@ -113,8 +113,8 @@ def test_recording_changes_no_result_and_ends(device):
     factors = wp.array(np.full(5000, 2.0), dtype=wp.float64, device=device)
     values = wp.array(np.arange(5000.0), dtype=wp.float64, device=device)
     with LaunchRecorder(device) as recorder:
-        wp.launch(scale_kernel, dim=5000, inputs=[factors, values], device=device)
-        wp.launch(scale_kernel, dim=5000, inputs=[factors], outputs=[values], device=device)
+        wp.launch(scale_values, dim=5000, inputs=[factors, values], device=device)
+        wp.launch(scale_values, dim=5000, inputs=[factors], outputs=[values], device=device)
     assert wp.launch is launch
     np.testing.assert_array_equal(values.numpy(), 4.0 * np.arange(5000.0))
     (record,) = recorder.kernels.values()

@@ -5,7 +5,7 @@ import pytest
 
 from omtwarp.device.graphs import ROOM, Graph, GraphsByArray, step_by_step
 from omtwarp.device.start import wp
-from omtwarp.wavelets.kernels import clear_from_kernel, scale_kernel
+from omtwarp.wavelets.kernels import clear_from, scale_values
 
 
 class Doubling:
@@ -20,7 +20,7 @@ class Doubling:
 
     def work(self) -> None:
         self.calls += 1
-        wp.launch(scale_kernel, dim=4, inputs=[self.factors, self.values], device=self.device)
+        wp.launch(scale_values, dim=4, inputs=[self.factors, self.values], device=self.device)
 
 
 @pytest.mark.parametrize("record", [False, True])
@@ -70,11 +70,11 @@ def test_graphs_belong_to_arrays(device):
 
     def triple(values) -> None:
         calls.append("triple")
-        wp.launch(scale_kernel, dim=3, inputs=[factors, values], device=device)
+        wp.launch(scale_values, dim=3, inputs=[factors, values], device=device)
 
     def clear(values) -> None:
         calls.append("clear")
-        wp.launch(clear_from_kernel, dim=2, inputs=[1, values], device=device)
+        wp.launch(clear_from, dim=2, inputs=[1, values], device=device)
 
     arrays = [wp.ones(3, dtype=wp.float64, device=device) for _ in range(ROOM + 2)]
     for array in arrays:

@@ -47,12 +47,12 @@ def test_cores_can_be_limited(monkeypatch):
 
 
 def test_parts_cover_all_elements_on_every_device(device):
-    from omtwarp.wavelets.kernels import scale_kernel
+    from omtwarp.wavelets.kernels import scale_values
 
     size = 3 * threads.WORTHWHILE + 1
     factors = wp.array(np.full(size, 3.0), dtype=wp.float64, device=device)
     values = wp.array(np.arange(size, dtype=np.float64), dtype=wp.float64, device=device)
-    threads.launch_parts(scale_kernel, size, lambda part: ([factors[part], values[part]], []), device)
+    threads.launch_parts(scale_values, size, lambda part: ([factors[part], values[part]], []), device)
     np.testing.assert_array_equal(values.numpy(), 3.0 * np.arange(size))
 
 

@@ -16,7 +16,7 @@ from omtwarp.transport.flow import AREA_PRICE, transport_cost
 from omtwarp.transport.polish import AREA_SLACK, polish_transport
 from omtwarp.transport.polish_kernels import (
     cost_and_area_errors,
-    displacements,
+    displacements_to_start,
     move_by_potentials,
     weak_curl_and_area,
 )
@@ -142,7 +142,7 @@ def test_every_kernel_of_a_round_agrees_with_the_cpu(device):
         curl, energy, area = (wp.empty(surface.vertex_count, dtype=wp.float64, device=where) for _ in range(3))
         measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
         for kernel, size, inputs, outputs in (
-            (displacements, len(points), [origin, points], [pull]),
+            (displacements_to_start, len(points), [origin, points], [pull]),
             (weak_curl_and_area, len(points), [points, pull, faces, *rows, 0], [curl, energy, area]),
             (move_by_potentials, len(points), [points, faces, stream, potential, *rows, 0.3, 0.6, 0], [moved]),
             (cost_and_area_errors, surface.face_count, [origin, points, faces, areas, 0.1, 10.0], [measured]),

@@ -334,7 +334,7 @@ def solve_triangular(
     Their children have to be done before, or their parents; ``carried`` has room for ``stride`` numbers, one for every
     row of every front, for each right-hand side.
     """
-    r, _ = wp.tid()
+    r, _compiled_once = wp.tid()
     if transposed == 1:
         substitute_up(r, fronts, unknowns, stride, block, first, owned, starts, rows, factor, offsets, carried, x)
     else:

@@ -123,7 +123,7 @@ class MultigridSolver:
         self._x.zero_()
         self._smooth(self._direction)
         wp.launch(
-            kernels.begin,
+            kernels.cg_start,
             dim=1,
             inputs=[self._sum.products(self._rest, self._direction), self._tolerance],
             outputs=[self._scalars, self._counters],
@@ -144,14 +144,14 @@ class MultigridSolver:
         size = self._x.size
         self.matrix.multiply(self._direction, self._image)
         inputs = [self._sum.products(self._direction, self._image)]
-        wp.launch(kernels.choose_step, dim=1, inputs=inputs, outputs=state, device=device)
+        wp.launch(kernels.cg_alpha, dim=1, inputs=inputs, outputs=state, device=device)
         inputs, outputs = [self._scalars, self._direction, self._image], [self._x, self._rest]
-        wp.launch(kernels.advance, dim=size, inputs=inputs, outputs=outputs, device=device)
+        wp.launch(kernels.cg_advance, dim=size, inputs=inputs, outputs=outputs, device=device)
         self._smooth(self._smoothed)
         inputs = [self._sum.products(self._rest, self._smoothed), self.most]
-        wp.launch(kernels.choose_turn, dim=1, inputs=inputs, outputs=state, device=device)
+        wp.launch(kernels.cg_beta, dim=1, inputs=inputs, outputs=state, device=device)
         inputs = [self._scalars, self._smoothed]
-        wp.launch(kernels.turn, dim=size, inputs=inputs, outputs=[self._direction], device=device)
+        wp.launch(kernels.cg_direction, dim=size, inputs=inputs, outputs=[self._direction], device=device)
 
 
 __all__ = ["MultigridSolver", "Outcome"]

@@ -14,8 +14,8 @@ from omtwarp.solvers.multigrid import kernels
 if TYPE_CHECKING:
     from omtwarp.solvers.multigrid.hierarchy import Level, MeshHierarchy
 
-INVERT = {1: kernels.invert_diagonal_1, 2: kernels.invert_diagonal_2, 3: kernels.invert_diagonal_3}
-SWEEP = {1: kernels.sweep_1, 2: kernels.sweep_2, 3: kernels.sweep_3}
+INVERT = {1: kernels.invert_diagonal_b1, 2: kernels.invert_diagonal_b2, 3: kernels.invert_diagonal_b3}
+SWEEP = {1: kernels.gauss_seidel_b1, 2: kernels.gauss_seidel_b2, 3: kernels.gauss_seidel_b3}
 
 
 class LevelMatrix:
@@ -52,7 +52,7 @@ class LevelMatrix:
     def multiply(self, x: wp.array, out: wp.array) -> None:
         """out = A x."""
         inputs = [*self._rows, self.block, self.block, x]
-        wp.launch(kernels.multiply, dim=out.size, inputs=inputs, outputs=[out], device=self.device)
+        wp.launch(kernels.multiply_rows, dim=out.size, inputs=inputs, outputs=[out], device=self.device)
 
     def residual(self, right: wp.array, x: wp.array, out: wp.array) -> None:
         """out = right - A x."""
@@ -171,7 +171,7 @@ class VCycle:
         )
         for pivot in range(count):
             inputs = [pivot, self._scale, before]
-            wp.launch(kernels.eliminate, dim=before.shape, inputs=inputs, outputs=[after], device=self.device)
+            wp.launch(kernels.eliminate_pivot, dim=before.shape, inputs=inputs, outputs=[after], device=self.device)
             before, after = after, before
 
     def apply(self, right: wp.array, out: wp.array) -> None:
@@ -191,7 +191,7 @@ class VCycle:
         matrix.residual(right, x, self._rest[k])
         below, found = self._right[k], self._x[k]
         inputs = [*level.restriction, matrix.prolongation, b, c, self._rest[k]]
-        wp.launch(kernels.restrict, dim=below.size, inputs=inputs, outputs=[below], device=device)
+        wp.launch(kernels.restrict_to_coarse, dim=below.size, inputs=inputs, outputs=[below], device=device)
         self._descend(k + 1, below, found)
         p = level.prolongation
         inputs = [p.offsets, p.columns, matrix.prolongation, b, c, wp.float64(1.0), found, x]

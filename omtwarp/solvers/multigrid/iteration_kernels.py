@@ -17,7 +17,7 @@ BROKEN = wp.constant(2)
 
 
 @wp.kernel
-def begin(
+def cg_start(
     products: wp.array2d[wp.float64],
     tolerance: wp.array[wp.float64],
     # Data out:
@@ -38,7 +38,7 @@ def begin(
 
 
 @wp.kernel
-def choose_step(
+def cg_alpha(
     products: wp.array2d[wp.float64],
     # Data in and out:
     scalars: wp.array[wp.float64],
@@ -56,7 +56,7 @@ def choose_step(
 
 
 @wp.kernel
-def advance(
+def cg_advance(
     scalars: wp.array[wp.float64],
     direction: wp.array[wp.float64],
     image: wp.array[wp.float64],
@@ -70,7 +70,7 @@ def advance(
 
 
 @wp.kernel
-def choose_turn(
+def cg_beta(
     products: wp.array2d[wp.float64],
     most: int,
     # Data in and out:
@@ -96,7 +96,7 @@ def choose_turn(
 
 
 @wp.kernel
-def turn(
+def cg_direction(
     scalars: wp.array[wp.float64],
     smoothed: wp.array[wp.float64],
     # Data in and out:

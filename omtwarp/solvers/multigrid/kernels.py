@@ -63,7 +63,7 @@ def laplacian_diagonal(
 
 
 @wp.kernel
-def negate(
+def negate_values(
     # Data in and out:
     values: wp.array[wp.float64],
 ):
@@ -72,7 +72,7 @@ def negate(
 
 
 @wp.kernel
-def invert_diagonal_1(
+def invert_diagonal_b1(
     diagonal: wp.array[wp.int32],
     values: wp.array[wp.float64],
     # Data out:
@@ -83,7 +83,7 @@ def invert_diagonal_1(
 
 
 @wp.kernel
-def invert_diagonal_2(
+def invert_diagonal_b2(
     diagonal: wp.array[wp.int32],
     values: wp.array[wp.float64],
     # Data out:
@@ -102,14 +102,14 @@ def invert_diagonal_2(
 
 
 @wp.kernel
-def invert_diagonal_3(
+def invert_diagonal_b3(
     diagonal: wp.array[wp.int32],
     values: wp.array[wp.float64],
     # Data out:
     inverse: wp.array[wp.float64],
 ):
     """By square-root-free elimination, whose pivots stay positive where Cramer's rule loses all digits."""
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     at = 9 * diagonal[i]
     floor = RANK_FLOOR * (values[at] + values[at + 4] + values[at + 8])
     d0 = values[at] + floor
@@ -132,7 +132,7 @@ def invert_diagonal_3(
 
 
 @wp.kernel
-def sweep_1(
+def gauss_seidel_b1(
     nodes: wp.array[wp.int32],
     offsets: wp.array[wp.int32],
     columns: wp.array[wp.int32],
@@ -151,7 +151,7 @@ def sweep_1(
 
 
 @wp.kernel
-def sweep_2(
+def gauss_seidel_b2(
     nodes: wp.array[wp.int32],
     offsets: wp.array[wp.int32],
     columns: wp.array[wp.int32],
@@ -175,7 +175,7 @@ def sweep_2(
 
 
 @wp.kernel
-def sweep_3(
+def gauss_seidel_b3(
     nodes: wp.array[wp.int32],
     offsets: wp.array[wp.int32],
     columns: wp.array[wp.int32],
@@ -223,7 +223,7 @@ def row_product(
 
 
 @wp.kernel
-def multiply(
+def multiply_rows(
     offsets: wp.array[wp.int32],
     columns: wp.array[wp.int32],
     values: wp.array[wp.float64],
@@ -257,7 +257,7 @@ def multiply_and_add(
 
 
 @wp.kernel
-def restrict(
+def restrict_to_coarse(
     offsets: wp.array[wp.int32],
     nodes: wp.array[wp.int32],
     entries: wp.array[wp.int32],
@@ -305,7 +305,7 @@ def smooth_prolongation(
     prolongation: wp.array[wp.float64],
 ):
     """(I - damping D^-1 A) T, one thread per number."""
-    at, _ = wp.tid()
+    at, _compiled_once = wp.tid()
     e, u, v = block_entry(at, b, c)
     i = rows[e]
     target = targets[e]
@@ -348,7 +348,7 @@ def multiply_by_prolongation(
     product: wp.array[wp.float64],
 ):
     """A P, one thread per number."""
-    at, _ = wp.tid()
+    at, _compiled_once = wp.tid()
     e, u, v = block_entry(at, b, c)
     i = rows[e]
     total = wp.float64(0.0)
@@ -378,7 +378,7 @@ def coarse_matrix(
     coarse: wp.array[wp.float64],
 ):
     """Pᵀ (A P), one thread per number."""
-    at, _ = wp.tid()
+    at, _compiled_once = wp.tid()
     e, u, v = block_entry(at, c, c)
     total = wp.float64(0.0)
     for m in range(offsets[rows[e]], offsets[rows[e] + 1]):
@@ -411,7 +411,7 @@ def scatter_dense(
 
 
 @wp.kernel
-def eliminate(
+def eliminate_pivot(
     pivot: int,
     scale: wp.array[wp.float64],
     before: wp.array2d[wp.float64],

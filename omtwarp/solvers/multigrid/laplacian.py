@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
-from omtwarp.geometry.edge_weight_kernels import edge_weight_kernel
+from omtwarp.geometry.edge_weight_kernels import edge_weights_of_corners
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.multigrid import kernels
 from omtwarp.solvers.multigrid.conjugate_gradient import MultigridSolver, Outcome
@@ -87,10 +87,10 @@ class DeviceLaplacian:
         diagonal = wp.empty(surface.vertex_count, dtype=wp.float64, device=device)
         entries = wp.empty(len(mesh.edge_corners), dtype=wp.float64, device=device)
         inputs = [self.points, mesh.faces, mesh.edge_corners]
-        wp.launch(edge_weight_kernel, dim=entries.size, inputs=inputs, outputs=[entries], device=device)
+        wp.launch(edge_weights_of_corners, dim=entries.size, inputs=inputs, outputs=[entries], device=device)
         inputs = [hierarchy.levels[0].pattern.offsets, hierarchy.source, entries]
         wp.launch(kernels.laplacian_diagonal, dim=diagonal.size, inputs=inputs, outputs=[diagonal], device=device)
-        wp.launch(kernels.negate, dim=entries.size, outputs=[entries], device=device)
+        wp.launch(kernels.negate_values, dim=entries.size, outputs=[entries], device=device)
         solver = MultigridSolver(hierarchy, record=self._record, laplacian=True)
         solver.refresh(diagonal, entries)
         return solver
