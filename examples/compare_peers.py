@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 import omtwarp
-from omtwarp.device.start import resolve_device
+from omtwarp.device.policy import resolve_device
 from omtwarp.metrics import distortion
 from omtwarp.metrics.certificate import certify
 from omtwarp.refine.solver import Refiner

@@ -14,7 +14,8 @@ from omtwarp.baselines.barycentric import Weights, solve_barycentric
 from omtwarp.conformal import density
 from omtwarp.device.arrays import vectors
 from omtwarp.device.memory import give_back
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.guard import hold_back

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.start import resolve_device
+from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.surface import Surface, triangle_areas

@@ -38,8 +38,15 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from omtwarp.baselines import kernels
+from omtwarp.baselines.kernels import mean_value_edge_weights
+from omtwarp.conformal.centring import mobius_centring
+from omtwarp.conformal.haker import most_regular_face
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.solvers.poisson import Factorization, LaplacianSolver
 
 Array = NDArray[np.float64]
 Weights = Literal["tutte", "mean-value"]
@@ -185,9 +192,6 @@ def barycentric_weights(
     if weights == "tutte":
         per_edge = np.full((len(faces), 3), 0.5)
     else:
-        from omtwarp.baselines.kernels import mean_value_edge_weights
-        from omtwarp.device.start import resolve_device, wp
-
         where = resolve_device(device)
         vertices: Any = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=where)
         triangles: Any = wp.array(faces, dtype=wp.int32, device=where)
@@ -222,8 +226,6 @@ class _Springs:
     """The weights on a device, scaled so that the mean weight sum of a vertex is 1, and the sweeps over them."""
 
     def __init__(self, matrix: sparse.csr_matrix, device: str | None):
-        from omtwarp.device.start import resolve_device, wp
-
         self.matrix = sparse.csr_matrix(matrix / (matrix.sum() / matrix.shape[0]))
         self.degree = np.asarray(self.matrix.sum(axis=1)).ravel()
         self.count: int = self.matrix.shape[0]
@@ -235,14 +237,9 @@ class _Springs:
         self._weights: Any = wp.array(self.matrix.data, dtype=wp.float64, device=self.device)
 
     def _upload(self, points: Array):
-        from omtwarp.device.start import wp
-
         return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device=self.device)
 
     def sweep(self, points: Array) -> _State:
-        from omtwarp.baselines import kernels
-        from omtwarp.device.start import wp
-
         force = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
         tension = wp.empty(self.count, dtype=wp.float64, device=self.device)
         deviation = wp.empty_like(tension)
@@ -259,9 +256,6 @@ class _Springs:
 
     def move(self, points: Array, direction: Array, step: float) -> Array:
         """Step along the tangential part of a direction and return to the sphere."""
-        from omtwarp.baselines import kernels
-        from omtwarp.device.start import wp
-
         out = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
         inputs = [self._upload(points), self._upload(direction), wp.float64(step), out]
         wp.launch(kernels.move_on_sphere, dim=self.count, inputs=inputs, device=self.device)
@@ -274,9 +268,6 @@ class _Springs:
 
         The first vector of the frame of vertex ``aligned`` is ``axis``.
         """
-        from omtwarp.baselines import kernels
-        from omtwarp.device.start import wp
-
         u = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
         v = wp.empty_like(u)
         blocks = wp.empty(len(self._rows), dtype=wp.mat22d, device=self.device)
@@ -299,11 +290,6 @@ def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Ar
     mean of its neighbours, so the planar drawing is an embedding (Tutte 1963), and the right-hand side gives the outer
     triangle the shape that suits the weights instead of an arbitrary one.
     """
-    from omtwarp.conformal.centring import mobius_centring
-    from omtwarp.conformal.haker import most_regular_face
-    from omtwarp.mesh.surface import triangle_areas
-    from omtwarp.solvers.poisson import LaplacianSolver
-
     points = surface.scaled_vertices
     a, b, c = surface.faces[most_regular_face(points, surface.faces)]
     if weights == "tutte":
@@ -338,9 +324,6 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Progress) ->
 
     Steps are taken at right angles to the Möbius transformations and followed by the one that restores the centroid.
     """
-    from omtwarp.conformal.centring import mobius_centring
-    from omtwarp.solvers.poisson import Factorization
-
     solver = Factorization(sparse.diags(1.001 * springs.degree) - springs.matrix)
     state = springs.sweep(points)
     step = 1.0

@@ -17,6 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.start import wp
+from omtwarp.device.threads import core_count
+from omtwarp.pipeline import versions
+
 
 class Clock:
     """Wall-clock and processor seconds since it was made; the processor's are those of all threads of the process."""
@@ -77,10 +81,6 @@ def splu_reference(laplacian: Any, right: NDArray[np.float64]) -> tuple[float, f
 
 def machine(devices: tuple[str, ...]) -> dict[str, Any]:
     """What the figures were measured on."""
-    from omtwarp.device.start import wp
-    from omtwarp.device.threads import core_count
-    from omtwarp.pipeline import versions
-
     gpus = []
     for name in devices:
         device = wp.get_device(name)

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh import shapes
+from omtwarp.mesh.checks import as_surface
+from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import Surface
 
 SHAPES = ("blob", "creature", "sphere")
@@ -20,8 +23,6 @@ def made(shape: str, face_count: int) -> Surface:
     Raises:
         OmtwarpError: an unknown shape.
     """
-    from omtwarp.mesh import shapes
-
     if shape == "blob":
         return shapes.blob(seed=1, amplitude=0.3, sphere=face_count)
     if shape == "creature":
@@ -58,16 +59,12 @@ def all_meshes(
     Raises:
         OmtwarpError: a mesh cannot be read or mapped.
     """
-    from omtwarp.mesh.checks import as_surface
-
     for shape in shapes:
         for size in sorted(sizes):
             surface = made(shape, size)
             yield shape, f"{shape}_{label(surface.face_count)}", surface
     for number, mesh in enumerate(meshes):
         if isinstance(mesh, str | Path):
-            from omtwarp.mesh.read import read_mesh
-
             name = Path(mesh).stem
             read = read_mesh(Path(mesh))
             surface = as_surface((read.vertices, read.faces))

@@ -18,6 +18,8 @@ import numpy as np
 
 from omtwarp.device.graphs import step_by_step
 from omtwarp.device.start import wp
+from omtwarp.pipeline import map_to_sphere
+from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
 
 PER_THREAD = 16
 MANY_THREADS = 1024
@@ -138,8 +140,6 @@ def kernel_table(surface: Any, device: str, refine: str | float | None) -> dict[
         ``bandwidth`` (bytes per second of a copy), ``kernels``, slowest in all first: ``name``, ``launches``,
         ``seconds``, ``bytes``, ``bytes_per_second`` and ``part_of_copy``; and ``flow``, of :func:`flow_iterations`.
     """
-    from omtwarp.pipeline import map_to_sphere
-
     bandwidth = copy_bandwidth(device)
     with LaunchRecorder(device) as recorder:
         mapped = map_to_sphere((surface.vertices, surface.faces), device=device, refine=refine)
@@ -174,8 +174,6 @@ def flow_iterations(surface: Any, start: Any, initial: Any, device: str, most: i
         ``iterations``; and of one, a mean of all: ``seconds`` on the wall, ``launches``, and ``bytes`` that its kernels
         have to move (sorting, copying and clearing arrays not counted).
     """
-    from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
-
     flow = _Flow(surface, start, initial, "squared", "default", wp.get_device(device))
     iterations, points = flow.iterations(), wp.clone(flow.points)
 

@@ -10,8 +10,14 @@ import numpy as np
 
 from omtwarp.benchmark.measure import Clock, PeakMemory, first_use, machine, splu_reference
 from omtwarp.benchmark.meshes import all_meshes, made
+from omtwarp.benchmark.roofline import kernel_table
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.surface import Surface
+from omtwarp.pipeline import map_to_sphere
+from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
 
 SIZES = (5_000, 20_000, 80_000)
 # SuperLU needs about 10 kB per vertex, and minutes, beyond this many faces.
@@ -62,8 +68,6 @@ def run(
     Raises:
         OmtwarpError: an unknown shape or device, a mesh that cannot be read or mapped, or nothing to measure.
     """
-    from omtwarp.device.start import resolve_device
-
     if repeats < 1 or any(size < 100 for size in sizes):
         raise OmtwarpError("a benchmark needs at least one repeat, and sizes of at least 100 faces")
     if not meshes and not (sizes and shapes):
@@ -86,8 +90,6 @@ def run(
             largest = surface
     result["growth"] = growth_exponents(result["meshes"])
     if kernels and largest is not None:
-        from omtwarp.benchmark.roofline import kernel_table
-
         tell("timing kernels one by one")
         result["kernels"] = [kernel_table(largest, name, refine) for name in names]
     if cold:
@@ -144,9 +146,6 @@ def measure_mesh(
 
 def measure_map(surface: Surface, device: str, refine: str | float | None) -> dict[str, Any]:
     """One map from vertices and faces alone, with nothing of an earlier one kept but kernels."""
-    from omtwarp.device.start import wp
-    from omtwarp.pipeline import map_to_sphere
-
     vertices, faces = surface.vertices.copy(), surface.faces.copy()
     marks: dict[str, float] = {}
     where = wp.get_device(device)
@@ -199,17 +198,13 @@ def measure_map(surface: Surface, device: str, refine: str | float | None) -> di
 
 def reference_system(surface: Surface) -> tuple[Any, np.ndarray]:
     """The cotangent Laplacian without its first vertex, and a right-hand side."""
-    from omtwarp.geometry import cotangent_laplacian
-
     matrix = cotangent_laplacian(surface.scaled_vertices, surface.faces).tocsc()[1:, 1:]
     return matrix, np.random.default_rng(0).normal(size=matrix.shape[0])
 
 
 def factor_bytes(surface: Surface, refine: str | float | None) -> int:
     """Bytes of the largest sparse factorisation of a map: of refinement's Newton matrix, else of a Laplacian."""
-    from omtwarp.solvers.cholesky import MultifrontalCholesky
-
-    return MultifrontalCholesky(surface.dissection, block=1 if refine in (None, "none") else 2).storage
+    return MultifrontalCholesky(surface_dissection(surface), block=1 if refine in (None, "none") else 2).storage
 
 
 def _median(runs: list[dict[str, Any]]) -> dict[str, Any]:

@@ -74,7 +74,7 @@ def start_device(device: str) -> None:
         OmtwarpError: an unknown device, or CUDA asked for where there is none.
     """
     parse_device(device)  # needs no start of Warp to tell
-    from omtwarp.device.start import resolve_device
+    from omtwarp.device.policy import resolve_device
 
     resolve_device(device)
 

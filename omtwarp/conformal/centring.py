@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from omtwarp.conformal.kernels import apply_ball_inversion, weighted_moments
 from omtwarp.device.arrays import vectors
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import on_device, resolve_device
+from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.errors import OmtwarpError
-from omtwarp.solvers.poisson import on_device
 
 TOLERANCE = 1e-13
 MAXIMUM_STEPS = 100

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from omtwarp.conformal.centring import mobius_centring
 from omtwarp.conformal.kernels import project_to_sphere
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas

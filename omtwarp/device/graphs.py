@@ -13,16 +13,13 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+from omtwarp.device.policy import records_graphs
 from omtwarp.device.start import wp
 
 # So many graphs of one kind of work are kept.
 ROOM = 8
 
 _recording = True
-
-
-def _records(device: Any, record: bool | None) -> bool:
-    return bool(device.is_cuda and wp.is_conditional_graph_supported()) if record is None else record
 
 
 class Graph:
@@ -41,7 +38,7 @@ class Graph:
     def __init__(self, work: Callable[[], None], device: Any, record: bool | None = None):
         self._work = work
         self._device = wp.get_device(device)
-        self.recorded = _records(self._device, record)
+        self.recorded = records_graphs(self._device) if record is None else record
         self._graph: Any = None
 
     def __call__(self) -> None:
@@ -67,7 +64,7 @@ class GraphsByArray:
 
     def __init__(self, device: Any, record: bool | None = None):
         self._device = wp.get_device(device)
-        self._record = _records(self._device, record)
+        self._record = records_graphs(self._device) if record is None else record
         self._graphs: dict[tuple[str, int], Graph] = {}
 
     def __call__(self, work: Callable[[Any], None], array: Any) -> None:

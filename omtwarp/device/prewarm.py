@@ -12,6 +12,10 @@ import sys
 import time
 from pathlib import Path
 
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
+from omtwarp.device.threads import core_count
+
 PACKAGE = Path(__file__).parent.parent
 
 
@@ -28,9 +32,6 @@ def prewarm(device: str = "cpu") -> int:
     Args:
         device: ``cpu``, ``cuda`` or ``cuda:N``.
     """
-    from omtwarp.device.start import resolve_device, wp
-    from omtwarp.device.threads import core_count
-
     target = resolve_device(device)
     names = kernel_modules()
     for name in names:

@@ -1,7 +1,6 @@
 """Warp, started once and quietly; every module that defines or launches kernels imports ``wp`` from here.
 
-Keeping the start in one place means that ``import omtwarp`` does not pay for it and that device names are checked with
-the same words everywhere.
+Keeping the start in one place means that ``import omtwarp`` does not pay for it.
 """
 
 import contextlib
@@ -12,9 +11,6 @@ import tempfile
 from collections.abc import Iterator
 
 import warp as wp
-
-from omtwarp.errors import OmtwarpError
-from omtwarp.options import parse_device
 
 _NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
@@ -102,28 +98,4 @@ THREE = wp.constant(wp.float64(3.0))
 PI = wp.constant(wp.float64(3.141592653589793))
 
 
-def resolve_device(device: str | None = "auto") -> wp.Device:
-    """Turn ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` into a Warp device.
-
-    ``auto`` (or ``None``) is the first CUDA device when there is one and the CPU otherwise.
-
-    Raises:
-        OmtwarpError: an unknown device, or CUDA asked for where there is none.
-    """
-    if isinstance(device, wp.Device):
-        return device
-    name = parse_device(device)
-    if name == "auto":
-        return wp.get_device("cuda:0") if wp.is_cuda_available() else wp.get_device("cpu")
-    if name != "cpu" and not wp.is_cuda_available():
-        raise OmtwarpError(f"device '{name}' asked for, but this machine has no usable CUDA device: use --device cpu")
-    try:
-        return wp.get_device(name)
-    except Exception as error:
-        count = wp.get_cuda_device_count()
-        raise OmtwarpError(
-            f"device '{name}' does not exist: this machine has {count} CUDA device(s), 0 to {count - 1}"
-        ) from error
-
-
-__all__ = ["HALF", "KERNEL_OPTIONS", "ONE", "PI", "THREE", "TWO", "ZERO", "resolve_device", "wp"]
+__all__ = ["HALF", "KERNEL_OPTIONS", "ONE", "PI", "THREE", "TWO", "ZERO", "wp"]

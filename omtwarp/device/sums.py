@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from omtwarp.device.policy import adds_on_device
 from omtwarp.device.start import wp
 from omtwarp.device.sum_kernels import GROUP, LANES, finish_sum, remove_mean, sum_products, sum_rows
 
@@ -95,4 +96,9 @@ class HostSum:
         out[:1].fill_(float(a.numpy().sum()))
 
 
-__all__ = ["FEW", "DeviceSum", "HostSum", "RowSums", "partial_count"]
+def sums_for(device: wp.Device, vertices: int) -> DeviceSum | HostSum:
+    """What adds for systems on a surface: the device where they are solved there, or where the host cannot read."""
+    return DeviceSum(device) if adds_on_device(device, vertices) else HostSum()
+
+
+__all__ = ["FEW", "DeviceSum", "HostSum", "RowSums", "partial_count", "sums_for"]

@@ -10,10 +10,10 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
-Result = TypeVar("Result")
+from omtwarp.device.policy import SMALLEST_SHARED_LAUNCH, launch_parts_of
+from omtwarp.device.start import wp
 
-# Fewer elements than this are done sooner than a thread is woken.
-WORTHWHILE = 4096
+Result = TypeVar("Result")
 
 _pool: tuple[int, ThreadPoolExecutor] | None = None
 _loaded: set[tuple[Any, str]] = set()
@@ -46,8 +46,6 @@ def load(kernel: Any, device: Any) -> None:
 
     Each of them would compile it for itself, and the header before it once more.
     """
-    from omtwarp.device.start import wp
-
     if (kernel, str(device)) not in _loaded:
         # Not by the module's own method, which takes the blocks of CUDA and compiles what no launch here runs.
         wp.load_module(kernel.module, device=device, max_workers=0)
@@ -59,7 +57,7 @@ def launch_parts(
     count: int,
     arguments: Callable[[slice], tuple[list[Any], list[Any]]],
     device: Any,
-    least: int = WORTHWHILE,
+    least: int = SMALLEST_SHARED_LAUNCH,
 ) -> None:
     """Launch a kernel whose threads are independent, in one part for every core of a CPU.
 
@@ -72,18 +70,17 @@ def launch_parts(
         device: a Warp device; on CUDA there is one launch.
         least: launches with fewer threads are left whole.
     """
-    from omtwarp.device.start import wp
 
     def launch(part: slice) -> None:
         inputs, outputs = arguments(part)
         wp.launch(kernel, dim=part.stop - part.start, inputs=inputs, outputs=outputs, device=device)
 
-    cores = core_count() if wp.get_device(device).is_cpu and count >= least else 1
-    if cores == 1:
+    parts = launch_parts_of(wp.get_device(device), count, core_count(), least)
+    if parts == 1:
         launch(slice(0, count))
         return
     load(kernel, device)
-    bounds = [count * k // cores for k in range(cores + 1)]
+    bounds = [count * k // parts for k in range(parts + 1)]
     run_all(launch, [slice(a, b) for a, b in pairwise(bounds)])
 
 

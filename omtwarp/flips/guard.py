@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import list_threads, resolve_device
+from omtwarp.device.start import wp
 from omtwarp.flips.guard_kernels import HELD, count_flips, end_round, find_bad, find_bad_around, shorten_steps
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
@@ -16,8 +17,6 @@ from omtwarp.mesh.surface import Surface
 # A vertex whose step was halved this often stays where it was.
 HALVINGS = 6
 MAXIMUM_ROUNDS = 500
-# Lists of unknown length are shared between so many threads on CUDA.
-THREADS = 16384
 # A step that leaves a triangle a hundredth of its area is as good as a flip: on scanned shapes a single such triangle
 # costs the whole map's area distortion more than the step gains.
 SMALLEST_PART = 0.2
@@ -96,7 +95,7 @@ class StepGuard:
         """
         key = (old.ptr, new.ptr, rounds)
         if key not in self._ready:
-            threads = THREADS if wp.get_device(self.device).is_cuda else 1
+            threads = list_threads(wp.get_device(self.device))
             mesh = [self._faces, self._floors]
 
             def prepare(kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> Any:

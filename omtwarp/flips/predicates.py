@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.flips.guard_kernels import UNCERTAIN, certain_signs
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.flips.predicates import exact_signs, orientation_signs
 from omtwarp.flips.ring_kernels import add_turning_angles
 

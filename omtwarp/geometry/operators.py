@@ -21,7 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry import kernels
 from omtwarp.mesh.surface import Surface
 
 Array = NDArray[np.float64]
@@ -209,8 +212,6 @@ class DifferentialOperators:
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, *, device: str = "auto"):
-        from omtwarp.device.start import resolve_device, wp
-
         surface = Surface(vertices, faces)
         self.device = resolve_device(device)
         self.vertex_count, self.face_count = surface.vertex_count, surface.face_count
@@ -223,8 +224,6 @@ class DifferentialOperators:
     def _run(
         self, kernel: Any, at_faces: bool, value: Any, in_dtype: Any, out_dtype: Any, out: Any, gather: bool
     ) -> Any:
-        from omtwarp.device.start import wp
-
         from_numpy = value is not None and not isinstance(value, wp.array)
         source = (
             wp.array(np.asarray(value, dtype=np.float64), dtype=in_dtype, device=self.device) if from_numpy else value
@@ -239,30 +238,18 @@ class DifferentialOperators:
 
     def gradient(self, values: Any, out: Any = None) -> Any:
         """Gradient in each triangle, [V] -> [F, 3]: :func:`gradient_matrix` (appendix A.1)."""
-        from omtwarp.device.start import wp
-        from omtwarp.geometry import kernels
-
         return self._run(kernels.face_gradients, True, values, wp.float64, wp.vec3d, out, False)
 
     def rotate(self, field: Any, out: Any = None) -> Any:
         """J in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
-        from omtwarp.device.start import wp
-        from omtwarp.geometry import kernels
-
         return self._run(kernels.rotate_in_faces, True, field, wp.vec3d, wp.vec3d, out, False)
 
     def divergence(self, field: Any, out: Any = None) -> Any:
         """Outflow of each vertex' cell, [F, 3] -> [V]: :func:`divergence_matrix`, integrated (appendix A.2)."""
-        from omtwarp.device.start import wp
-        from omtwarp.geometry import kernels
-
         return self._run(kernels.vertex_divergence, False, field, wp.vec3d, wp.float64, out, True)
 
     def laplacian(self, values: Any, out: Any = None) -> Any:
         """:func:`cotangent_laplacian` applied, [V] -> [V] (section 4.1's D; positive semi-definite)."""
-        from omtwarp.device.start import wp
-        from omtwarp.geometry import kernels
-
         return self._run(kernels.vertex_laplacian, False, values, wp.float64, wp.float64, out, True)
 
     def interpolate_dual(self, field: Any, out: Any = None) -> Any:
@@ -273,14 +260,8 @@ class DifferentialOperators:
         functions of a flat neighbourhood whether or not triangles are obtuse. The paper says "linear interpolation"
         and no more.
         """
-        from omtwarp.device.start import wp
-        from omtwarp.geometry import kernels
-
         return self._run(kernels.interpolate_at_vertices, False, field, wp.vec3d, wp.vec3d, out, True)
 
     def voronoi_areas(self) -> Any:
         """:func:`voronoi_areas` by kernel, as a Warp array [V]."""
-        from omtwarp.device.start import wp
-        from omtwarp.geometry import kernels
-
         return self._run(kernels.vertex_voronoi_areas, False, None, None, wp.float64, None, True)

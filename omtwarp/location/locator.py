@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from omtwarp.device.arrays import triangles, vectors
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.location.kernels import box_triangles, find_closest, find_faces

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 
-if TYPE_CHECKING:
-    from omtwarp.device.start import wp
-    from omtwarp.device.surface_arrays import SurfaceArrays
-    from omtwarp.solvers.cholesky import Dissection
-
+Kind = TypeVar("Kind")
 SPHERE_AREA = 4.0 * np.pi
 
 
@@ -48,6 +47,7 @@ class Surface:
         self.checked = False
         self._given_areas = None if areas is None else scaled_areas(areas, len(self.faces))
         self._sent: dict[str, dict[str, wp.array]] = {}
+        self._kept: dict[str, Any] = {}
 
     def with_areas(self, areas: ArrayLike) -> Surface:
         """Make the same surface with another measure; what depends on shape and connectivity alone is shared.
@@ -163,18 +163,27 @@ class Surface:
             raise OmtwarpError("the surface is not closed and manifold: an edge does not have two triangles")
         return self._sides.reshape(-1, 2)
 
-    @cached_property
-    def dissection(self) -> Dissection:
-        """The order in which sparse matrices on the surface's edges are eliminated."""
-        from omtwarp.solvers.cholesky import dissect
+    def kept(self, name: str, make: Callable[[], Kind]) -> Kind:
+        """What was made of the surface's shape and connectivity under a name; made now if it is asked for first.
 
-        return dissect(self.scaled_vertices, self.edges)
+        Whoever makes something of a surface that is worth keeping keeps it here, so that it lives as long as the
+        surface and is shared by :meth:`with_areas`. It must not refer to the surface, nor depend on its measure.
+
+        Args:
+            name: of the thing, and of the device that it is on, if any.
+            make: makes it.
+        """
+        if name not in self._kept:
+            self._kept[name] = make()
+        thing: Kind = self._kept[name]
+        return thing
+
+    def let_go(self, name: str) -> None:
+        """Forget what is kept under a name; it is made again when it is asked for."""
+        self._kept.pop(name, None)
 
     def on(self, device: str | wp.Device | None) -> SurfaceArrays:
         """The arrays below on a device, for kernels; each is sent there once."""
-        from omtwarp.device.start import resolve_device
-        from omtwarp.device.surface_arrays import SurfaceArrays
-
         where = resolve_device(device)
         return SurfaceArrays(self, where, self._sent.setdefault(str(where), {}))
 
@@ -205,7 +214,7 @@ _UNWEIGHTED = frozenset(
         "vertex_corners",
         "edges",
         "edge_corners",
-        "dissection",
+        "_kept",
         "_sides",
     }
 )
@@ -232,6 +241,70 @@ def scaled_areas(areas: ArrayLike, count: int) -> NDArray[np.float64]:
         raise OmtwarpError(f"the area of triangle {first} is {given[first]:g}: every area must be positive and finite")
     given /= given.max()
     return given * (SPHERE_AREA / given.sum())
+
+
+class SurfaceArrays:
+    """Arrays of a surface on a device; kernels read them. Made by :meth:`omtwarp.mesh.surface.Surface.on`.
+
+    Each is sent when it is first asked for, and stays while the surface does. On the CPU they are the surface's own
+    arrays, without a copy.
+
+    Args:
+        surface: the surface, V vertices, F faces and E edges.
+        device: a Warp device.
+        sent: what is there already, by name; more is added.
+    """
+
+    def __init__(self, surface: Surface, device: wp.Device, sent: dict[str, wp.array]):
+        self._surface, self._device, self._sent = surface, device, sent
+
+    def _array(self, name: str, dtype: Any, part: int | None = None) -> wp.array:
+        key = name if part is None else f"{name} {part}"
+        if key not in self._sent:
+            values = getattr(self._surface, name)
+            values = np.ascontiguousarray(values if part is None else values[part])
+            self._sent[key] = wp.array(values, dtype=dtype, device=self._device, copy=False)
+        return self._sent[key]
+
+    @property
+    def vertices(self) -> wp.array:
+        """Positions, vec3d, shape [V], in the units of the input."""
+        return self._array("vertices", wp.vec3d)
+
+    @property
+    def faces(self) -> wp.array:
+        """Corners of the triangles, vec3i, shape [F]."""
+        return self._array("faces", wp.vec3i)
+
+    @property
+    def face_areas(self) -> wp.array:
+        """Areas of the scaled triangles, float64, shape [F]."""
+        return self._array("face_areas", wp.float64)
+
+    @property
+    def vertex_areas(self) -> wp.array:
+        """A third of the areas around every vertex, float64, shape [V]."""
+        return self._array("vertex_areas", wp.float64)
+
+    @property
+    def face_neighbours(self) -> wp.array:
+        """The faces across the edges of every face, vec3i, shape [F]."""
+        return self._array("face_neighbours", wp.vec3i)
+
+    @property
+    def vertex_corners(self) -> list[wp.array]:
+        """Corners around every vertex as compressed rows, int32: offsets, shape [V + 1], and corners, shape [3F]."""
+        return [self._array("vertex_corners", wp.int32, part) for part in range(2)]
+
+    @property
+    def edges(self) -> wp.array:
+        """Every edge once, vec2i, shape [E]."""
+        return self._array("edges", wp.vec2i)
+
+    @property
+    def edge_corners(self) -> wp.array:
+        """The corners opposite to every edge, vec2i, shape [E]."""
+        return self._array("edge_corners", wp.vec2i)
 
 
 def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

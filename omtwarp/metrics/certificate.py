@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import triangles, vectors
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.flips.predicates import orientation_signs
 from omtwarp.flips.rings import ring_turns
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas

@@ -12,13 +12,16 @@ both are at least 2, and 2 is perfect.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from omtwarp.device.start import wp
+from omtwarp.device.arrays import triangles, vectors
+from omtwarp.device.policy import resolve_device, shares_host_memory
+from omtwarp.device.start import wp
+from omtwarp.device.sums import DeviceSum, RowSums
+from omtwarp.metrics.kernels import not_finite, pick_values, triangle_distortion, weighted_distortions
 
 WEIGHTINGS = ("mean", "surface", "sphere")
 
@@ -81,8 +84,6 @@ def distortion(
     Returns:
         The distortion, section 6 of the paper, in all three weightings.
     """
-    from omtwarp.device.start import resolve_device, wp
-
     arrays = (array.numpy() for array in triangle_quantities(vertices, faces, sphere, resolve_device(device)))
     surface_area, sphere_area, determinant, angle, triple, solid = arrays
     finite = bool(np.isfinite(sphere.numpy() if isinstance(sphere, wp.array) else sphere).all())
@@ -97,11 +98,8 @@ def measure(
     On CUDA they are made on the device, and some twenty numbers come back instead of six for every triangle. Sums
     differ by rounding.
     """
-    from omtwarp.device.arrays import vectors
-    from omtwarp.device.start import resolve_device
-
     where = resolve_device(device)
-    if where.is_cpu:
+    if shares_host_memory(where):
         return distortion(vertices, faces, sphere, device=device).to_dict()
     points = vectors(sphere, where)
     return aggregates(triangle_quantities(vertices, faces, points, where), points)
@@ -109,10 +107,6 @@ def measure(
 
 def triangle_quantities(vertices: Any, faces: Any, sphere: Any, where: wp.Device) -> list[wp.array]:
     """Areas on surface and sphere, determinant, angle distortion, det[s0, s1, s2] and solid angle of every triangle."""
-    from omtwarp.device.arrays import triangles, vectors
-    from omtwarp.device.start import wp
-    from omtwarp.metrics.kernels import triangle_distortion
-
     inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
     count = len(inputs[2])
     outputs = [wp.empty(count, dtype=wp.float64, device=where) for _ in range(6)]
@@ -127,10 +121,6 @@ def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]
         of_triangles: float64 arrays of Warp, shape [F], in the order of :func:`summarize`.
         sphere: the map, vec3d, shape [V].
     """
-    from omtwarp.device.start import wp
-    from omtwarp.device.sums import DeviceSum, RowSums
-    from omtwarp.metrics.kernels import not_finite, pick_values, weighted_distortions
-
     surface_area, sphere_area, _, angle, *_ = of_triangles
     where, count = angle.device, angle.size
     marks = wp.empty(sphere.size, dtype=wp.float64, device=where)

@@ -40,9 +40,15 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.arrays import vectors
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.geometry import DifferentialOperators, cotangent_laplacian
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.metrics import optimality_kernels as kernels
+from omtwarp.solvers.poisson import LaplacianSolver
 
 Array = NDArray[np.float64]
 
@@ -276,9 +282,6 @@ class _Dual:
     def __init__(
         self, surface: Surface, x: Array, mass: Array, divisions: int, device: str | None, tolerance: float = TOLERANCE
     ):
-        from omtwarp.device.start import resolve_device, wp
-        from omtwarp.metrics import optimality_kernels as kernels
-
         self.device = resolve_device(device)
         self.surface, self.mass, self.divisions = surface, mass, divisions
         y, count = surface.vertices, surface.face_count
@@ -303,10 +306,6 @@ class _Dual:
 
     def initial_potential(self) -> Array:
         """The ψ that fits the middles of the admissible differences along all edges best."""
-        from omtwarp.device.start import wp
-        from omtwarp.metrics import optimality_kernels as kernels
-        from omtwarp.solvers.poisson import LaplacianSolver
-
         edges = self.surface.edges
         ends: Any = wp.array(np.ascontiguousarray(edges), dtype=wp.vec2i, device=self.device)
         low: Any = wp.empty(len(edges), dtype=wp.float64, device=self.device)
@@ -328,9 +327,6 @@ class _Dual:
 
     def bound(self, potential: Array) -> _Bound:
         """φ = the c-transform of ψ at every x_i."""
-        from omtwarp.device.start import wp
-        from omtwarp.metrics import optimality_kernels as kernels
-
         nodes = 2 * self._leaves
         nodal: Any = wp.array(potential, dtype=wp.float64, device=self.device)
         tree: list[Any] = [
@@ -380,13 +376,6 @@ class _Dual:
 
 def _curl_part(surface: Surface, log: Array, device: Any) -> tuple[float, Array]:
     """The relative curl of the displacement and its stream function H, shape [V]."""
-    from omtwarp.device.arrays import vectors
-    from omtwarp.device.start import resolve_device, wp
-    from omtwarp.geometry import DifferentialOperators, cotangent_laplacian
-    from omtwarp.mesh.surface import triangle_areas
-    from omtwarp.metrics import optimality_kernels as kernels
-    from omtwarp.solvers.poisson import LaplacianSolver
-
     where = resolve_device(device)
     mesh = surface.on(where)
     out: Any = wp.empty(surface.face_count, dtype=wp.vec3d, device=where)
@@ -405,9 +394,6 @@ def _curl_part(surface: Surface, log: Array, device: Any) -> tuple[float, Array]
 
 
 def _log_maps(base: Array, target: Array, device: str | None) -> Array:
-    from omtwarp.device.start import resolve_device, wp
-    from omtwarp.metrics import optimality_kernels as kernels
-
     where = resolve_device(device)
     out: Any = wp.empty(len(base), dtype=wp.vec3d, device=where)
     inputs: list[Any] = [wp.array(p, dtype=wp.vec3d, device=where) for p in (base, target)]

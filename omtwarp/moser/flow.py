@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
+from omtwarp.device.sums import sums_for
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, vertex_field
-from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve_arrays, sums_for
+from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve_arrays
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
 FINAL_TIME = 14.0

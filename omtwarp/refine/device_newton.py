@@ -10,7 +10,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.step_kernels import add_to_diagonal, block_traces, gather_rows, rotation_blocks
-from omtwarp.solvers.cholesky import MultifrontalCholesky
+from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
 from omtwarp.solvers.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
 from omtwarp.triangle_newton.newton import REGULARISATION, factorise_stiffened
 
@@ -98,7 +98,7 @@ class DeviceNewtonMatrix:
         diagonal, off_diagonal = (
             blocks[np.flatnonzero(kind)[np.argsort(source[kind])]] for kind in (source % 3 == 0, source % 3 == 1)
         )
-        factor = MultifrontalCholesky(self._surface.dissection, block=2)
+        factor = MultifrontalCholesky(surface_dissection(self._surface), block=2)
         factorise_stiffened(factor, diagonal, off_diagonal, 0.0, 0.0)
         return factor
 

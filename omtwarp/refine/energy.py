@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.memory import Room
+from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -89,7 +90,7 @@ class TriangleKernels:
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
         """An array for a moment: float64 of shape [rows, columns], or vec3d of shape [rows] where there are three."""
-        if self.device.is_cuda:
+        if not shares_host_memory(self.device):
             if columns == 3:
                 return wp.empty(rows, dtype=wp.vec3d, device=self.device)
             return wp.empty((rows, columns), dtype=wp.float64, device=self.device)
@@ -163,8 +164,7 @@ class DistortionEnergy:
         mesh = surface.on(device)
         own = wp.array(triangle_frames(surface), dtype=wp.vec3d, device=device, copy=False)
         self.triangles = TriangleKernels(mesh.faces, own, mesh.face_areas, mesh.vertex_corners, self.room)
-        # Beside the CPU's cores NumPy adds faster.
-        self._sums = DistortionSums(count, device) if device.is_cuda else None
+        self._sums = None if shares_host_memory(device) else DistortionSums(count, device)
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
         """Points on the device, shape [V] of vec3d; on the CPU they are the array given, which must stay as it is."""

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
@@ -111,7 +112,7 @@ def refine_map(
         weight: λ, or ``area``, ``balanced`` or ``angle`` for the values in ``WEIGHTS``. With ``area``, λ is raised
             from there where the mean area distortion is above 2.002 or its 95th percentile above 2.01: threefold,
             twice, and twice more where that is seen to bring both below.
-        device: where the kernels run; :func:`omtwarp.solvers.poisson.on_device` says where sparse systems are solved.
+        device: where the kernels run; :func:`omtwarp.device.policy.on_device` says where sparse systems are solved.
         iterations: most steps taken.
         tolerance: stop when the expected decrease of angle + λ area falls below this.
         progress: called with (text, step, most steps) after every step.

@@ -1,7 +1,7 @@
 """Newton steps of the distortion energy, corrected between factorisations by limited-memory BFGS.
 
 Nocedal and Wright, "Numerical Optimization", algorithm 7.4, with the Newton matrix as initial Hessian. On the host with
-NumPy and a factorisation, or on the device with multigrid; :func:`omtwarp.solvers.poisson.on_device` says which.
+NumPy and a factorisation, or on the device with multigrid; :func:`omtwarp.device.policy.on_device` says which.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.policy import on_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.device_newton import DeviceNewtonMatrix
@@ -25,7 +26,6 @@ from omtwarp.refine.step_kernels import (
     largest_of_strides,
     subtract_share,
 )
-from omtwarp.solvers.poisson import on_device
 from omtwarp.triangle_newton.newton import NewtonMatrix
 
 MEMORY = 8  # pairs kept by limited-memory BFGS

@@ -6,15 +6,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from omtwarp.render.arrows import Arrows
     from omtwarp.render.camera import Camera
     from omtwarp.render.light import Light
     from omtwarp.render.pictures import comparison, preview, sheet
-    from omtwarp.render.scene import ScalarField, SurfaceView, Wireframe
+    from omtwarp.render.scene import Arrows, ScalarField, SurfaceView, Wireframe
     from omtwarp.render.subject import as_surface_view, map_view
 
 _HOMES = {
-    "Arrows": "arrows",
+    "Arrows": "scene",
     "Camera": "camera",
     "Light": "light",
     "ScalarField": "scene",

@@ -2,36 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.render.colors import parse_color
-from omtwarp.render.scene import Part, SurfaceView, normalisation, welded_normals
+from omtwarp.render.scene import Arrows, Part, SurfaceView, normalisation, welded_normals
 
 _SIDES = 8
-
-
-@dataclass(eq=False)
-class Arrows:
-    """A vector field on a surface.
-
-    Attributes:
-        vectors: shape [V, 3] at the vertices or [F, 3] at the centres of the faces, in the surface's units.
-        count: about how many arrows to draw; they are thinned out evenly over the surface.
-        color: any colour.
-        length: length of the longest arrow as a part of the surface's radius.
-        uniform: draw all arrows equally long, to show directions alone.
-    """
-
-    vectors: ArrayLike
-    count: int = 350
-    color: Any = "#c2183a"
-    length: float = 0.16
-    uniform: bool = False
 
 
 def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:

@@ -15,11 +15,12 @@ from PIL import Image
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.render import annotate, gl_client, output
-from omtwarp.render.arrows import Arrows, arrow_part
+from omtwarp.render.arrows import arrow_part
 from omtwarp.render.camera import VIEWS, Camera, as_views, frame, turntable
 from omtwarp.render.colors import backdrop
 from omtwarp.render.light import Light, as_light
 from omtwarp.render.scene import (
+    Arrows,
     RenderJob,
     ScalarField,
     SurfaceView,
@@ -302,7 +303,7 @@ class _Options:
             as_light(self.light)
         backdrop(self.background, 1, 2)
         if self.device != "auto":
-            from omtwarp.device.start import resolve_device
+            from omtwarp.device.policy import resolve_device
 
             resolve_device(self.device)
         if self.backend != "warp":
@@ -384,7 +385,7 @@ def _render(job: RenderJob, backend: str, device: str) -> tuple[list[NDArray[np.
             if str(failure) not in _told:
                 _told.add(str(failure))
                 logger.warning("%s; drawing with the Warp ray caster instead", failure)
-    from omtwarp.device.start import resolve_device
+    from omtwarp.device.policy import resolve_device
     from omtwarp.render import ray_caster
 
     return ray_caster.draw(job, device), f"warp ({resolve_device(device)})"

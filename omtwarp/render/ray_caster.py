@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.render import ray_kernels as kernels
 from omtwarp.render.camera import Shot
 from omtwarp.render.colors import parse_color, srgb_to_linear

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +12,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.render.camera import Shot
 from omtwarp.render.colors import colormap_table, parse_color
 from omtwarp.render.light import Light
-
-if TYPE_CHECKING:
-    from omtwarp.render.arrows import Arrows
 
 CLAY = (0.80, 0.79, 0.77)
 
@@ -69,6 +66,25 @@ class ScalarField:
                 values = np.log(values)
             low, high = np.log(low), np.log(high)
         return np.clip((values - low) / (high - low), 0.0, 1.0)
+
+
+@dataclass(eq=False)
+class Arrows:
+    """A vector field on a surface.
+
+    Attributes:
+        vectors: shape [V, 3] at the vertices or [F, 3] at the centres of the faces, in the surface's units.
+        count: about how many arrows to draw; they are thinned out evenly over the surface.
+        color: any colour.
+        length: length of the longest arrow as a part of the surface's radius.
+        uniform: draw all arrows equally long, to show directions alone.
+    """
+
+    vectors: ArrayLike
+    count: int = 350
+    color: Any = "#c2183a"
+    length: float = 0.16
+    uniform: bool = False
 
 
 @dataclass(eq=False)

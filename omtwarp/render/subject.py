@@ -11,7 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.inputs import read_bytes
+from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.read import read_mesh as read_triangles
+from omtwarp.mesh.scenes import load_scene, scene_formats
 from omtwarp.render.scene import SurfaceView, as_image
+from omtwarp.texturing.image import read_image as read_picture
 
 
 def as_surface_view(subject: Any, image: Any = None) -> SurfaceView:
@@ -102,8 +107,6 @@ def read_image(image: Any) -> NDArray[np.uint8]:
     """
     if not isinstance(image, (str, os.PathLike)):
         return as_image(image)
-    from omtwarp.texturing.image import read_image as read_picture
-
     return as_image(read_picture(image))
 
 
@@ -114,11 +117,6 @@ def read_mesh(path: Path) -> Any:
         OmtwarpError: the file is missing, unreadable, or holds no triangles.
     """
     import trimesh
-
-    from omtwarp.inputs import read_bytes
-    from omtwarp.limits import LARGEST_MESH_FILE
-    from omtwarp.mesh.read import read_mesh as read_triangles
-    from omtwarp.mesh.scenes import load_scene, scene_formats
 
     suffix = path.suffix.lower().lstrip(".")
     if suffix not in scene_formats():  # one without colours or textures

@@ -13,6 +13,8 @@ import numpy as np
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
+from omtwarp.metrics.certificate import certify
+from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.reporting import sections
 from omtwarp.reporting.scene import (
     ANGLE_COLOURS,
@@ -26,6 +28,10 @@ from omtwarp.reporting.scene import (
     make_scene,
 )
 from omtwarp.reporting.stages import Stage, stages_of
+from omtwarp.texturing import read_image
+from omtwarp.texturing.patterns import Pattern
+from omtwarp.texturing.patterns import pattern as pattern_by_name
+from omtwarp.texturing.rasterizing import rasterize
 
 MOST_EDGES = 60_000  # faces: the edges of more would leave nothing to see of what is between them
 TEXTURES = {"circles": "Circles of equal size", "puzzle": "A jigsaw puzzle", "globe": "A globe", "checker": "A checker"}
@@ -93,10 +99,6 @@ def report_page(
     Raises:
         OmtwarpError: as :func:`write_report`.
     """
-    from omtwarp.metrics.certificate import certify
-    from omtwarp.texturing import read_image
-    from omtwarp.texturing.patterns import pattern as pattern_by_name
-
     if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal", "distortion", "report")):
         raise OmtwarpError(f"cannot report on a {type(result).__name__}: give a result of map_to_sphere")
     texture = read_image(image) if image is not None else pattern_by_name(pattern)
@@ -206,9 +208,6 @@ def _stills(
     result: Any, stages: Sequence[Stage], texture: Any, up: str | None, size: int, device: str
 ) -> dict[str, str]:
     """Pictures of the first and the last stage as data URIs, by key: the surface, and ``sphere KEY``."""
-    from omtwarp.render import Camera, ScalarField, SurfaceView, preview
-    from omtwarp.texturing.patterns import Pattern, rasterize
-
     picture = rasterize(texture, 2048, device=device) if isinstance(texture, Pattern) else texture
     found = {}
     for stage in (stages[0], stages[-1])[: len(stages)]:

@@ -16,8 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.device.policy import resolve_device
+from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.render.camera import DEFAULT_FRONT, axis_vector
+from omtwarp.render.colors import colormap_table
 from omtwarp.reporting.stages import Stage
+from omtwarp.start.decimation import simplify
+from omtwarp.texturing.atlas import Cube
+from omtwarp.texturing.baking import bake
+from omtwarp.texturing.image import as_bytes
+from omtwarp.texturing.textured import vertex_normals
 
 Floats = NDArray[np.float64]
 
@@ -71,9 +79,6 @@ def make_scene(result: Any, stages: list[Stage], texture: Any, *, up: str | None
         up: the surface's upward axis; y by default.
         device: where the texture is baked.
     """
-    from omtwarp.render.camera import DEFAULT_FRONT
-    from omtwarp.texturing.textured import vertex_normals
-
     vertices, faces = shown_mesh(result.vertices, result.faces)
     used, corners = np.unique(faces, return_inverse=True)
     triangles = corners.reshape(-1, 3).astype(np.int32)
@@ -120,10 +125,6 @@ def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACE
     """The mesh itself, or a simplified one on a part of its vertices, numbered as before."""
     if len(faces) <= most:
         return vertices, faces
-    from omtwarp.device.start import resolve_device
-    from omtwarp.mesh.surface import Surface
-    from omtwarp.start.decimation import simplify
-
     for level in simplify(Surface(vertices, faces), resolve_device("cpu")).levels:
         if len(level.face_masses) <= most:
             tails = np.repeat(level.vertices, np.diff(level.offsets))
@@ -177,10 +178,6 @@ def cube_faces(texture: Any, size: int = 512, *, device: str = "auto") -> list[s
     """
     from PIL import Image
 
-    from omtwarp.texturing.atlas import Cube
-    from omtwarp.texturing.baking import bake
-    from omtwarp.texturing.image import as_bytes
-
     atlas = Cube(size, gutter=0)
     baked = as_bytes(bake(texture, atlas, device=device))[..., :3]
     photograph = len(np.unique(baked[::4, ::4].reshape(-1, 3), axis=0)) > 4096
@@ -213,8 +210,6 @@ def data_uri(image: Any, kind: str) -> str:
 
 def colour_ramp(name: str, part: float = 1.0, count: int = 64) -> str:
     """The first part of a colour map as hexadecimal text, two digits a channel."""
-    from omtwarp.render.colors import colormap_table
-
     return colormap_table(name, round(count / part))[:count].tobytes().hex()
 
 
@@ -228,7 +223,5 @@ def _levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
 
 def _axes(up: str, front: str) -> Floats:
     """Rows: the surface's axes that go right, up and towards the viewer."""
-    from omtwarp.render.camera import axis_vector
-
     upward, forward = axis_vector(up), axis_vector(front)
     return np.stack([np.cross(upward, forward), upward, forward])

@@ -6,9 +6,8 @@ and multigrid on the device (:mod:`omtwarp.solvers.multigrid`).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sparse
@@ -16,39 +15,13 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.start import resolve_device, wp
-from omtwarp.device.sums import DeviceSum, HostSum
+from omtwarp.device.policy import on_device, resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface
-
-if TYPE_CHECKING:
-    from omtwarp.solvers.multigrid import DeviceLaplacian
-
-
-SOLVERS = ("auto", "host", "device")
-# An iteration on the device is a hundred launches or more, whatever the size of the mesh: below so many vertices they
-# have next to nothing to do, and the host has factorised a Laplacian in 0.03 s.
-DEVICE_VERTICES = 30_000
-
-
-def on_device(device: wp.Device, vertices: int) -> bool:
-    """Whether systems on a surface of so many vertices are solved on the device.
-
-    They are on CUDA where the surface is large. The environment variable ``OMTWARP_SOLVER`` overrides that: ``host`` or
-    ``device`` everywhere, the CPU included; ``auto`` is the rule above.
-
-    Raises:
-        OmtwarpError: the variable holds something else.
-    """
-    wanted = os.environ.get("OMTWARP_SOLVER") or "auto"
-    if wanted not in SOLVERS:
-        raise OmtwarpError(f"unknown OMTWARP_SOLVER '{wanted}': use {', '.join(SOLVERS)}")
-    return wanted == "device" or (wanted == "auto" and device.is_cuda and vertices > DEVICE_VERTICES)
-
-
-def sums_for(device: wp.Device, vertices: int) -> DeviceSum | HostSum:
-    """What adds for systems on a surface: the device where they are solved there, or where the host cannot read."""
-    return DeviceSum(device) if device.is_cuda or on_device(device, vertices) else HostSum()
+from omtwarp.solvers.cholesky import MultifrontalCholesky, NotPositiveDefinite, surface_dissection
+from omtwarp.solvers.multigrid import DeviceLaplacian
 
 
 class PoissonSolver(Protocol):
@@ -143,8 +116,6 @@ class SurfaceLaplacianSolver:
         self._iterative: DeviceLaplacian | None = None
         self._direct: PoissonSolver | None = None
         if on_device(where, surface.vertex_count):
-            from omtwarp.solvers.multigrid import DeviceLaplacian
-
             self._iterative = DeviceLaplacian(surface, wp.clone(vectors(points, where)))
         else:
             on_host = points.numpy() if isinstance(points, wp.array) else points
@@ -202,9 +173,6 @@ class _SurfaceFactorization:
     """The direct solution on the host; arguments as of :class:`SurfaceLaplacianSolver`."""
 
     def __init__(self, surface: Surface, points: NDArray[np.float64], pinned: int = 0):
-        from omtwarp.geometry.edge_weights import cotangent_edge_weights
-        from omtwarp.solvers.cholesky import MultifrontalCholesky, NotPositiveDefinite
-
         edges = surface.edges
         weights = cotangent_edge_weights(surface, points)
         count = surface.vertex_count
@@ -213,7 +181,7 @@ class _SurfaceFactorization:
         joined = (edges[:, 0] != pinned) & (edges[:, 1] != pinned)
         self._pinned = pinned
         self._fallback: LaplacianSolver | None = None
-        self._factor = MultifrontalCholesky(surface.dissection)
+        self._factor = MultifrontalCholesky(surface_dissection(surface))
         try:
             typical = float(np.median(diagonal))
             self._factor.factorise(

@@ -14,7 +14,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.surface import Surface

@@ -10,7 +10,7 @@ _HOMES = {
     "TexturedSurface": "textured",
     "texture": "textured",
     "pattern": "patterns",
-    "rasterize": "patterns",
+    "rasterize": "rasterizing",
     "Pattern": "patterns",
     "PATTERNS": "patterns",
     "make_atlas": "atlas",

@@ -11,16 +11,14 @@ import os
 import struct
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import MARK, companion, staged
-
-if TYPE_CHECKING:
-    from omtwarp.texturing.textured import TexturedSurface
+from omtwarp.texturing.mesh import TexturedMesh
 
 SUFFIXES = (".glb", ".obj", ".ply")
 REPEAT, CLAMP = 10497, 33071  # glTF 2.0, sampler.wrapS and wrapT
@@ -43,7 +41,7 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
     return suffix
 
 
-def export(textured: TexturedSurface, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+def export(textured: TexturedMesh, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
     """Write a textured surface in the format of the path's suffix.
 
     Args:
@@ -94,7 +92,7 @@ def _single(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
-def glb_bytes(textured: TexturedSurface) -> bytes:
+def glb_bytes(textured: TexturedMesh) -> bytes:
     """A binary glTF 2.0 file: one mesh, one PBR material with the texture embedded, lit from any side the same way."""
     position = _single("positions", textured.vertices)
     normal = _single("normals", textured.normals)
@@ -195,7 +193,7 @@ def _lines(prefix: str, rows: NDArray, form: str) -> str:
     return (pattern * len(rows)) % tuple(rows.ravel().tolist())
 
 
-def obj_files(textured: TexturedSurface, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
+def obj_files(textured: TexturedMesh, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
     """An OBJ with its material and picture, the OBJ last.
 
     Positions and normals are written once per vertex of the uncut mesh (the input's vertices first, in their order);
@@ -237,7 +235,7 @@ def obj_files(textured: TexturedSurface, place: Path, *, keep: Iterable[Path | N
     return [(picture, png_bytes(textured.image)), (material, "\n".join(lines).encode()), (place, text.encode())]
 
 
-def ply_bytes(textured: TexturedSurface) -> bytes:
+def ply_bytes(textured: TexturedMesh) -> bytes:
     """A binary PLY of the **input's** vertices and faces, unchanged and in their order, with a colour per vertex."""
     vertices, faces = textured.original_vertices, textured.original_faces
     record = np.dtype(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from omtwarp.texturing.atlas import Atlas
 from omtwarp.texturing.cutting import CutMesh, normalised
+from omtwarp.texturing.openness import face_openness
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -167,8 +168,6 @@ def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats, *, can
         sphere: the map, in the frame in which longitude is meant, shape [V, 3].
         candidates: how many meridians are compared, evenly spaced.
     """
-    from omtwarp.texturing.openness import face_openness
-
     weight = 0.1 + face_openness(vertices, faces)
     scale = np.ptp(vertices, axis=0).max()
     x = (vertices - vertices.min(axis=0)) / scale

@@ -4,122 +4,31 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
+from omtwarp.texturing.atlas import Equirectangular, make_atlas
+from omtwarp.texturing.baking import bake
+from omtwarp.texturing.export import export
 from omtwarp.texturing.image import as_bytes, read_image
+from omtwarp.texturing.mesh import TexturedMesh
+from omtwarp.texturing.patterns import Pattern
+from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
-
-if TYPE_CHECKING:
-    import trimesh
-    from PIL.Image import Image
-
-    from omtwarp.texturing.patterns import Pattern
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@dataclass
-class TexturedSurface:
-    """A mesh cut along the seams of its texture, and the texture.
-
-    The surface is the input's, to round-off. The input's vertices come first, in their order; copies of them at seams
-    and the few vertices made by cuts follow.
-
-    Attributes:
-        vertices: float64, shape [N, 3], in the units of the input.
-        faces: int32, shape [M, 3].
-        uv: texture coordinates, float64, shape [N, 2], v up (0 is the bottom row of the image).
-        normals: unit vectors, shape [N, 3], from the uncut mesh: the same on both sides of a seam.
-        image: uint8, shape [H, W, 3], or [H, W, 4] where something is transparent; row 0 on top.
-        sphere: the map at every vertex, unit vectors, shape [N, 3].
-        source_vertex: the input's vertex that each vertex is or is a copy of, -1 for one made by a cut, shape [N].
-        source_face: the input's face that each face is a part of, shape [M].
-        welded: vertices with the same number are the same point of the uncut mesh, shape [N].
-        chart: chart of the atlas that each face lies in, shape [M].
-        atlas: how the sphere is laid out on the image.
-        rotation: the texture's rotation on the sphere, shape [3, 3].
-        original_vertices, original_faces, original_sphere: the input.
-        source_image: the file that the texture was made from, if any; an export never replaces it.
-    """
-
-    vertices: Floats
-    faces: Ints
-    uv: Floats
-    normals: Floats
-    image: NDArray[np.uint8]
-    sphere: Floats
-    source_vertex: Ints
-    source_face: Ints
-    welded: Ints
-    chart: Ints
-    atlas: Atlas
-    rotation: Floats
-    original_vertices: Floats = field(repr=False)
-    original_faces: Ints = field(repr=False)
-    original_sphere: Floats = field(repr=False)
-    source_image: Path | None = field(default=None, repr=False)
-
-    def __repr__(self) -> str:
-        height, width = self.image.shape[:2]
-        return (
-            f"TexturedSurface({self.original_vertex_count} vertices cut into {len(self.vertices)}, "
-            f"{len(self.faces)} faces, {self.atlas.name} texture {width}x{height})"
-        )
-
-    @property
-    def original_vertex_count(self) -> int:
-        """How many vertices the input has: they are the first ones."""
-        return len(self.original_vertices)
-
-    @property
-    def wraps(self) -> bool:
-        """Whether the image is periodic in u, so that a sampler has to repeat there (and clamp in v)."""
-        return self.atlas.wraps
-
-    @property
-    def vertex_colours(self) -> NDArray[np.uint8]:
-        """Red, green, blue and alpha of the texture at the input's vertices, uint8, shape [V, 4]."""
-        from omtwarp.texturing.baking import sample
-
-        values = sample(self.image, self.original_sphere @ self.rotation, self.atlas, device="cpu")
-        colours = np.full((len(values), 4), 255, dtype=np.uint8)
-        colours[:, : values.shape[1]] = as_bytes(values.astype(np.float32))
-        return colours
-
-    def pil(self) -> Image:
-        """The texture as a PIL image."""
-        from PIL import Image
-
-        return Image.fromarray(self.image)
-
-    def trimesh(self) -> trimesh.Trimesh:
-        """The cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
-        import trimesh
-
-        material = trimesh.visual.material.PBRMaterial(
-            name="texture",
-            baseColorTexture=self.pil(),
-            baseColorFactor=[255, 255, 255, 255],
-            metallicFactor=0.0,
-            roughnessFactor=0.65,
-        )
-        return trimesh.Trimesh(
-            vertices=self.vertices,
-            faces=self.faces,
-            vertex_normals=self.normals,
-            visual=trimesh.visual.TextureVisuals(uv=self.uv, material=material),
-            process=False,
-            validate=False,
-        )
+@dataclass(repr=False)
+class TexturedSurface(TexturedMesh):
+    """A textured mesh that can be written to files; the attributes are those of the mesh."""
 
     def export(self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
         """Write the textured surface.
@@ -138,8 +47,6 @@ class TexturedSurface:
         Raises:
             OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
         """
-        from omtwarp.texturing.export import export
-
         return export(self, path, keep=keep)
 
 
@@ -212,12 +119,8 @@ def texture(
         layout = make_atlas(atlas, size, seam=np.pi + 2.0 * np.pi * columns / layout.width)  # type: ignore[assignment]
         texels = np.roll(as_bytes(picture), -columns, axis=1)
     else:
-        from omtwarp.texturing.baking import bake
-
         source = picture if picture is not None else (pattern if pattern is not None else "circles")
         if isinstance(source, str):
-            from omtwarp.texturing.patterns import pattern as by_name
-
             source = by_name(source)
         texels = as_bytes(bake(source, layout, projection=projection, device=device))
     if texels.shape[2] == 4 and texels[..., 3].min() == 255:

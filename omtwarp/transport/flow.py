@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.graphs import Graph
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard

@@ -42,10 +42,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Cost, choose
+from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
 V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)
@@ -110,9 +112,6 @@ class PaperFlow:
         butterfly: bool = False,
         device: str = "auto",
     ) -> None:
-        from omtwarp.device.start import wp
-        from omtwarp.transport import paper_kernels as kernels
-
         surface = Surface(conformal, faces)
         start = np.ascontiguousarray(initial_map, dtype=np.float64)
         masses = np.array(face_areas_on_surface, dtype=np.float64)
@@ -176,37 +175,27 @@ class PaperFlow:
         self.mean_displacement = mean
 
     def _launch(self, kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
-        from omtwarp.device.start import wp
-
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
     def cost_of(self, dual_map: Any) -> float:
         """M(g), equation (6): the sum over triangles of surface area times Phi at the dual vertex."""
-        from omtwarp.transport import paper_kernels as kernels
-
         inputs = [self._points, dual_map, self._masses, self.squared]
         self._launch(kernels.dual_costs, len(dual_map), inputs, [self._per_face])
         return float(self._per_face.numpy().sum())
 
     def area_of(self, image: Any) -> float:
         """Mean of r + 1/r over the image of the mesh, r = image area / surface area of a triangle."""
-        from omtwarp.transport import paper_kernels as kernels
-
         inputs = [self.operators.faces, image, self._masses]
         self._launch(kernels.area_distortions, len(self.dual_map), inputs, [self._per_face, self._image_areas])
         return float(self._per_face.numpy().sum() / self._image_areas.numpy().sum())
 
     def _to_vertices(self, dual_map: Any, out: Any) -> None:
         """g at the mesh vertices from the dual ones (Algorithm 1, lines 7 and 8)."""
-        from omtwarp.transport import paper_kernels as kernels
-
         self.operators.interpolate_dual(dual_map, out=out)
         self._launch(kernels.correct_and_normalise, len(out), [self._correction, out], [])
 
     def set_hamiltonian(self, resolution: int) -> None:
         """H at the wavelets' nodes from g, without levels j > ``resolution`` (Algorithm 1, lines 2 to 14)."""
-        from omtwarp.transport import paper_kernels as kernels
-
         inputs = [self._points, self.dual_map, self.squared, self._smallest]
         self._launch(kernels.rotated_cost_gradients, len(self.dual_map), inputs, [self._field])
         self.operators.divergence(self._field, out=self._flux)
@@ -222,8 +211,6 @@ class PaperFlow:
 
     def set_velocity(self) -> float:
         """v at the dual vertices (Algorithm 1, line 16); returns the largest rate |v| / (triangle size)."""
-        from omtwarp.transport import paper_kernels as kernels
-
         self.sampler.interpolate(self.hamiltonian, out=self._at_vertices)
         mesh = [self.operators.vertices, self.operators.faces]
         inputs = [*mesh, self._areas, self._masses, self._at_vertices]
@@ -235,8 +222,6 @@ class PaperFlow:
 
         Where it turns triangles over, the step is repeated with the flow held still around them.
         """
-        from omtwarp.transport import paper_kernels as kernels
-
         mesh = [self.operators.vertices, self.operators.faces]
         rows = [self.operators.corner_offsets, self.operators.corners]
         faces, count = self.operators.faces, len(self.dual_map)

@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.start import resolve_device, wp
-from omtwarp.device.sums import RowSums
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
+from omtwarp.device.sums import RowSums, sums_for
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.solvers.poisson import SurfaceLaplacianSolver, sums_for
+from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, TransportMap
 from omtwarp.transport.polish_kernels import (

@@ -13,7 +13,7 @@ from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect
+from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect, surface_dissection
 from omtwarp.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 
 REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
@@ -61,7 +61,7 @@ class NewtonMatrix:
         """The matrix over all vertices of a surface."""
         mesh = surface.on("cpu")
         arrays = mesh.faces, mesh.edges, mesh.edge_corners, mesh.vertex_corners
-        return cls(*arrays, surface.dissection, room=room)
+        return cls(*arrays, surface_dissection(surface), room=room)
 
     @classmethod
     def of_patches(cls, patches: Patches, points: NDArray[np.float64], room: Room | None = None) -> NewtonMatrix:

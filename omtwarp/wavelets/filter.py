@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.start import wp
+from omtwarp.wavelets import kernels
 from omtwarp.wavelets.hierarchy import SphereHierarchy
 from omtwarp.wavelets.transform import SphericalWavelets
 
@@ -33,8 +35,6 @@ class WaveletFilter:
         butterfly: bool = False,
         device: str = "auto",
     ) -> None:
-        from omtwarp.device.start import wp
-
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.device = self.wavelets.device
         kept = np.array(factors, dtype=np.float64)
@@ -54,9 +54,6 @@ class WaveletFilter:
         self.wavelets.analyse_adjoint(values)
 
     def _scale(self, values: Any) -> None:
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import kernels
-
         wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
 
 

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from omtwarp.device.start import wp
 from omtwarp.geometry import cotangent_laplacian
+from omtwarp.wavelets import kernels
 from omtwarp.wavelets.hierarchy import SphereHierarchy
 from omtwarp.wavelets.transform import SphericalWavelets
 
@@ -75,8 +77,6 @@ class WaveletPreconditioner:
         damping: NDArray[np.float64] | None = None,
         device: str = "auto",
     ) -> None:
-        from omtwarp.device.start import wp
-
         self.hierarchy = hierarchy
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.device = self.wavelets.device
@@ -97,9 +97,6 @@ class WaveletPreconditioner:
         The constant part of the right-hand side is ignored, and H is defined up to a constant. With Warp arrays, H can
         be written to ``out``.
         """
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import kernels
-
         from_numpy = not isinstance(right_hand_side, wp.array)
         values: Any
         if from_numpy:

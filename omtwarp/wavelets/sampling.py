@@ -13,8 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
+from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
+from omtwarp.wavelets import sampling_kernels as kernels
 from omtwarp.wavelets.hierarchy import SphereHierarchy
+from omtwarp.wavelets.sampling_kernels import (
+    gather_corners_to_nodes,
+    level_face_gradients,
+)
 from omtwarp.wavelets.transform import transposed_rows
 
 
@@ -41,8 +49,6 @@ class SphereSampler:
     def __init__(
         self, hierarchy: SphereHierarchy, points: Any, *, level: int | None = None, device: str = "auto"
     ) -> None:
-        from omtwarp.device.start import resolve_device, wp
-
         self.hierarchy = hierarchy
         self.level = hierarchy.level if level is None else int(level)
         if not 0 <= self.level <= hierarchy.level:
@@ -85,15 +91,12 @@ class SphereSampler:
         self.locate(points)
 
     def _launch(self, kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
-        from omtwarp.device.start import wp
-
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
     def _launch_parts(
         self, kernel: Any, size: int, rows: list[Any], sliced: list[Any], whole: list[Any], out: Any
     ) -> None:
         """Launch on all cores a kernel of compressed rows (or none), arrays with an element per thread, and others."""
-        from omtwarp.device.threads import launch_parts
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             own = [rows[0][part.start : part.stop + 1], rows[1]] if rows else []
@@ -102,15 +105,11 @@ class SphereSampler:
         launch_parts(kernel, size, arguments, self.device)
 
     def _take(self, array: Any, dtype: Any) -> tuple[Any, bool]:
-        from omtwarp.device.start import wp
-
         if isinstance(array, wp.array):
             return array, False
         return wp.array(np.asarray(array, dtype=np.float64), dtype=dtype, device=self.device), True
 
     def _room(self, out: Any, size: int, dtype: Any) -> Any:
-        from omtwarp.device.start import wp
-
         return wp.empty(size, dtype=dtype, device=self.device) if out is None else out
 
     def locate(self, points: Any) -> None:
@@ -118,10 +117,6 @@ class SphereSampler:
 
         A Warp array is kept by reference, not copied.
         """
-        from omtwarp.device.start import wp
-        from omtwarp.device.threads import launch_parts
-        from omtwarp.wavelets import sampling_kernels as kernels
-
         if len(points) != self.point_count:
             raise OmtwarpError(f"expected {self.point_count} points, got {len(points)}")
         self.points, _ = self._take(points, wp.vec3d)
@@ -151,9 +146,6 @@ class SphereSampler:
 
     def interpolate(self, values: Any, out: Any = None) -> Any:
         """A function of the nodes, [N], at the points, [P]: linear in each triangle, constants exact."""
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import sampling_kernels as kernels
-
         source, from_numpy = self._take(values, wp.float64)
         out = self._room(out, self.point_count, wp.float64)
         inputs = [self._faces, self.point_faces, self.coordinates, source]
@@ -162,9 +154,6 @@ class SphereSampler:
 
     def adjoint(self, at_points: Any, out: Any = None) -> Any:
         """The transpose of :meth:`interpolate`, [P] -> [N]; the sum is kept."""
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import sampling_kernels as kernels
-
         source, from_numpy = self._take(at_points, wp.float64)
         out = self._room(out, self.node_count, wp.float64)
         rows, whole = [self._point_rows, self._order], [self.coordinates, source]
@@ -174,8 +163,6 @@ class SphereSampler:
 
     def set_masses(self, masses: Any) -> None:
         """Give the (positive) masses of the points, shape [P], that :meth:`restrict` divides by."""
-        from omtwarp.device.start import wp
-
         source, _ = self._take(masses, wp.float64)
         self._prepare_levels()
         self._level_masses = self._coarsen(self.adjoint(source), [wp.empty_like(a) for a in self._level_sums])
@@ -187,9 +174,6 @@ class SphereSampler:
         edge, from the finest level that has points near it, so that the result is defined everywhere; constants are
         exact. Call :meth:`set_masses` first.
         """
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import sampling_kernels as kernels
-
         if not self._level_masses:
             raise OmtwarpError("give the points' masses (set_masses) before restricting to the nodes")
         source, from_numpy = self._take(sums, wp.float64)
@@ -208,8 +192,6 @@ class SphereSampler:
         return out.numpy() if from_numpy else out
 
     def _prepare_levels(self) -> None:
-        from omtwarp.device.start import wp
-
         if self._edge_rows is not None:
             return
         self._edge_rows = []
@@ -221,8 +203,6 @@ class SphereSampler:
         self._level_sums = [wp.empty(count, dtype=wp.float64, device=self.device) for count in counts]
 
     def _coarsen(self, finest: Any, room: list[Any]) -> list[Any]:
-        from omtwarp.wavelets import sampling_kernels as kernels
-
         assert self._edge_rows is not None
         room[self.level] = finest
         for j in reversed(range(self.level)):
@@ -239,9 +219,6 @@ class SphereSampler:
             smooth: interpolate linearly between area-weighted means of the gradients around each node (continuous over
                 the sphere); else take the constant gradient of the triangle each point is in.
         """
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import sampling_kernels as kernels
-
         source, from_numpy = self._take(values, wp.float64)
         out = self._room(out, self.point_count, wp.vec3d)
         if smooth:
@@ -255,15 +232,11 @@ class SphereSampler:
         return out.numpy() if from_numpy else out
 
     def _face_gradients(self, values: Any, weighted: bool) -> None:
-        from omtwarp.wavelets.sampling_kernels import level_face_gradients
-
         whole = [self._nodes, values, weighted]
         self._launch_parts(level_face_gradients, self.face_count, [], [self._faces], whole, self._face_vectors)
 
     def _gather_corners(self, out: Any) -> None:
         """Sum at every node what the three numbers of every triangle have for it."""
-        from omtwarp.wavelets.sampling_kernels import gather_corners_to_nodes
-
         rows, whole = self._corner_rows, [self._face_vectors]
         self._launch_parts(gather_corners_to_nodes, self.node_count, rows, [], whole, out)
 
@@ -272,9 +245,6 @@ class SphereSampler:
 
         The array is the sampler's own and holds until the next call.
         """
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import sampling_kernels as kernels
-
         source, _ = self._take(values, wp.float64)
         self._face_gradients(source, weighted=True)
         rows, sliced = self._corner_rows, [self._nodes, self._weights]
@@ -288,9 +258,6 @@ class SphereSampler:
         With field = c × y (c the derivative of a cost with respect to the point y) it is that cost's derivative with
         respect to the stream function of a motion dy/dt = y × grad H: the weak curl.
         """
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import sampling_kernels as kernels
-
         source, from_numpy = self._take(field, wp.vec3d)
         out = self._room(out, self.node_count, wp.float64)
         rows, faces, nodes = [self._point_rows, self._order], [self._faces], self._nodes

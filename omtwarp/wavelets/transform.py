@@ -22,7 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.graphs import GraphsByArray
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.wavelets import kernels
 from omtwarp.wavelets.hierarchy import SphereHierarchy, predict_stencil
 
 
@@ -56,9 +60,6 @@ class SphericalWavelets:
     def __init__(
         self, hierarchy: SphereHierarchy, *, butterfly: bool = False, lifted: bool = True, device: str = "auto"
     ) -> None:
-        from omtwarp.device.graphs import GraphsByArray
-        from omtwarp.device.start import resolve_device, wp
-
         self.hierarchy, self.butterfly, self.lifted = hierarchy, butterfly, lifted
         self.device = resolve_device(device)
         self._run = GraphsByArray(self.device)
@@ -95,31 +96,19 @@ class SphericalWavelets:
             )
 
     def _predict(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import kernels
-
         inputs = [level["coarse"], level["stencil"], level["weights"], sign, values]
         wp.launch(kernels.predict_nodes, dim=level["added"], inputs=inputs, device=self.device)
 
     def _update(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import kernels
-
         if self.lifted:
             inputs = [level["coarse"], *level["edges"], *level["integrals"], sign, values]
             wp.launch(kernels.update_nodes, dim=level["coarse"], inputs=inputs, device=self.device)
 
     def _predict_adjoint(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import kernels
-
         inputs = [level["coarse"], *level["stencil_rows"], level["width"], level["weights"], sign, values]
         wp.launch(kernels.predict_adjoint, dim=level["coarse"], inputs=inputs, device=self.device)
 
     def _update_adjoint(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import kernels
-
         if self.lifted:
             inputs = [level["coarse"], level["parents"], *level["integrals"], sign, values]
             wp.launch(kernels.update_adjoint, dim=level["added"], inputs=inputs, device=self.device)
@@ -165,17 +154,12 @@ class SphericalWavelets:
 
         What is left is a function of the nodes K(resolution + 1); -1 leaves the solid's scaling functions alone.
         """
-        from omtwarp.device.start import wp
-        from omtwarp.wavelets import kernels
-
         first = self.hierarchy.node_counts[min(max(int(resolution) + 1, 0), self.hierarchy.level)]
         if first < self.hierarchy.node_count:
             count = self.hierarchy.node_count - first
             wp.launch(kernels.clear_from, dim=count, inputs=[first, coefficients], device=self.device)
 
     def _on_copy(self, values: ArrayLike, transform: Any) -> NDArray[np.float64]:
-        from omtwarp.device.start import wp
-
         array = np.array(values, dtype=np.float64)
         if array.shape != (self.hierarchy.node_count,):
             raise OmtwarpError(f"expected one value per node, shape ({self.hierarchy.node_count},), got {array.shape}")

@@ -10,7 +10,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from omtwarp.conformal import conformal_map
-from omtwarp.device import threads
+from omtwarp.device import policy, threads
 from omtwarp.device.start import wp
 from omtwarp.mesh.shapes import blob
 from omtwarp.moser import moser_map
@@ -49,7 +49,7 @@ def test_cores_can_be_limited(monkeypatch):
 def test_parts_cover_all_elements_on_every_device(device):
     from omtwarp.wavelets.kernels import scale_values
 
-    size = 3 * threads.WORTHWHILE + 1
+    size = 3 * policy.SMALLEST_SHARED_LAUNCH + 1
     factors = wp.array(np.full(size, 3.0), dtype=wp.float64, device=device)
     values = wp.array(np.arange(size, dtype=np.float64), dtype=wp.float64, device=device)
     threads.launch_parts(scale_values, size, lambda part: ([factors[part], values[part]], []), device)
@@ -101,8 +101,8 @@ def test_fronts_are_compiled_before_threads_share_them(tmp_path):
 import threading
 import warp._src.build as build
 import numpy as np
-from omtwarp.device import threads
-from omtwarp.solvers.cholesky import MultifrontalCholesky
+from omtwarp.device import policy, threads
+from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
 from omtwarp.mesh.shapes import blob
 
 compiled, made = [], build.build_cpu
@@ -110,7 +110,7 @@ build.build_cpu = lambda *a, **k: (compiled.append(threading.current_thread().na
 threads.core_count = lambda: 2
 surface = blob(seed=1, sphere=20_000)
 edges = surface.edges
-solver = MultifrontalCholesky(surface.dissection, threads=2)
+solver = MultifrontalCholesky(surface_dissection(surface), threads=2)
 assert len(solver._jobs) > 1
 solver.factorise(np.full(len(surface.vertices), 100.0), np.full(len(edges), -1.0))
 assert compiled == ["MainThread"], compiled

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import turned, twisted
 
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.flips.guard import StepGuard
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from sphere_truths import judge, pushed_north, random_rotation, turned, twisted
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.start import resolve_device
+from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.shapes import blob, fibonacci_sphere, icosphere, noisy, random_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import WEIGHTINGS, distortion

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from omtwarp.device.start import resolve_device
+from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.shapes import blob, icosphere, needle, noisy
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.energy import DistortionEnergy, needle_weight

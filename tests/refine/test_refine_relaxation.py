@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omtwarp.device.start import resolve_device
+from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.patches import grow
 from omtwarp.mesh.shapes import blob, noisy

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from omtwarp.device.start import resolve_device
+from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, tube, uv_sphere
 from omtwarp.mesh.surface import Surface

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from sphere_truths import pushed_north, turned, twisted
 
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.options import Cost

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omtwarp.device.start import resolve_device, wp
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, icosphere, noisy
 from omtwarp.triangle_newton.frames import triangle_frames

@@ -1,7 +1,7 @@
 """Sparse factors of matrices whose pattern is the edges of a surface: one analysis, many factorisations."""
 
-from omtwarp.solvers.cholesky.dissection import Dissection, dissect
+from omtwarp.solvers.cholesky.dissection import Dissection, dissect, surface_dissection
 from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky, NotPositiveDefinite
 from omtwarp.solvers.cholesky.saddle import SaddleFactor
 
-__all__ = ["Dissection", "MultifrontalCholesky", "NotPositiveDefinite", "SaddleFactor", "dissect"]
+__all__ = ["Dissection", "MultifrontalCholesky", "NotPositiveDefinite", "SaddleFactor", "dissect", "surface_dissection"]

@@ -15,6 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.mesh.surface import Surface
+
 LEAF = 24  # vertices of a part that is cut no further: from here on dense elimination is as cheap
 WINDOW = 0.2  # how far from the middle of a part it may be cut
 POOR = 5.0  # times the root of a part's vertices: if more edges cross a cut, other directions are tried (scans: 2 to 4)
@@ -326,3 +328,8 @@ def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np
         parent, vertex = own // count // 2, own % count
         passed = (parent * count + vertex)[node[vertex] != parent]
     return np.concatenate(done) if done else passed
+
+
+def surface_dissection(surface: Surface) -> Dissection:
+    """The order in which sparse matrices on a surface's edges are eliminated; worked out once and kept with it."""
+    return surface.kept("dissection", lambda: dissect(surface.scaled_vertices, surface.edges))

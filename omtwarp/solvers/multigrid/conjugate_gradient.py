@@ -62,7 +62,7 @@ class MultigridSolver:
         device = hierarchy.device
         self.device, self.hierarchy, self.block, self.most = device, hierarchy, block, most
         coarse, damping = (1, SCALAR_DAMPING) if block == 1 else (3, BLOCK_DAMPING)
-        self._cycle = VCycle(hierarchy, block, coarse, damping)
+        self._cycle = VCycle(hierarchy.levels, device, block, coarse, damping)
         self.matrix = self._cycle.matrices[0]
         count = hierarchy.levels[0].size
         self._ones: Any = wp.full(count, 1.0, dtype=wp.float64, device=device) if block == 1 else None

@@ -6,13 +6,11 @@ colours in reverse after it: the cycle is symmetric and positive definite, whate
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omtwarp.device.start import wp
 from omtwarp.solvers.multigrid import kernels
-
-if TYPE_CHECKING:
-    from omtwarp.solvers.multigrid.hierarchy import Level, MeshHierarchy
+from omtwarp.solvers.multigrid.levels import Level
 
 INVERT = {1: kernels.invert_diagonal_b1, 2: kernels.invert_diagonal_b2, 3: kernels.invert_diagonal_b3}
 SWEEP = {1: kernels.gauss_seidel_b1, 2: kernels.gauss_seidel_b2, 3: kernels.gauss_seidel_b3}
@@ -119,20 +117,20 @@ def coarsen(matrix: LevelMatrix, coarse: LevelMatrix, tentative: wp.array, dampi
 
 
 class VCycle:
-    """A symmetric V-cycle for matrices on one hierarchy.
+    """A symmetric V-cycle for matrices on the levels of one mesh.
 
     Args:
-        hierarchy: the levels.
+        levels: from the mesh to the coarsest.
+        device: where they live.
         block: unknowns per vertex, 1 or 2.
         coarse_block: unknowns per node of the coarser levels: 1, or 3 for the rotations of the sphere.
         damping: see :func:`coarsen`.
     """
 
-    def __init__(self, hierarchy: MeshHierarchy, block: int, coarse_block: int, damping: float):
-        device = hierarchy.device
+    def __init__(self, levels: list[Level], device: wp.Device, block: int, coarse_block: int, damping: float):
         self.device, self.damping = device, damping
-        blocks = [block] + [coarse_block] * (len(hierarchy.levels) - 1)
-        self.matrices = [LevelMatrix(level, b, device) for level, b in zip(hierarchy.levels, blocks, strict=True)]
+        blocks = [block] + [coarse_block] * (len(levels) - 1)
+        self.matrices = [LevelMatrix(level, b, device) for level, b in zip(levels, blocks, strict=True)]
         self._tentative = []  # of all levels but the first
         for matrix in self.matrices[1:-1]:
             one = wp.empty(matrix.level.size * coarse_block**2, dtype=wp.float64, device=device)

@@ -7,7 +7,6 @@ edges, see :mod:`omtwarp.solvers.multigrid.cycle`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.solvers.multigrid.aggregation_kernels import aggregate_nodes, colour_nodes
 from omtwarp.solvers.multigrid.cycle import LevelMatrix, coarsen
+from omtwarp.solvers.multigrid.levels import Level, Rows, on_device_indices
 
 # Nodes are bound strongly where the entry between them is this part of the geometric mean of their diagonals; halved
 # from level to level, as the stencils of coarse levels grow. A larger part makes smaller groups: fewer iterations with
@@ -27,54 +27,6 @@ STRONG_BLOCKS = 0.08
 # Levels end where the rest is solved by a dense matrix.
 COARSEST = 40
 SCALAR_DAMPING = 0.66  # of the Jacobi step that smooths prolongations: 4/3 over the largest eigenvalue of D^-1 A
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Compressed rows of a sparse matrix's pattern, on the device.
-
-    Attributes:
-        offsets: int32, shape [N + 1].
-        columns: of every entry, ascending in a row, int32.
-        rows: of every entry, int32.
-        entries: how many.
-    """
-
-    offsets: Any
-    columns: Any
-    rows: Any
-    entries: int
-
-    @classmethod
-    def of(cls, matrix: sparse.csr_matrix, device: wp.Device) -> Rows:
-        rows = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
-        offsets, columns = _keep(matrix.indptr, device), _keep(matrix.indices, device)
-        return cls(offsets, columns, _keep(rows, device), len(rows))
-
-
-@dataclass(frozen=True)
-class Level:
-    """One level, and how it is joined to the next coarser one.
-
-    Attributes:
-        size: number of nodes N.
-        pattern: of the level's matrix.
-        diagonal: where a row's own entry stands, int32, shape [N].
-        colours: nodes of one colour each, int32; no two of a colour are neighbours.
-        aggregates: the coarse node of every node, int32, shape [N]; None on the coarsest level.
-        prolongation: pattern of P.
-        restriction: the columns of P: offsets by coarse node, the fine node and the place in P of every entry.
-        product: pattern of A P.
-    """
-
-    size: int
-    pattern: Rows
-    diagonal: Any
-    colours: list[Any]
-    aggregates: Any = None
-    prolongation: Rows | None = None
-    restriction: tuple[Any, Any, Any] | None = None
-    product: Rows | None = None
 
 
 class MeshHierarchy:
@@ -110,7 +62,7 @@ class MeshHierarchy:
         codes = np.concatenate([3 * vertices, 3 * numbers + 1, 3 * numbers + 2]) + 1
         coded = sparse.coo_matrix((codes, (rows, columns)), shape=(count, count)).tocsr()
         coded.sort_indices()
-        self.source: Any = _keep(coded.data - 1, device)
+        self.source: Any = on_device_indices(coded.data - 1, device)
         matrix = _pattern(coded)
         self.levels: list[Level] = []
         level = _first_half(matrix, device)
@@ -187,8 +139,8 @@ def _first_half(matrix: sparse.csr_matrix, device: wp.Device) -> Level:
     """A level as far as it stands alone."""
     rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     own = np.flatnonzero(rows == matrix.indices)
-    colours = [_keep(nodes, device) for nodes in colour(matrix)]
-    return Level(matrix.shape[0], Rows.of(matrix, device), _keep(own, device), colours)
+    colours = [on_device_indices(nodes, device) for nodes in colour(matrix)]
+    return Level(matrix.shape[0], Rows.of(matrix, device), on_device_indices(own, device), colours)
 
 
 def _second_half(
@@ -209,9 +161,13 @@ def _second_half(
         level.pattern,
         level.diagonal,
         level.colours,
-        _keep(groups, device),
+        on_device_indices(groups, device),
         Rows.of(prolongation, device),
-        (_keep(places.indptr, device), _keep(places.indices, device), _keep(places.data, device)),
+        (
+            on_device_indices(places.indptr, device),
+            on_device_indices(places.indices, device),
+            on_device_indices(places.data, device),
+        ),
         Rows.of(product, device),
     )
     return joined, coarse
@@ -227,8 +183,4 @@ def _pattern(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
     return _ones(matrix.indices, matrix.indptr, matrix.shape)
 
 
-def _keep(values: NDArray, device: wp.Device) -> wp.array:
-    return wp.array(np.ascontiguousarray(values, dtype=np.int32), dtype=wp.int32, device=device)
-
-
-__all__ = ["Level", "MeshHierarchy", "Rows", "aggregate", "colour"]
+__all__ = ["MeshHierarchy", "aggregate", "colour"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
 from omtwarp.geometry.edge_weight_kernels import edge_weights_of_corners
+from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.multigrid import kernels
 from omtwarp.solvers.multigrid.conjugate_gradient import MultigridSolver, Outcome
@@ -23,20 +23,19 @@ TOLERANCE = 1e-13
 # of their own, which cost as much as several solves, take a half to nine tenths of the iterations away.
 MANY_ITERATIONS = 60
 
-_hierarchies: weakref.WeakKeyDictionary[Surface, dict[str, MeshHierarchy]] = weakref.WeakKeyDictionary()
-
 
 def surface_hierarchy(surface: Surface, device: wp.Device) -> MeshHierarchy:
     """The levels of a surface on a device, by its own cotangent Laplacian; made once and kept with the surface."""
-    kept = _hierarchies.setdefault(surface, {})
-    if str(device) not in kept:
-        kept[str(device)] = positioned_hierarchy(surface, surface.scaled_vertices, device)
-    return kept[str(device)]
+    return surface.kept(_name(device), lambda: positioned_hierarchy(surface, surface.scaled_vertices, device))
 
 
 def release_hierarchy(surface: Surface, device: wp.Device) -> None:
     """Let go of the kept levels of a surface; they are made again, the same, when they are asked for."""
-    _hierarchies.get(surface, {}).pop(str(device), None)
+    surface.let_go(_name(device))
+
+
+def _name(device: wp.Device) -> str:
+    return f"multigrid hierarchy on {device}"
 
 
 def positioned_hierarchy(
@@ -50,8 +49,6 @@ def positioned_hierarchy(
         device: where the levels live.
         strong: see :class:`MeshHierarchy`.
     """
-    from omtwarp.geometry.edge_weights import cotangent_edge_weights
-
     edges, count = surface.edges, surface.vertex_count
     weights = cotangent_edge_weights(surface, points)
     diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)

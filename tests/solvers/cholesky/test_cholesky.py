@@ -13,7 +13,13 @@ from omtwarp.geometry import cotangent_laplacian
 from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere, uv_sphere
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import MultifrontalCholesky, NotPositiveDefinite, dissect, multifrontal
+from omtwarp.solvers.cholesky import (
+    MultifrontalCholesky,
+    NotPositiveDefinite,
+    dissect,
+    multifrontal,
+    surface_dissection,
+)
 from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver
 
 
@@ -150,7 +156,7 @@ def test_the_number_of_threads_changes_no_bit_on_small_meshes():
     right = np.random.default_rng(0).normal(size=(surface.vertex_count, 2))
     answers = []
     for threads in (1, 2, 3):
-        factor = MultifrontalCholesky(surface.dissection, 2, threads)
+        factor = MultifrontalCholesky(surface_dissection(surface), 2, threads)
         factor.factorise(diagonal, off)
         answers.append(factor.solve(right))
     np.testing.assert_array_equal(answers[0], answers[1])
@@ -159,7 +165,7 @@ def test_the_number_of_threads_changes_no_bit_on_small_meshes():
 
 def test_a_factor_can_be_made_again_in_its_place():
     surface = blob(seed=4, sphere=640)
-    factor = MultifrontalCholesky(surface.dissection)
+    factor = MultifrontalCholesky(surface_dissection(surface))
     right = np.ones(surface.vertex_count)
     first = dominant_blocks(surface, 1, 0)
     factor.factorise(*first)
@@ -175,7 +181,7 @@ def test_an_indefinite_matrix_is_refused():
     diagonal, off = dominant_blocks(surface, 1, 0)
     diagonal[100] = -1.0
     with pytest.raises(NotPositiveDefinite):
-        MultifrontalCholesky(surface.dissection).factorise(diagonal, off)
+        MultifrontalCholesky(surface_dissection(surface)).factorise(diagonal, off)
 
 
 @settings(max_examples=8)
@@ -232,14 +238,14 @@ def test_threads_that_share_a_front_find_the_same_factor(monkeypatch):
     surface = blob(seed=8, sphere=5000)
     diagonal, off = dominant_blocks(surface, 2, 5)
     right = np.random.default_rng(0).normal(size=(surface.vertex_count, 2))
-    alone = MultifrontalCholesky(surface.dissection, 2, threads=1)
+    alone = MultifrontalCholesky(surface_dissection(surface), 2, threads=1)
     alone.factorise(diagonal, off)
     monkeypatch.setattr(multifrontal, "TOGETHER", 1.0)
-    shared = MultifrontalCholesky(surface.dissection, 2, threads=8)
+    shared = MultifrontalCholesky(surface_dissection(surface), 2, threads=8)
     assert len(shared._shared) >= 3
     shared.factorise(diagonal, off)
     np.testing.assert_allclose(shared.solve(right), alone.solve(right), rtol=1e-11, atol=1e-13)
-    diagonal[surface.dissection.order[-1]] *= -1.0
+    diagonal[surface_dissection(surface).order[-1]] *= -1.0
     with pytest.raises(NotPositiveDefinite):
         shared.factorise(diagonal, off)
 

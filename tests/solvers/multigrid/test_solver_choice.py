@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omtwarp.conformal import conformal_map
+from omtwarp.device import policy
 from omtwarp.device.start import wp
 from omtwarp.device.sums import FEW
 from omtwarp.errors import OmtwarpError
@@ -11,7 +12,6 @@ from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.shapes import blob, needle
 from omtwarp.moser import moser_map
 from omtwarp.pipeline import map_to_sphere
-from omtwarp.solvers import poisson as linear
 from omtwarp.solvers.multigrid import DeviceLaplacian, Outcome, laplacian
 from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver, solve_arrays
 from omtwarp.transport.flow import optimal_transport
@@ -26,7 +26,7 @@ class OnCuda:
 
 def test_large_meshes_on_cuda_are_solved_on_the_device(monkeypatch):
     cpu, cuda = wp.get_device("cpu"), OnCuda()
-    limit = linear.DEVICE_VERTICES
+    limit = policy.DEVICE_VERTICES
     for wanted, expected in {
         None: [False, False, False, True],
         "auto": [False, False, False, True],
@@ -35,11 +35,11 @@ def test_large_meshes_on_cuda_are_solved_on_the_device(monkeypatch):
     }.items():
         if wanted is not None:
             monkeypatch.setenv("OMTWARP_SOLVER", wanted)
-        chosen = [linear.on_device(where, size) for where in (cpu, cuda) for size in (limit, limit + 1)]
+        chosen = [policy.on_device(where, size) for where in (cpu, cuda) for size in (limit, limit + 1)]
         assert chosen == expected
     monkeypatch.setenv("OMTWARP_SOLVER", "gpu")
     with pytest.raises(OmtwarpError, match="unknown OMTWARP_SOLVER 'gpu': use auto, host, device"):
-        linear.on_device(cpu, 5)
+        policy.on_device(cpu, 5)
 
 
 @pytest.mark.parametrize("columns", [0, 1, 3])

@@ -1,0 +1,99 @@
+"""What runs where: every decision between the CPU and CUDA, and between the host and a device, is made here."""
+
+from __future__ import annotations
+
+import os
+
+from omtwarp.device.start import wp
+from omtwarp.errors import OmtwarpError
+from omtwarp.options import parse_device
+
+SOLVERS = ("auto", "host", "device")
+# An iteration on the device is a hundred launches or more, whatever the size of the mesh: below so many vertices they
+# have next to nothing to do, and the host has factorised a Laplacian in 0.03 s.
+DEVICE_VERTICES = 30_000
+# Launches of fewer threads are left whole on the CPU: they are done sooner than another of its cores is woken.
+SMALLEST_SHARED_LAUNCH = 4096
+# Lists of a length that only the device knows are shared between so many threads on CUDA, and left to one on the CPU.
+CUDA_LIST_THREADS = 16384
+
+
+def resolve_device(device: str | None = "auto") -> wp.Device:
+    """Turn ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` into a Warp device.
+
+    ``auto`` (or ``None``) is the first CUDA device when there is one and the CPU otherwise.
+
+    Raises:
+        OmtwarpError: an unknown device, or CUDA asked for where there is none.
+    """
+    if isinstance(device, wp.Device):
+        return device
+    name = parse_device(device)
+    if name == "auto":
+        return wp.get_device("cuda:0") if wp.is_cuda_available() else wp.get_device("cpu")
+    if name != "cpu" and not wp.is_cuda_available():
+        raise OmtwarpError(f"device '{name}' asked for, but this machine has no usable CUDA device: use --device cpu")
+    try:
+        return wp.get_device(name)
+    except Exception as error:
+        count = wp.get_cuda_device_count()
+        raise OmtwarpError(
+            f"device '{name}' does not exist: this machine has {count} CUDA device(s), 0 to {count - 1}"
+        ) from error
+
+
+def on_device(device: wp.Device, vertices: int) -> bool:
+    """Whether systems on a surface of so many vertices are solved on the device.
+
+    They are on CUDA where the surface is large. The environment variable ``OMTWARP_SOLVER`` overrides that: ``host`` or
+    ``device`` everywhere, the CPU included; ``auto`` is the rule above.
+
+    Raises:
+        OmtwarpError: the variable holds something else.
+    """
+    wanted = os.environ.get("OMTWARP_SOLVER") or "auto"
+    if wanted not in SOLVERS:
+        raise OmtwarpError(f"unknown OMTWARP_SOLVER '{wanted}': use {', '.join(SOLVERS)}")
+    return wanted == "device" or (wanted == "auto" and device.is_cuda and vertices > DEVICE_VERTICES)
+
+
+def adds_on_device(device: wp.Device, vertices: int) -> bool:
+    """Whether sums for systems on a surface are taken by kernels: where they are solved there, and always on CUDA."""
+    return bool(device.is_cuda) or on_device(device, vertices)
+
+
+def shares_host_memory(device: wp.Device) -> bool:
+    """Whether kernels read NumPy's arrays without a copy.
+
+    NumPy then takes sums, faster than a kernel on one core without vector instructions, and workspace is shared.
+    """
+    return bool(device.is_cpu)
+
+
+def records_graphs(device: wp.Device) -> bool:
+    """Whether loops are recorded as graphs: on CUDA where its driver knows conditions in them (12.4).
+
+    Never on the CPU, where other threads' launches would end up in the recording.
+    """
+    return bool(device.is_cuda and wp.is_conditional_graph_supported())
+
+
+def launch_parts_of(device: wp.Device, count: int, cores: int, least: int = SMALLEST_SHARED_LAUNCH) -> int:
+    """In how many parts a launch of independent threads is made: one for every core of a CPU, one on CUDA."""
+    return cores if device.is_cpu and count >= least else 1
+
+
+def list_threads(device: wp.Device) -> int:
+    """Threads that share a list whose length only the device knows."""
+    return CUDA_LIST_THREADS if device.is_cuda else 1
+
+
+__all__ = [
+    "adds_on_device",
+    "launch_parts_of",
+    "list_threads",
+    "on_device",
+    "records_graphs",
+    "resolve_device",
+    "shares_host_memory",
+]

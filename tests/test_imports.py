@@ -1,0 +1,125 @@
+"""Rooms import downwards only: the order is the table of docs/architecture.md, and the code is held to it."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "omtwarp"
+
+# Imported inside of functions: what is optional or slow to load, and is not needed by everyone who loads the module.
+# On the command line everything but the options is, so that ``omtwarp --help`` answers at once.
+HEAVY = {
+    "IPython",
+    "OpenGL",
+    "PIL",
+    "imageio_ffmpeg",
+    "matplotlib",
+    "nibabel",
+    "ot",
+    "pyrender",
+    "rich",
+    "scipy.linalg",  # of device.threads, only once BLAS has to be told how many threads to use
+    "scipy.spatial",
+    "threadpoolctl",
+    "trimesh",
+}
+HEAVY_ROOMS = {
+    # A picture by OpenGL needs no Warp, and the process that draws it nothing but its own modules.
+    "omtwarp.render": {"omtwarp.device", "omtwarp.render.ray_caster", "omtwarp.render.pyrender_", "omtwarp.result"},
+}
+
+
+def module_name(file: Path) -> str:
+    parts = list(file.relative_to(ROOT).with_suffix("").parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+FILES = {module_name(file): file for file in sorted(PACKAGE.rglob("*.py"))}
+
+
+def imports(module: str) -> list[tuple[str, bool]]:
+    """Modules that a module imports, and whether it does so inside of a function."""
+    found = []
+
+    def visit(node: ast.AST, inside: bool) -> None:
+        inside = inside or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if isinstance(node, ast.Import):
+            found.extend((alias.name, inside) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module} imports relatively"
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                found.append((full if full in FILES else str(node.module), inside))
+        for child in ast.iter_child_nodes(node):
+            visit(child, inside)
+
+    visit(ast.parse(FILES[module].read_text("utf-8")), False)
+    return found
+
+
+def own_imports(module: str) -> set[str]:
+    """The package's modules that a module imports; of the package itself only its name, which needs no other."""
+    return {name for name, _ in imports(module) if name.split(".")[0] == "omtwarp" and name != module}
+
+
+def room_of(module: str) -> str:
+    """The sub-package or top-level module that a module belongs to."""
+    return ".".join(module.split(".")[:2])
+
+
+def allowed_order() -> list[str]:
+    """Rooms from the lowest to the highest, as the table of the architecture page lists them."""
+    page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    table = page.split("<!-- rooms -->")[1].split("<!-- end of rooms -->")[0]
+    return ["omtwarp." + name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+
+
+ROOMS = {room_of(module) for module in FILES if module not in ("omtwarp", "omtwarp.__main__")}
+
+
+def test_the_table_has_every_room_once():
+    order = allowed_order()
+    assert len(order) == len(set(order))
+    assert set(order) == ROOMS
+
+
+@pytest.mark.parametrize("room", sorted(ROOMS))
+def test_rooms_import_downwards_only(room):
+    order = allowed_order()
+    lower = set(order[: order.index(room) + 1])
+    wrong = {
+        f"{module} imports {name}"
+        for module in FILES
+        if room_of(module) == room
+        for name in own_imports(module)
+        if name != "omtwarp" and room_of(name) not in lower
+    }
+    assert not wrong
+
+
+def test_no_files_import_each_other():
+    """Imports for type checkers count too: names that two files need of each other belong into a third."""
+    left = {module: own_imports(module) & set(FILES) - {"omtwarp"} for module in FILES if module != "omtwarp"}
+    while left:
+        free = [module for module, needs in left.items() if not needs & set(left)]
+        assert free, f"these import each other: {sorted(left)}"
+        for module in free:
+            del left[module]
+
+
+@pytest.mark.parametrize("module", sorted(set(FILES) - {"omtwarp"}))
+def test_imports_stand_at_the_top(module):
+    if module.startswith(("omtwarp.commands", "omtwarp.cli")):
+        pytest.skip("commands start fast: they load what they need when they run")
+    inside = {name for name, in_function in imports(module) if in_function}
+    rooms = HEAVY_ROOMS.get(room_of(module), set())
+    wrong = {
+        name
+        for name in inside
+        if not any(name == heavy or name.startswith(heavy + ".") for heavy in HEAVY)
+        and not name.startswith(tuple(rooms) or ("-",))
+    }
+    assert not wrong
