@@ -14,6 +14,8 @@ import sys
 import types
 from typing import Any
 
+import numpy as np
+
 INSTALL_GL = "apt-get install --no-install-recommends libegl1 libgl1"
 INSTALL_PYRENDER = "pip install 'omtwarp[preview]'"
 
@@ -84,8 +86,6 @@ def _hollow_trimesh() -> None:
 
 def _restore_numpy_name() -> None:
     """pyrender's bounding boxes use ``np.infty``, which NumPy 2 removed."""
-    import numpy as np
-
     if not hasattr(np, "infty"):
         setattr(np, "infty", np.inf)  # noqa: B010
 

@@ -1,8 +1,5 @@
 """Sparse solves against SciPy's own and against dense least squares."""
 
-import sys
-import types
-
 import numpy as np
 import pytest
 import scipy.sparse as sparse
@@ -13,7 +10,6 @@ from scipy.sparse.linalg import spsolve
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere
-from omtwarp.solvers import poisson as linear
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
 
 
@@ -24,22 +20,11 @@ def definite(seed: int, size: int = 40) -> sparse.csc_matrix:
     return sparse.csc_matrix(root @ root.T + sparse.identity(size))
 
 
-@pytest.fixture(params=["superlu", "cholmod"])
-def backend(request, monkeypatch):
-    """SuperLU, as without scikit-sparse, and CHOLMOD where that is installed."""
-    if request.param == "superlu":
-        monkeypatch.setattr(linear, "_cholmod_factor", lambda matrix: None)
-    else:
-        pytest.importorskip("sksparse.cholmod", reason="scikit-sparse is not installed", exc_type=ImportError)
-    return request.param
-
-
 @pytest.mark.parametrize("seed", range(5))
-def test_factorization_solves_like_scipy(backend, seed):
+def test_factorization_solves_like_scipy(seed):
     matrix = definite(seed)
     right = np.random.default_rng(seed).normal(size=(40, 3))
     factorization = Factorization(matrix)
-    assert (factorization._cholmod is not None) == (backend == "cholmod")
     truth = spsolve(matrix, right)
     np.testing.assert_allclose(factorization.solve(right), truth, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(factorization.solve(right[:, 1]), truth[:, 1], rtol=1e-10, atol=1e-12)
@@ -47,19 +32,19 @@ def test_factorization_solves_like_scipy(backend, seed):
     np.testing.assert_allclose(factorization.solve(strided), truth[:, ::2], rtol=1e-10, atol=1e-12)
 
 
-def test_any_sparse_format_is_taken(backend):
+def test_any_sparse_format_is_taken():
     matrix = definite(7)
     truth = np.linalg.solve(matrix.toarray(), np.ones(40))
     for form in (matrix, sparse.csr_matrix(matrix), sparse.coo_matrix(matrix), sparse.csc_array(matrix)):
         np.testing.assert_allclose(Factorization(form).solve(np.ones(40)), truth, rtol=1e-10)
 
 
-def test_a_singular_matrix_is_one_clear_error(backend):
+def test_a_singular_matrix_is_one_clear_error():
     with pytest.raises(OmtwarpError, match="2 unknowns is singular"):
         Factorization(sparse.csc_matrix(np.ones((2, 2))))
 
 
-def test_the_right_hand_side_is_left_alone(backend):
+def test_the_right_hand_side_is_left_alone():
     right = np.random.default_rng(0).normal(size=40)
     before = right.copy()
     Factorization(definite(1)).solve(right)
@@ -99,48 +84,3 @@ def test_spherical_harmonics_are_eigenfunctions():
         errors.append(np.abs(u - z / 2).max())
     assert errors[0] < 0.01
     assert errors[1] < 0.3 * errors[0]
-
-
-def stand_in(version: str) -> types.ModuleType:
-    """scikit-sparse's interface of either generation over a dense solve, with its defaults' behaviour on failure."""
-    module = types.ModuleType("sksparse.cholmod")
-
-    class CholmodError(Exception):
-        pass
-
-    class Solution:
-        def __init__(self, matrix):
-            try:
-                np.linalg.cholesky(matrix.toarray())
-            except np.linalg.LinAlgError as error:
-                raise CholmodError("not positive definite") from error
-            self.matrix = matrix.toarray()
-
-        def solve(self, right):
-            return np.linalg.solve(self.matrix, right)
-
-        __call__ = solve
-
-    module.CholmodError = CholmodError
-    if version == "0.4":
-        module.cholesky = Solution
-    else:
-        module.cholesky = lambda matrix, order=None: (matrix, None)  # the factors themselves: nothing to call
-        module.cho_factor = lambda matrix, order=None: Solution(matrix) if order == "default" else None
-    return module
-
-
-@pytest.mark.parametrize("version", ["0.4", "0.5"])
-def test_both_generations_of_scikit_sparse_are_spoken_to(monkeypatch, version):
-    """0.5 renamed the factorisation object's maker and gave the old name to something else."""
-    package = types.ModuleType("sksparse")
-    package.cholmod = stand_in(version)
-    monkeypatch.setitem(sys.modules, "sksparse", package)
-    monkeypatch.setitem(sys.modules, "sksparse.cholmod", package.cholmod)
-    matrix = definite(2)
-    factorization = Factorization(matrix)
-    assert factorization._cholmod is not None
-    np.testing.assert_allclose(factorization.solve(np.ones(40)), spsolve(matrix, np.ones(40)), rtol=1e-10)
-    # What CHOLMOD refuses, SuperLU still solves.
-    indefinite = sparse.csc_matrix(-matrix)
-    np.testing.assert_allclose(Factorization(indefinite).solve(np.ones(40)), -spsolve(matrix, np.ones(40)), rtol=1e-9)
