@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
+
+from omtwarp.reporting.markup import Markup, element, html
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +35,7 @@ class Row:
     remark: str
 
 
-def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored: bool) -> str:
+def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored: bool) -> Markup:
     """Histograms of ratios above one another on a common axis of powers of two, each scaled to its own peak.
 
     Args:
@@ -55,10 +56,12 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
     for exponent in np.arange(math.ceil(low / step) * step, high + 1e-9, step):
         at = x(float(exponent))
         kind = "axis-one" if abs(exponent) < 1e-9 else "grid"
-        parts.append(f'<line class="{kind}" x1="{at:.1f}" x2="{at:.1f}" y1="{top:.0f}" y2="{bottom:.0f}"/>')
+        ends = {"x1": f"{at:.1f}", "x2": f"{at:.1f}", "y1": f"{top:.0f}", "y2": f"{bottom:.0f}"}
+        parts.append(element("line", class_=kind, **ends))
         anchor = "start" if at < left + 12 else "end" if at > right - 12 else "middle"
         name = power_name(float(exponent))
-        parts.append(f'<text class="tick" x="{at:.1f}" y="{bottom + 18:.0f}" text-anchor="{anchor}">{name}</text>')
+        place = {"x": f"{at:.1f}", "y": f"{bottom + 18:.0f}", "text_anchor": anchor}
+        parts.append(element("text", name, class_="tick", **place))
     for k, row in enumerate(rows):
         base = top + (k + 1) * (height + gap) - gap + 14
         shares, edges = np.histogram(np.clip(row.values, low, high), bins, (low, high), weights=row.weights)
@@ -68,17 +71,15 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
             level = base - share / peak * height
             path.append(f"L{x(begin):.1f},{level:.1f}L{x(end):.1f},{level:.1f}")
         path.append(f"L{x(high):.1f},{base:.1f}Z")
-        parts.append(f'<path class="hill" style="--ink:var({row.colour})" d="{"".join(path)}"/>')
-        parts.append(f'<line class="baseline" x1="{left}" x2="{right}" y1="{base:.1f}" y2="{base:.1f}"/>')
+        parts.append(element("path", class_="hill", style=f"--ink:var({row.colour})", d="".join(path)))
+        parts.append(element("line", class_="baseline", x1=left, x2=right, y1=f"{base:.1f}", y2=f"{base:.1f}"))
         # The words stand where the hill is not.
         middle = float(np.sum(np.clip(row.values, low, high) * row.weights))
         side, anchor = (left + 2, "start") if mirrored and middle > 0.1 * high else (right - 2, "end")
-        words = f'<tspan style="fill:var({row.colour})" class="row-name">{escape(row.label)}</tspan>'
-        parts.append(f'<text class="row" x="{side}" y="{base - height + 20:.1f}" text-anchor="{anchor}">{words}</text>')
-        parts.append(
-            f'<text class="remark" x="{side}" y="{base - height + 36:.1f}" text-anchor="{anchor}">'
-            f"{escape(row.remark)}</text>"
-        )
+        words = element("tspan", row.label, style=f"fill:var({row.colour})", class_="row-name")
+        for kind, text, below in (("row", words, 20), ("remark", row.remark, 36)):
+            level = f"{base - height + below:.1f}"
+            parts.append(element("text", text, class_=kind, x=side, y=level, text_anchor=anchor))
     return _svg(bottom + 28, title, description, parts)
 
 
@@ -126,7 +127,7 @@ def curve(
     level: tuple[float, str] | None = None,
     mark: tuple[int, str] | None = None,
     height: float = 300.0,
-) -> str:
+) -> Markup:
     """A line through points, with a horizontal level and one marked point.
 
     Args:
@@ -142,7 +143,7 @@ def curve(
     pairs = zip(map(float, x), map(float, y), strict=True)
     points = [(a, b) for a, b in pairs if math.isfinite(b) and (b > 0 or not logarithmic)]
     if not points:
-        return ""
+        return html("")
     values = [b for _, b in points] + ([level[0]] if level else [])
     ticks = log_ticks(min(values), max(values)) if logarithmic else nice_ticks(min(values), max(values), 5)
     low, high = ticks[0], ticks[-1]
@@ -159,36 +160,32 @@ def curve(
             share = (value - low) / (high - low)
         return bottom - share * (bottom - top)
 
-    parts = [f'<text class="axis-name" x="{0}" y="14">{escape(y_label)}</text>']
+    parts = [element("text", y_label, class_="axis-name", x=0, y=14)]
     for tick in ticks:
         at = py(tick)
         name = power_of_ten(tick) if logarithmic else f"{tick:.6g}"
-        parts.append(f'<line class="grid" x1="{left}" x2="{right}" y1="{at:.1f}" y2="{at:.1f}"/>')
-        parts.append(f'<text class="tick" x="{left - 8}" y="{at + 4:.1f}" text-anchor="end">{name}</text>')
+        parts.append(element("line", class_="grid", x1=left, x2=right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
+        parts.append(element("text", name, class_="tick", x=left - 8, y=f"{at + 4:.1f}", text_anchor="end"))
     for tick in nice_ticks(0.0, last, 6):
         if tick <= last:
-            parts.append(
-                f'<text class="tick" x="{px(tick):.1f}" y="{bottom + 18:.0f}" text-anchor="middle">{tick:.6g}</text>'
-            )
-    parts.append(
-        f'<text class="axis-name" x="{right}" y="{bottom + 36:.0f}" text-anchor="end">{escape(x_label)}</text>'
-    )
+            place = {"x": f"{px(tick):.1f}", "y": f"{bottom + 18:.0f}", "text_anchor": "middle"}
+            parts.append(element("text", f"{tick:.6g}", class_="tick", **place))
+    parts.append(element("text", x_label, class_="axis-name", x=right, y=f"{bottom + 36:.0f}", text_anchor="end"))
     if level:
         at = py(level[0])
-        parts.append(f'<line class="level" x1="{left}" x2="{right}" y1="{at:.1f}" y2="{at:.1f}"/>')
-        parts.append(f'<text class="remark" x="{right}" y="{at - 6:.1f}" text-anchor="end">{escape(level[1])}</text>')
+        parts.append(element("line", class_="level", x1=left, x2=right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
+        parts.append(element("text", level[1], class_="remark", x=right, y=f"{at - 6:.1f}", text_anchor="end"))
     line = " ".join(f"{px(a):.1f},{py(b):.1f}" for a, b in points)
-    parts.append(f'<polyline class="curve" style="--ink:var({colour})" points="{line}"/>')
+    ink = f"--ink:var({colour})"
+    parts.append(element("polyline", class_="curve", style=ink, points=line))
     for a, b in (points[0], points[-1]):
-        parts.append(f'<circle class="dot" style="--ink:var({colour})" cx="{px(a):.1f}" cy="{py(b):.1f}" r="3.5"/>')
+        parts.append(element("circle", class_="dot", style=ink, cx=f"{px(a):.1f}", cy=f"{py(b):.1f}", r=3.5))
     if mark and 0 <= mark[0] < len(points):
         a, b = points[mark[0]]
         anchor, shift = ("start", 10) if px(a) < 0.6 * right else ("end", -10)
-        parts.append(f'<circle class="ring" style="--ink:var({colour})" cx="{px(a):.1f}" cy="{py(b):.1f}" r="6"/>')
-        parts.append(
-            f'<text class="remark" x="{px(a) + shift:.1f}" y="{py(b) - 10:.1f}" text-anchor="{anchor}">'
-            f"{escape(mark[1])}</text>"
-        )
+        parts.append(element("circle", class_="ring", style=ink, cx=f"{px(a):.1f}", cy=f"{py(b):.1f}", r=6))
+        place = {"x": f"{px(a) + shift:.1f}", "y": f"{py(b) - 10:.1f}", "text_anchor": anchor}
+        parts.append(element("text", mark[1], class_="remark", **place))
     return _svg(height, title, description, parts)
 
 
@@ -215,8 +212,6 @@ def power_of_ten(value: float) -> str:
     return f"{value:g}" if -3 <= exponent <= 3 else f"10{_superscript(exponent)}"
 
 
-def _svg(height: float, title: str, description: str, parts: Sequence[str]) -> str:
-    return (
-        f'<svg class="chart" viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img">'
-        f"<title>{escape(title)}</title><desc>{escape(description)}</desc>{''.join(parts)}</svg>"
-    )
+def _svg(height: float, title: str, description: str, parts: Sequence[Markup]) -> Markup:
+    heading = (element("title", title), element("desc", description))
+    return element("svg", *heading, *parts, class_="chart", viewBox=f"0 0 {WIDTH:.0f} {height:.0f}", role="img")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,8 @@ from omtwarp.files import check_output, staged
 from omtwarp.metrics.certificate import certify
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.reporting import sections
+from omtwarp.reporting.markup import Markup, asset, data_block, fill_page, html, join, script, source_hash
+from omtwarp.reporting.record import shown_history, shown_report
 from omtwarp.reporting.scene import (
     ANGLE_COLOURS,
     ANGLE_PART,
@@ -36,8 +36,15 @@ from omtwarp.texturing.rasterizing import rasterize
 MOST_EDGES = 60_000  # faces: the edges of more would leave nothing to see of what is between them
 TEXTURES = {"circles": "Circles of equal size", "puzzle": "A jigsaw puzzle", "globe": "A globe", "checker": "A checker"}
 # A tick on a disc, and a warning; drawn here so that no font decides how they look.
-_TICK = '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/><path d="M5.8 10.4l2.8 2.8 5.6-6" fill="none" stroke="currentColor" stroke-width="2" stroke-linecap="round" stroke-linejoin="round"/></svg>'  # noqa: E501
-_WARNING = '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/><path d="M10 5.4v5.6M10 13.6v.6" stroke="currentColor" stroke-width="2.2" stroke-linecap="round"/></svg>'  # noqa: E501
+_TICK = html(
+    '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/>'
+    '<path d="M5.8 10.4l2.8 2.8 5.6-6" fill="none" stroke="currentColor" stroke-width="2" stroke-linecap="round" '
+    'stroke-linejoin="round"/></svg>'
+)
+_WARNING = html(
+    '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/>'
+    '<path d="M10 5.4v5.6M10 13.6v.6" stroke="currentColor" stroke-width="2.2" stroke-linecap="round"/></svg>'
+)
 _ICON = "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 24 24'><circle cx='12' cy='12' r='10.4' fill='%231f6f78'/><g fill='none' stroke='%23fff' stroke-width='1.3' opacity='.9'><ellipse cx='12' cy='12' rx='4.6' ry='10.4'/><path d='M1.6 12h20.8M3.2 6.8h17.6M3.2 17.2h17.6'/></g></svg>"  # noqa: E501
 
 
@@ -106,58 +113,59 @@ def report_page(
     stages = stages_of(result)
     scene = make_scene(result, stages, texture, up=up, device=device)
     stills = _stills(result, stages, texture, up, picture_size, device)
-    report = dict(result.report)
-    if "certificate" not in report:  # a map from elsewhere
-        report["certificate"] = certify(result.faces, stages[-1].sphere).to_dict()
+    # What the file says of the map is not taken for granted.
+    report = shown_report(result) | {"certificate": certify(result.faces, stages[-1].sphere).to_dict()}
     content = [
         sections.figures(stages, report),
         sections.pictures(stages, stills, shown),
         sections.distributions(stages),
-        sections.transport(result, stages),
+        sections.transport(report, shown_history(result), stages),
         sections.stage_table(stages, report),
         sections.certificate(report, scene.faces),
     ]
     heading = title or "Map report"
-    return _fill(
-        _asset("page.html"),
-        version=escape(str(report.get("versions", {}).get("omtwarp", ""))),
-        title=escape(heading),
+    three, viewer = script("three/three.min.js"), script("viewer.js")
+    return fill_page(
+        asset("page.html"),
+        version=report.get("versions", {}).get("omtwarp", ""),
+        title=heading,
+        scripts=html("{} {}", source_hash(three), source_hash(viewer)),
         icon=f"data:image/svg+xml,{_ICON.replace('<', '%3C').replace('>', '%3E').replace(' ', '%20')}",
-        style=_asset("page.css"),
-        lead=_lead(result),
+        style=asset("page.css"),
+        lead=_lead(result, report),
         verdict=_verdict(report, stages),
         poster=stills[stages[-1].key],
-        poster_alt=escape(f"{shown} carried to the surface by the final map"),
+        poster_alt=f"{shown} carried to the surface by the final map",
         controls=_controls(stages, image is not None, pattern),
         legends=_legends(),
-        sections="\n".join(content),
+        sections=join(content, "\n"),
         footer=sections.footer(report),
-        scene=_script_safe(scene.header),
-        data=scene.data,
-        three=_script_safe(_asset("three/three.min.js")),
-        viewer=_script_safe(_asset("viewer.js")),
+        scene=data_block(scene.header),
+        data=data_block(scene.data),
+        three=three,
+        viewer=viewer,
     )
 
 
-def _lead(result: Any) -> str:
-    report = result.report
+def _lead(result: Any, report: dict[str, Any]) -> str:
     parts = [f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to the unit sphere"]
     if "seconds" in report:
         parts.append(f"in {sections.seconds_text(report['seconds'])} {sections.where(report)}")
     return f"{' '.join(parts)}."
 
 
-def _verdict(report: dict[str, Any], stages: Sequence[Stage]) -> str:
+def _verdict(report: dict[str, Any], stages: Sequence[Stage]) -> Markup:
     certificate = report.get("certificate", {})
     flips = certificate.get("flips", stages[-1].distortion.flips)
     if certificate.get("bijective"):
-        return f'<p class="verdict">{_TICK} Certified one to one: no flipped triangle, degree 1</p>'
+        return html('<p class="verdict">{} Certified one to one: no flipped triangle, degree 1</p>', _TICK)
     if flips:
-        return f'<p class="verdict bad">{_WARNING} {flips:,} flipped triangle{"s" * (flips > 1)}: not one to one</p>'
-    return f'<p class="verdict bad">{_WARNING} Not certified</p>'
+        words = f"{flips:,} flipped triangle{'s' * (flips > 1)}: not one to one"
+        return html('<p class="verdict bad">{} {}</p>', _WARNING, words)
+    return html('<p class="verdict bad">{} Not certified</p>', _WARNING)
 
 
-def _controls(stages: Sequence[Stage], has_image: bool, pattern: str) -> str:
+def _controls(stages: Sequence[Stage], has_image: bool, pattern: str) -> Markup:
     last = stages[-1].key
     colourings = [
         ("picture", "Picture" if has_image else pattern.capitalize()),
@@ -169,15 +177,17 @@ def _controls(stages: Sequence[Stage], has_image: bool, pattern: str) -> str:
     return (
         _segments("Map", "stage", [(stage.key, stage.label) for stage in stages], last)
         + _segments("Colour", "colouring", colourings, "picture")
-        + '<label class="slider"><span><em>Surface</em><em>Sphere</em></span>'
-        '<input type="range" name="morph" min="0" max="100" value="0" aria-label="From the surface to the sphere">'
-        "</label>"
-        '<div class="buttons"><label class="toggle"><input type="checkbox" name="wireframe">Wireframe</label>'
-        '<button type="button" id="viewer-home">Reset view</button></div>'
+        + html(
+            '<label class="slider"><span><em>Surface</em><em>Sphere</em></span>'
+            '<input type="range" name="morph" min="0" max="100" value="0" aria-label="From the surface to the sphere">'
+            "</label>"
+            '<div class="buttons"><label class="toggle"><input type="checkbox" name="wireframe">Wireframe</label>'
+            '<button type="button" id="viewer-home">Reset view</button></div>'
+        )
     )
 
 
-def _legends() -> str:
+def _legends() -> Markup:
     area, angle = 2.0**AREA_RANGE, 2.0**ANGLE_RANGE
     area_ticks = (f"1/{area:.0f}", "1", f"{area:.0f}")
     angle_ticks = ("1", f"{2 ** (ANGLE_RANGE / 2):.1f}", f"{angle:.0f} or more")
@@ -186,21 +196,29 @@ def _legends() -> str:
     )
 
 
-def _segments(legend: str, name: str, options: Sequence[tuple[str, str]], chosen: str) -> str:
-    labels = "".join(
-        f'<label><input type="radio" name="{name}" value="{escape(key)}"{" checked" * (key == chosen)}>'
-        f"<span>{escape(label)}</span></label>"
+def _segments(legend: str, name: str, options: Sequence[tuple[str, str]], chosen: str) -> Markup:
+    labels = join(
+        html(
+            '<label><input type="radio" name="{}" value="{}"{}><span>{}</span></label>',
+            name,
+            key,
+            " checked" if key == chosen else "",
+            label,
+        )
         for key, label in options
     )
-    return f'<fieldset><legend>{escape(legend)}</legend><div class="segments">{labels}</div></fieldset>'
+    return html('<fieldset><legend>{}</legend><div class="segments">{}</div></fieldset>', legend, labels)
 
 
-def _legend(name: str, label: str, colours: str, ticks: Sequence[str]) -> str:
+def _legend(name: str, label: str, colours: str, ticks: Sequence[str]) -> Markup:
     stops = ",".join(f"#{colours[k : k + 6]}" for k in range(0, len(colours), 6))
-    return (
-        f'<div class="legend" data-legend="{name}" hidden><span>{escape(label)}</span>'
-        f'<i style="background:linear-gradient(90deg,{stops})"></i>'
-        f"<b>{''.join(f'<em>{escape(tick)}</em>' for tick in ticks)}</b></div>"
+    return html(
+        '<div class="legend" data-legend="{}" hidden><span>{}</span>'
+        '<i style="background:linear-gradient(90deg,{})"></i><b>{}</b></div>',
+        name,
+        label,
+        stops,
+        join(html("<em>{}</em>", tick) for tick in ticks),
     )
 
 
@@ -227,22 +245,3 @@ def _stills(
             )
             found[key] = data_uri(drawn, "webp")
     return found
-
-
-def _asset(name: str) -> str:
-    return (files("omtwarp.reporting") / "assets" / name).read_text("utf-8")
-
-
-def _fill(template: str, **values: str) -> str:
-    """Put values in place of {{name}}, once and not within values."""
-    pieces = template.split("{{")
-    text = [pieces[0]]
-    for piece in pieces[1:]:
-        name, _, rest = piece.partition("}}")
-        text += [values[name], rest]
-    return "".join(text)
-
-
-def _script_safe(text: str) -> str:
-    """Keep a script element open until its end: nothing in it may look like a tag that ends or nests it."""
-    return text.replace("</script", "<\\/script").replace("<!--", "<\\!--")

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
 
 from omtwarp.reporting import charts
+from omtwarp.reporting.markup import Markup, html, join
 from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
 
 
-def figures(stages: Sequence[Stage], report: dict[str, Any]) -> str:
+def figures(stages: Sequence[Stage], report: dict[str, Any]) -> Markup:
     """The numbers that matter most."""
     first, last = stages[0], stages[-1]
     cost = last.record.get("transport_cost")
@@ -30,44 +30,54 @@ def figures(stages: Sequence[Stage], report: dict[str, Any]) -> str:
         figures.append(("Transport cost", _number(cost), f"from the {first.label.lower()} map, squared distance"))
     if "seconds" in report:
         figures.append(("Time", seconds_text(report["seconds"]), where(report)))
-    items = "".join(
-        f"<div><dt>{name}</dt><dd><strong>{value}</strong><span>{remark}</span></dd></div>"
+    items = join(
+        html("<div><dt>{}</dt><dd><strong>{}</strong><span>{}</span></dd></div>", name, value, remark)
         for name, value, remark in figures
     )
-    return f'<dl class="figures">{items}</dl>'
+    return html('<dl class="figures">{}</dl>', items)
 
 
-def pictures(stages: Sequence[Stage], stills: dict[str, str], shown: str) -> str:
+def pictures(stages: Sequence[Stage], stills: dict[str, str], shown: str) -> Markup:
     """Still pictures of the first and the last stage: ``stills`` by key, ``shown`` what the texture is."""
     pair = [stages[0], stages[-1]] if len(stages) > 1 else [stages[0]]
     figures = []
     for stage in pair:
-        text = _picture_caption(stage)
         figures.append(
-            f'<figure><img src="{stills[stage.key]}" alt="{escape(shown)} on the surface, {escape(stage.label)} map" '
-            f'loading="lazy"><figcaption>{_swatch(stage)}<b>{escape(stage.label)}.</b> {text}</figcaption></figure>'
+            html(
+                '<figure><img src="{still}" alt="{shown} on the surface, {label} map" '
+                'loading="lazy"><figcaption>{swatch}<b>{label}.</b> {text}</figcaption></figure>',
+                still=stills[stage.key],
+                shown=shown,
+                label=stage.label,
+                swatch=_swatch(stage),
+                text=_picture_caption(stage),
+            )
         )
     for stage in pair:
-        label = escape(stage.label)
         figures.append(
-            f'<figure><img src="{stills["sphere " + stage.key]}" alt="The triangles on the sphere, {label} map" '
-            f'loading="lazy"><figcaption>{_swatch(stage)}<b>{label}, on the sphere.</b> '
-            "Coloured by the area that each triangle gained (red) or lost (blue).</figcaption></figure>"
+            html(
+                '<figure><img src="{still}" alt="The triangles on the sphere, {label} map" '
+                'loading="lazy"><figcaption>{swatch}<b>{label}, on the sphere.</b> '
+                "Coloured by the area that each triangle gained (red) or lost (blue).</figcaption></figure>",
+                still=stills["sphere " + stage.key],
+                label=stage.label,
+                swatch=_swatch(stage),
+            )
         )
     maps = "two maps" if len(pair) > 1 else "the map"
     words = f"{shown} on the sphere, carried to the surface by {maps}."
-    return _section("Before and after", words, f'<div class="pair pictures">{"".join(figures)}</div>')
+    return _section("Before and after", words, html('<div class="pair pictures">{}</div>', join(figures)))
 
 
-def _picture_caption(stage: Stage) -> str:
+def _picture_caption(stage: Stage) -> Markup:
     ratio = log2_area_ratio(stage)
     low, high = _weighted_quantiles(ratio, stage.weights, (0.05, 0.95))
     spread = 2.0 ** (high - low)
-    times = f"{spread:.2f}" if spread < 10 else f"{spread:,.0f}" if spread < 1e6 else _number(spread)
-    return f"Scale of area varies by a factor of {times} over nine tenths of the surface."
+    times: Any = f"{spread:.2f}" if spread < 10 else f"{spread:,.0f}" if spread < 1e6 else _number(spread)
+    return html("Scale of area varies by a factor of {} over nine tenths of the surface.", times)
 
 
-def distributions(stages: Sequence[Stage]) -> str:
+def distributions(stages: Sequence[Stage]) -> Markup:
     """Histograms of area and angle ratios at every stage."""
     area, angle = [], []
     for stage in stages:
@@ -87,20 +97,20 @@ def distributions(stages: Sequence[Stage]) -> str:
         f"{angle[0].label}: {angle[0].remark}. {angle[-1].label}: {angle[-1].remark}.",
         mirrored=False,
     )
-    cards = (
+    cards = html(
         '<div class="card"><h3>Area ratio</h3><p>Area on the sphere over area on the surface; 1 preserves area.</p>'
-        f"{left}</div>"
+        "{}</div>"
         '<div class="card"><h3>Angle ratio</h3><p>Larger over smaller singular value; 1 preserves angles.</p>'
-        f"{right}</div>"
+        "{}</div>",
+        left,
+        right,
     )
     words = "How much of the surface is distorted how far, each distribution scaled to its own peak."
-    return _section("Distortion", words, f'<div class="pair">{cards}</div>')
+    return _section("Distortion", words, html('<div class="pair">{}</div>', cards))
 
 
-def transport(result: Any, stages: Sequence[Stage]) -> str:
+def transport(report: dict[str, Any], history: Sequence[dict[str, Any]], stages: Sequence[Stage]) -> Markup:
     """Cost over iterations, where the map started, and how far it is from optimal."""
-    history = [entry for entry in result.history if isinstance(entry.get("cost"), int | float)]
-    report = result.report
     optimality = report.get("optimality") or {}
     cards = []
     if len(history) > 1:
@@ -120,46 +130,46 @@ def transport(result: Any, stages: Sequence[Stage]) -> str:
             level=(float(bound), "lower bound for any map") if bound and name != "geodesic" else None,
             mark=(near, f"within 1 % after {iterations[near]:.0f}") if 0 < near < len(costs) - 1 else None,
         )
-        words = f"{_number(costs[0])} → {_number(costs[-1])} in {iterations[-1]:.0f} iterations."
-        cards.append(f'<div class="card"><h3>Cost of the transport</h3><p>{words}</p>{chart}</div>')
+        change = html("{} → {} in {:.0f} iterations.", _number(costs[0]), _number(costs[-1]), iterations[-1])
+        cards.append(html('<div class="card"><h3>Cost of the transport</h3><p>{}</p>{}</div>', change, chart))
     facts = _transport_facts(report, stages, optimality)
     if facts:
-        cards.append(f'<div class="card"><h3>Start and optimality</h3>{_facts(facts)}</div>')
+        cards.append(html('<div class="card"><h3>Start and optimality</h3>{}</div>', _facts(facts)))
     if not cards:
-        return ""
+        return html("")
     words = "From the start to the optimal map: mass moves along the gradient flow that lowers its cost."
-    return _section("Transport", words, f'<div class="pair">{"".join(cards)}</div>')
+    return _section("Transport", words, html('<div class="pair">{}</div>', join(cards)))
 
 
 def _transport_facts(
     report: dict[str, Any], stages: Sequence[Stage], optimality: dict[str, Any]
 ) -> list[tuple[str, str]]:
-    facts = []
+    facts: list[tuple[str, str]] = []
     start = report.get("start", {})
     if start:
-        road = escape(str(start.get("road", "")))
-        reason = escape(str(start.get("reason", "")))
+        road = str(start.get("road", ""))
+        reason = str(start.get("reason", ""))
         facts.append(("Start", f"{road}{f': {reason}' if reason else ''}"))
     for name, key in (("Method", "method"), ("Scheme", "scheme"), ("Cost", "cost")):
         if report.get(key) not in (None, ""):
-            facts.append((name, escape(str(report[key]))))
+            facts.append((name, str(report[key])))
     weight = next((stage.record.get("weight") for stage in stages if stage.key == "refine"), None)
     if weight not in (None, ""):
-        facts.append(("Refinement", f"{escape(str(weight))} (weight of area against angle)"))
+        facts.append(("Refinement", f"{weight} (weight of area against angle)"))
     if "relative_curl" in optimality:
         facts.append(("Curl left over", f"{optimality['relative_curl']:.2%} of the displacement; 0 for an optimal map"))
     if "lower_bound" in optimality:
-        facts.append(("Lower bound", f"{_number(optimality['lower_bound'])} (Kantorovich's dual)"))
+        facts.append(("Lower bound", html("{} (Kantorovich's dual)", _number(optimality["lower_bound"]))))
     if "gap" in optimality:
         facts.append(("Gap", f"the optimal cost is at most {optimality['gap']:.3%} lower"))
-    repaired = [(stage.label, int(stage.record.get("repaired", 0) or 0)) for stage in stages]
-    mended = ", ".join(f"{count} after {escape(label)}" for label, count in repaired if count)
+    repaired = [(stage.label, stage.record.get("repaired", 0)) for stage in stages]
+    mended = ", ".join(f"{count} after {label}" for label, count in repaired if count)
     if any("repaired" in stage.record for stage in stages):
         facts.append(("Flips repaired", mended or "none were needed"))
     return facts
 
 
-def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> str:
+def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> Markup:
     """What every stage did."""
     records = report.get("stages", ())
     total = sum(float(record.get("seconds", 0.0)) for record in records) or 1.0
@@ -173,9 +183,9 @@ def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> str:
             remarks.append(str(record["road"]))
         if record.get("converged") is False:
             remarks.append("stopped before it converged")
-        remark = f"<small>{escape('; '.join(remarks))}</small>" if remarks else ""
-        bar = f'<span class="bar"><i style="width:{share:.0%}"></i></span>'
-        time = "–" if seconds is None else f"{seconds_text(seconds)}{bar}"
+        remark = html("<small>{}</small>", "; ".join(remarks)) if remarks else ""
+        bar = html('<span class="bar"><i style="width:{:.0%}"></i></span>', share)
+        time = "–" if seconds is None else html("{}{}", seconds_text(seconds), bar)
         cells = [
             time,
             f"{record['iterations']:,}" if "iterations" in record else "–",
@@ -189,19 +199,25 @@ def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> str:
             _number(record["transport_cost"]) if "transport_cost" in record else "–",
         ]
         rows.append(
-            f"<tr><th scope='row'>{_swatch(stage)}{escape(stage.label)}{remark}</th>"
-            + "".join(f"<td>{cell}</td>" for cell in cells)
-            + "</tr>"
+            html(
+                "<tr><th scope='row'>{}{}{}</th>{}</tr>",
+                _swatch(stage),
+                stage.label,
+                remark,
+                join(html("<td>{}</td>", cell) for cell in cells),
+            )
         )
     single = ("Stage", "Time", "Steps", "Flips")
-    head = "".join(f"<th scope='col' rowspan='2'>{name}</th>" for name in single)
+    head = join(html("<th scope='col' rowspan='2'>{}</th>", name) for name in single)
     for name in ("Area", "Angle"):
-        head += f"<th scope='colgroup' colspan='3' class='group'>{name} distortion</th>"
-    head += "<th scope='col' rowspan='2'>Transport<br>cost</th></tr><tr>"
-    head += 2 * "<th scope='col'>surface</th><th scope='col'>95 %</th><th scope='col'>sphere</th>"
-    table = (
+        head += html("<th scope='colgroup' colspan='3' class='group'>{} distortion</th>", name)
+    head += html("<th scope='col' rowspan='2'>Transport<br>cost</th></tr><tr>")
+    head += 2 * html("<th scope='col'>surface</th><th scope='col'>95 %</th><th scope='col'>sphere</th>")
+    table = html(
         '<div class="scroll" tabindex="0" role="region" aria-label="What each stage did"><table><thead>'
-        f"<tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+        "<tr>{}</tr></thead><tbody>{}</tbody></table></div>",
+        head,
+        join(rows),
     )
     words = (
         "Area distortion is σ₁σ₂ + 1/(σ₁σ₂) and angle distortion σ₁/σ₂ + σ₂/σ₁, with σ the singular values of the map "
@@ -211,11 +227,11 @@ def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> str:
     return _section("Stages", words, table)
 
 
-def certificate(report: dict[str, Any], shown_faces: int) -> str:
+def certificate(report: dict[str, Any], shown_faces: int) -> Markup:
     """What was established about the map; ``shown_faces`` is how many faces the interactive view has."""
     found = report.get("certificate")
     if not found:
-        return ""
+        return html("")
     flips, crossings = found.get("flips", 0), found.get("ray_degree")
     where_first = f", the first is face {found.get('first_flip')}" if flips else ", by exact orientation tests"
     facts = [
@@ -224,7 +240,7 @@ def certificate(report: dict[str, Any], shown_faces: int) -> str:
         ("Degree", f"{found.get('degree')} from the total signed solid angle"),
         ("Rays", f"{found.get('rays')} from the centre, each of which crosses the map {crossings} "
          f"time{'s' * (crossings != 1)} by signed count"),
-        ("Smallest triangle", f"{_number(found.get('smallest_area', 0.0))} of 4π, face {found.get('smallest_face')}"),
+        ("Smallest triangle", html("{} of 4π, face {}", _number(found["smallest_area"]), found["smallest_face"])),
     ]  # fmt: skip
     words = (
         "A map of a closed surface to the sphere whose triangles all keep their orientation, and whose vertices' rings "
@@ -233,23 +249,24 @@ def certificate(report: dict[str, Any], shown_faces: int) -> str:
     count = report.get("mesh", {}).get("faces")
     if count and shown_faces < count:
         facts.append(("Interactive view", f"simplified to {shown_faces:,} triangles; figures are of the whole mesh"))
-    return _section("Certificate", words, f'<div class="card">{_facts(facts)}</div>')
+    return _section("Certificate", words, html('<div class="card">{}</div>', _facts(facts)))
 
 
-def footer(report: dict[str, Any]) -> str:
+def footer(report: dict[str, Any]) -> Markup:
     """Versions, and the paper."""
     versions = report.get("versions", {})
-    names = ", ".join(f"{escape(str(name))} {escape(str(value))}" for name, value in versions.items())
-    return (
-        f"<p>Made with {names or 'omtwarp'}.</p>"
+    names = ", ".join(f"{name} {value}" for name, value in versions.items())
+    return html(
+        "<p>Made with {}.</p>"
         "<p>Method: A. Dominitz and A. Tannenbaum, Texture Mapping via Optimal Mass Transport, IEEE Transactions on "
-        "Visualization and Computer Graphics 16(3), 2010. The view uses three.js (MIT licence).</p>"
+        "Visualization and Computer Graphics 16(3), 2010. The view uses three.js (MIT licence).</p>",
+        names or "omtwarp",
     )
 
 
 def where(report: dict[str, Any]) -> str:
     device = str(report.get("device", "cpu"))
-    return "on the CPU" if device == "cpu" else f"on {escape(device)}"
+    return "on the CPU" if device == "cpu" else f"on {device}"
 
 
 def _weighted_quantiles(values: Any, weights: Any, shares: Sequence[float]) -> list[float]:
@@ -259,16 +276,17 @@ def _weighted_quantiles(values: Any, weights: Any, shares: Sequence[float]) -> l
     return [float(values[order[min(place, len(order) - 1)]]) for place in places]
 
 
-def _section(heading: str, words: str, content: str) -> str:
-    return f'<section class="block"><h2>{escape(heading)}</h2><p>{words}</p>{content}</section>'
+def _section(heading: str, words: str, content: Markup) -> Markup:
+    return html('<section class="block"><h2>{}</h2><p>{}</p>{}</section>', heading, words, content)
 
 
-def _facts(facts: Sequence[tuple[str, str]]) -> str:
-    return f'<dl class="facts">{"".join(f"<dt>{name}</dt><dd>{value}</dd>" for name, value in facts)}</dl>'
+def _facts(facts: Sequence[tuple[str, str]]) -> Markup:
+    items = join(html("<dt>{}</dt><dd>{}</dd>", name, value) for name, value in facts)
+    return html('<dl class="facts">{}</dl>', items)
 
 
-def _swatch(stage: Stage) -> str:
-    return f'<i class="swatch" style="--ink:var({stage.colour})"></i>'
+def _swatch(stage: Stage) -> Markup:
+    return html('<i class="swatch" style="--ink:var({})"></i>', stage.colour)
 
 
 def _number(value: float) -> str:
@@ -278,7 +296,7 @@ def _number(value: float) -> str:
         return "∞" if value > 0 else "undefined"
     if value != 0 and not 1e-3 <= abs(value) < 1e5:
         mantissa, exponent = f"{value:.1e}".split("e")
-        return f"{mantissa}\u202f×\u202f10<sup>{int(exponent)}</sup>"
+        return html("{}\u202f×\u202f10<sup>{}</sup>", mantissa, int(exponent))
     return f"{value:.4f}" if abs(value) < 100 else f"{value:,.0f}"
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
+from omtwarp.reporting.record import shown_report
 
 # Attribute of the result, name of its record in the report, label, and the colours on light and dark paper.
 KNOWN = (
@@ -53,8 +54,9 @@ class Stage:
 
 def stages_of(result: Any) -> list[Stage]:
     """The stages of a :class:`~omtwarp.result.MapResult` in order, each map once; the last is the final map."""
-    records = {record.get("name"): record for record in result.report.get("stages", ())}
-    road = result.report.get("start", {}).get("road", "conformal")
+    report = shown_report(result)
+    records = {record.get("name"): record for record in report.get("stages", ())}
+    road = report.get("start", {}).get("road", "conformal")
     scale = max(float(np.abs(result.vertices).max()), np.finfo(float).tiny)  # squares stay in range at any scale
     areas = triangle_areas(result.vertices / scale, result.faces)
     weights = areas / areas.sum()

@@ -1,0 +1,76 @@
+"""HTML that is escaped by construction: whatever is put into a template is text, unless it is itself HTML made so.
+
+A template is a literal (the linter sees to it), so that nothing of a file's or a user's can become an element, an
+attribute or a script. Pieces are joined by :func:`join`; plain text that ends up in the page is escaped there.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterable
+from hashlib import sha256
+from importlib.resources import files
+from typing import Any
+
+from markupsafe import Markup
+
+
+def html(template: str, /, *values: Any, **named: Any) -> Markup:
+    """Fill a literal template as :meth:`str.format` does, with every value escaped that is no HTML.
+
+    >>> html("<b>{}</b>", "1 < 2")
+    Markup('<b>1 &lt; 2</b>')
+    """
+    return Markup(template).format(*values, **named)  # noqa: S704 (callers give literals, which the linter checks)
+
+
+def element(name: str, *content: Any, **attributes: Any) -> Markup:
+    """One element with attributes and content, both escaped where they are no HTML.
+
+    Args:
+        name: of the element, a literal.
+        content: pieces of HTML or text.
+        attributes: by name; underscores stand for hyphens, and one at the end is left out (``class_``).
+
+    >>> element("text", "a < b", class_="tick", text_anchor="end")
+    Markup('<text class="tick" text-anchor="end">a &lt; b</text>')
+    """
+    given = join(html(' {}="{}"', key.rstrip("_").replace("_", "-"), value) for key, value in attributes.items())
+    return html("<{}{}>{}</{}>", name, given, join(content), name)
+
+
+def join(pieces: Iterable[Any], between: str = "") -> Markup:
+    """One piece of HTML from several; those that are plain text are escaped."""
+    return Markup(between).join(pieces)  # noqa: S704
+
+
+def asset(name: str) -> Markup:
+    """A file of the package's own that goes into the page as it is."""
+    text = (files("omtwarp.reporting") / "assets" / name).read_text("utf-8")
+    return Markup(text)  # noqa: S704
+
+
+def script(name: str) -> Markup:
+    """The text of a script of the package's own, in a form that nothing in it can end or nest its element."""
+    text = str(asset(name)).replace("</script", "<\\/script").replace("<!--", "<\\!--")
+    return Markup(text)  # noqa: S704
+
+
+def data_block(text: str) -> Markup:
+    """JSON, or base64, for an element that is not executed: without any ``<``, which JSON has within texts only."""
+    return Markup(text.replace("<", "\\u003c"))  # noqa: S704
+
+
+def source_hash(text: str) -> Markup:
+    """What a page's policy has to name for this script to be run (Content Security Policy level 3, section 6.7.3.3)."""
+    return html("'sha256-{}'", b64encode(sha256(text.encode()).digest()).decode())
+
+
+def fill_page(template: str, **values: Any) -> str:
+    """Put values in place of {{name}}, once and not within values; those that are plain text are escaped."""
+    pieces = template.split("{{")
+    text = [pieces[0]]
+    for piece in pieces[1:]:
+        name, _, rest = piece.partition("}}")
+        text += [str(Markup.escape(values[name])), rest]
+    return "".join(text)

@@ -1,0 +1,71 @@
+"""What a page takes from a map's report: the fields it shows, where they are of the kind they should be.
+
+A report may come from a file that somebody edited, damaged or made up. What does not fit is left out, as if it were not
+there, so that the page's sections can rely on what they find.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+NUMBER, COUNT, TEXT, FLAG = "number", "count", "text", "flag"
+_LARGEST = 1e300  # of a number that is shown: sums and squares of roots of more would overflow
+_LONGEST = 2000  # characters of a text that is shown
+
+REPORT: dict[str, Any] = {
+    "seconds": NUMBER,
+    "device": TEXT,
+    "method": TEXT,
+    "scheme": TEXT,
+    "cost": TEXT,
+    "versions": {"*": TEXT},
+    "mesh": {"faces": COUNT},
+    "start": {"road": TEXT, "reason": TEXT},
+    "optimality": {"relative_curl": NUMBER, "lower_bound": NUMBER, "gap": NUMBER},
+    "stages": [
+        {
+            "name": TEXT,
+            "seconds": NUMBER,
+            "iterations": COUNT,
+            "transport_cost": NUMBER,
+            "weight": TEXT,
+            "repaired": COUNT,
+            "road": TEXT,
+            "converged": FLAG,
+        }
+    ],
+}
+"""Fields of a report and their kinds; ``*`` stands for any name, and a list for any number of entries."""
+
+HISTORY: list[Any] = [{"iteration": NUMBER, "cost": NUMBER}]
+
+
+def shown_report(result: Any) -> dict[str, Any]:
+    """The part of a result's report that a page shows."""
+    return _fitting(result.report, REPORT) or {}
+
+
+def shown_history(result: Any) -> list[dict[str, Any]]:
+    """The iterations of a result's history of which the cost is known."""
+    return [entry for entry in _fitting(result.history, HISTORY) or [] if "cost" in entry]
+
+
+def _fitting(value: Any, shape: Any) -> Any:
+    """The value as far as it has the shape; None where it has not."""
+    if isinstance(shape, dict):
+        if not isinstance(value, dict):
+            return None
+        kept = {str(name): _fitting(value[name], shape.get(name, shape.get("*"))) for name in value}
+        return {name: entry for name, entry in kept.items() if entry is not None}
+    if isinstance(shape, list):
+        entries = [_fitting(entry, shape[0]) for entry in value] if isinstance(value, list | tuple) else []
+        return [entry for entry in entries if entry is not None]
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if shape == TEXT and (isinstance(value, str) or number):
+        return str(value)[:_LONGEST]
+    if shape == FLAG and isinstance(value, bool):
+        return value
+    if shape in (NUMBER, COUNT) and number and abs(value) <= _LARGEST and math.isfinite(value):
+        return int(value) if shape == COUNT else float(value)
+    return None
