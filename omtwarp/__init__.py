@@ -18,6 +18,7 @@ _PUBLIC = {
     "MapResult": "omtwarp.result",
     "OmtwarpError": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
+    "TargetDensity": "omtwarp.measures",
     "barycentric_map": "omtwarp.baselines",
     "certify": "omtwarp.metrics.certificate",
     "check": "omtwarp.mesh.validate",
@@ -37,6 +38,7 @@ _PUBLIC = {
     "texture": "omtwarp.texturing",
     "transport_cost": "omtwarp.transport",
     "untangle": "omtwarp.untangling.untangle",
+    "weighted_surface": "omtwarp.measures",
     "write_report": "omtwarp.reporting",
 }
 
@@ -48,6 +50,8 @@ if TYPE_CHECKING:
     from omtwarp.conformal import conformal_map as conformal_map
     from omtwarp.conformal import mobius_centring as mobius_centring
     from omtwarp.errors import OmtwarpError as OmtwarpError
+    from omtwarp.measures import TargetDensity as TargetDensity
+    from omtwarp.measures import weighted_surface as weighted_surface
     from omtwarp.mesh import shapes as shapes
     from omtwarp.mesh.read import read_mesh as read_mesh
     from omtwarp.mesh.repair import repair as repair
@@ -75,6 +79,7 @@ __all__ = [
     "MapResult",
     "OmtwarpError",
     "Surface",
+    "TargetDensity",
     "__version__",
     "barycentric_map",
     "certify",
@@ -96,6 +101,7 @@ __all__ = [
     "texture",
     "transport_cost",
     "untangle",
+    "weighted_surface",
     "write_report",
 ]
 

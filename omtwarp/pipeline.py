@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.baselines.barycentric import Weights, solve_barycentric
 from omtwarp.conformal import density
@@ -21,6 +21,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.guard import hold_back
 from omtwarp.flips.predicates import count_flips
 from omtwarp.flips.rings import is_bijective
+from omtwarp.measures import TargetDensity, weighted_surface
+from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify
@@ -31,9 +33,11 @@ from omtwarp.options import Cost, MapOptions, Method, Progress, Scheme, Stage
 from omtwarp.refine.solver import refine_map
 from omtwarp.result import MapResult, StageRecord
 from omtwarp.start.choice import bijective_start
+from omtwarp.texturing.density import as_target
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import optimal_transport, transport_cost
 from omtwarp.transport.paper import paper_flow
+from omtwarp.transport.polish import ROUNDS as POLISH_ROUNDS
 from omtwarp.transport.polish import polish_transport
 from omtwarp.untangling.untangle import untangle
 from omtwarp.version import package_version
@@ -41,6 +45,13 @@ from omtwarp.version import package_version
 # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended, about
 # halves it; a third no longer pays.
 MOSER_PASSES = 2
+# With a target density the area that a triangle is to have depends on where it is: refinement is repeated with the
+# areas of where the last round left the triangles. One, two and three rounds leave a mean mass distortion of 2.025,
+# 2.008 and 2.002 on a picture with edges of contrast 5, and 2.0033, 2.0007 and 2.0004 on a smooth one of contrast 20.
+TARGET_ROUNDS = 3
+# On a smooth density of contrast 20 the curl falls from 0.049 after one pass to 0.006 after four and 0.0015 after
+# eight, on a picture with edges from 0.066 to 0.020 and 0.013.
+TARGET_POLISHES = 8
 
 
 @blas_threads(1)
@@ -53,6 +64,8 @@ def map_to_sphere(
     scheme: str = MapOptions.scheme,
     refine: str | float | None = MapOptions.refine,
     optimality: bool = MapOptions.optimality,
+    weights: ArrayLike | None = None,
+    target: Any = None,
     device: str | None = MapOptions.device,
     progress: Progress | None = None,
 ) -> MapResult:
@@ -67,6 +80,11 @@ def map_to_sphere(
         scheme: how transport is optimised: ``default``, ``plain`` or ``paper`` (Algorithms 1 and 2 as written).
         refine: ``none``, ``area``, ``balanced``, ``angle`` or the weight of area against angle.
         optimality: also measure how far the transported map is from optimal (a lower bound on the cost: slower).
+        weights: positive, per vertex [V] or per triangle [F]: parts of twice the weight cover twice as much of the
+            sphere for their area, see :func:`omtwarp.measures.weighted_surface`.
+        target: the density that the image is to have on the sphere in place of the uniform one: a function of unit
+            vectors [N, 3], an equirectangular picture, or ``(sphere, faces, values)``; see
+            :func:`omtwarp.texturing.density.as_target`.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         progress: called as ``progress(stage, done, total, details)``.
 
@@ -86,7 +104,11 @@ def map_to_sphere(
         device=device,
     )
     where = resolve_device(options.device)
-    return _Run(as_surface(mesh), options, str(where), progress).result()
+    density = as_target(target, device=str(where))
+    if density is not None and (options.method not in (Method.OMT, Method.MOSER) or options.scheme is Scheme.PAPER):
+        raise OmtwarpError("a target density needs the methods omt or moser, and the schemes default or plain")
+    surface = weighted_surface(as_surface(mesh), weights)
+    return _Run(surface, options, str(where), progress, density).result()
 
 
 class _Run:
@@ -100,9 +122,18 @@ class _Run:
         options: how.
         device: name of the device that kernels run on.
         progress: told of every stage.
+        target: the density on the sphere that is to be reached; None for the uniform one.
     """
 
-    def __init__(self, surface: Surface, options: MapOptions, device: str, progress: Progress | None):
+    def __init__(
+        self,
+        surface: Surface,
+        options: MapOptions,
+        device: str,
+        progress: Progress | None,
+        target: TargetDensity | None = None,
+    ):
+        self.target = target
         self.surface = surface
         self.options = options
         self.device = device
@@ -135,6 +166,14 @@ class _Run:
         if self.uploaded is None or self.uploaded[0] is not sphere:
             self.uploaded = sphere, vectors(sphere, resolve_device(self.device))
         return self.uploaded[1]
+
+    def goal(self, sphere: NDArray[np.float64]) -> Surface:
+        """The surface with the areas that its triangles are to have on the sphere, were each to stay where it is."""
+        return self.surface if self.target is None else self.target.goal(self.surface, sphere)
+
+    def area_error(self, sphere: NDArray[np.float64]) -> float:
+        """How far areas on the sphere are from the goal's."""
+        return AreaMonitor(self.goal(sphere), resolve_device(self.device)).error(self.points(sphere))
 
     def finish(self, name: str, sphere: NDArray[np.float64], iterations: int, **details: str | float | None) -> None:
         """Close a stage: keep the map it hands on, and record its time and what the map is like."""
@@ -185,6 +224,8 @@ class _Run:
             transported=transported,
             history=self.history,
             report=report,
+            measure=surface.face_areas if surface.weighted else None,
+            target=None if self.target is None else self.target.at(self.sphere),
         )
 
     def conformal(self) -> None:
@@ -199,16 +240,15 @@ class _Run:
     def moser(self) -> None:
         """Moser's flow from the start, repeated from its own result, flips repaired after each pass."""
         sphere = self.sphere
-        monitor = AreaMonitor(self.surface, resolve_device(self.device))
-        least = monitor.error(self.points(sphere))
+        least = self.area_error(sphere)
         steps = repaired = 0
         for k in range(MOSER_PASSES):
             self.tell(Stage.MOSER, k, MOSER_PASSES, {})
-            flowed = moser_map(self.surface, self.points(sphere), device=self.device)
+            flowed = moser_map(self.surface, self.points(sphere), target=self.target, device=self.device)
             steps += flowed.steps
             mended, flips = self.mend(sphere, flowed.sphere)
             repaired += flips
-            error = monitor.error(self.points(mended))
+            error = self.area_error(mended)
             if error >= least:
                 break  # where the image is badly stretched, repairs can lose more than the flow gains
             sphere, least = mended, error
@@ -230,21 +270,25 @@ class _Run:
             self.points(initial),
             cost=cost,
             scheme=scheme,
+            target=self.target,
             device=self.device,
             progress=tell,
         )
         sphere, repaired = self.mend(initial, moved.sphere)
         self.history = moved.history
         if scheme is Scheme.DEFAULT and cost is Cost.SQUARED:
-            polished = polish_transport(
-                self.surface, self.start, self.points(sphere), device=self.device, progress=tell
-            )
-            sphere, more = self.mend(sphere, polished.sphere)
-            repaired += more
-            first = len(self.history)
-            self.history = self.history + [
-                record | {"iteration": first + k} for k, record in enumerate(polished.history[1:])
-            ]
+            # With a target the areas asked for depend on where triangles are: few rounds at a time, and areas anew.
+            passes, rounds = (1, POLISH_ROUNDS) if self.target is None else (TARGET_POLISHES, 2)
+            for _ in range(passes):
+                polished = polish_transport(
+                    self.goal(sphere), self.start, self.points(sphere), rounds=rounds, device=self.device, progress=tell
+                )
+                sphere, more = self.mend(sphere, polished.sphere)
+                repaired += more
+                first = len(self.history)
+                self.history = self.history + [
+                    record | {"iteration": first + k} for k, record in enumerate(polished.history[1:])
+                ]
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=moved.converged)
 
     def transport_as_published(self) -> None:
@@ -272,8 +316,11 @@ class _Run:
             self.tell(Stage.REFINE, done, total, {"text": text})
 
         give_back()  # the largest matrices follow
-        refined = refine_map(self.surface, self.sphere, weight=weight, device=self.device, progress=tell)
-        sphere, repaired = self.mend(self.sphere, refined.sphere)
+        sphere, repaired = self.sphere, 0
+        for _ in range(1 if self.target is None else TARGET_ROUNDS):
+            refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=tell)
+            sphere, flips = self.mend(sphere, refined.sphere)
+            repaired += flips
         record = {"weight": self.options.to_dict()["refine"], "converged": refined.converged, "repaired": repaired}
         self.finish(Stage.REFINE, sphere, len(refined.history), **record)
 
@@ -297,7 +344,7 @@ class _Run:
         if is_bijective(self.points(after), faces, device=self.device):
             return after, 0
         flips = count_flips(self.points(after), faces, device=self.device)
-        repaired = untangle(self.surface, after, device=self.device).sphere
+        repaired = untangle(self.goal(before), after, device=self.device).sphere
         if is_bijective(self.points(repaired), faces, device=self.device):
             return repaired, flips
         return hold_back(self.surface, before, after, device=self.device), flips
@@ -317,6 +364,7 @@ class _Run:
             **self.options.to_dict(),
             "start": self.origin,
             "seconds": time.perf_counter() - self.begun,
+            "mass": mass_distortion(self.goal(self.sphere), self.sphere) | {"weighted": surface.weighted},
             "stages": [record.to_dict() for record in self.records],
             "certificate": self.certificate(),
         }

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 # What an .npz of a map holds. The first five are always there; the others where their stage was run.
 REQUIRED = ("vertices", "faces", "sphere", "conformal", "density")
 OPTIONAL = ("face_density", "moser", "transported")
+GOALS = ("measure", "target")  # where weights or a target density were given
 ORIGINS = ("vertex_origin", "face_origin")  # where the mesh was repaired before it was mapped
 # Type and shape of every array, with V vertices and F faces.
 LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
@@ -34,6 +35,8 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "face_density": (np.float64, ("F",)),
     "moser": (np.float64, ("V", 3)),
     "transported": (np.float64, ("V", 3)),
+    "measure": (np.float64, ("F",)),
+    "target": (np.float64, ("V",)),
     "vertex_origin": (np.int64, ("V",)),
     "face_origin": (np.int64, ("F",)),
 }
@@ -89,6 +92,8 @@ class MapResult:
         face_density: μ of the triangles, shape [F].
         moser: the initial mass-preserving map, shape [V, 3], where it was made.
         transported: the optimal map before refinement, shape [V, 3], where it was made.
+        measure: the area that every triangle was to have, total 4π, where weights were given, shape [F].
+        target: the density asked for at the images of the vertices, mean 1, where one was given, shape [V].
         vertex_origin: after a repair, the index of every vertex in the mesh before it, -1 for new ones; int64 [V].
         face_origin: the same of the faces, int64 [F].
         history: one record per iteration of the transport flow: ``iteration``, ``cost``, ``curl``, ...
@@ -103,6 +108,8 @@ class MapResult:
     face_density: Array | None = None
     moser: Array | None = None
     transported: Array | None = None
+    measure: Array | None = None
+    target: Array | None = None
     vertex_origin: NDArray[np.int64] | None = None
     face_origin: NDArray[np.int64] | None = None
     history: list[dict[str, Any]] = field(default_factory=list)

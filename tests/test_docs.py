@@ -73,6 +73,7 @@ def desk(tmp_path, monkeypatch) -> Path:
     y, x = np.mgrid[0:64, 0:128]
     picture = np.stack([x * 2, y * 4, 128 + 0 * x], axis=2).astype(np.uint8)
     Image.fromarray(picture).save(tmp_path / "earth.png")
+    (tmp_path / "face.txt").write_text("\n".join(str(1 + k % 3) for k in range(surface.vertex_count)))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -25,11 +25,13 @@ class Input:
 
     Attributes:
         surface: the mesh, examined.
+        sizes: how many vertices and faces the file had.
         notes: what reading and mending did, in words.
         origins: ``vertex_origin`` [V] and ``face_origin`` [F] (indices in the file, -1 for new faces) after mending.
     """
 
     surface: Surface
+    sizes: tuple[int, int] = (0, 0)
     notes: list[str] = field(default_factory=list)
     origins: dict[str, NDArray] = field(default_factory=dict)
 
@@ -64,7 +66,7 @@ def read_sound_mesh(path: Path, repair: bool = False) -> Input:
         say(f"{path}: {note}")
     surface = Surface(*require_valid(vertices, faces, str(path)))
     surface.checked = True
-    return Input(surface, notes, origins)
+    return Input(surface, (len(mesh.vertices), len(mesh.faces)), notes, origins)
 
 
 def start_device(device: str) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
@@ -52,3 +54,48 @@ def weighted_surface(surface: Surface, weights: ArrayLike | None) -> Surface:
     given /= given.max()
     per_face = given if len(given) != vertices else given[surface.faces].mean(axis=1)
     return surface.with_areas(surface.face_areas * per_face)
+
+
+def read_numbers(path: Path) -> NDArray[np.float64]:
+    """Read one number per line, or a one-dimensional array.
+
+    Args:
+        path: ``.npy``, or text with one number a line (a header line and a comma at its end are let pass).
+
+    Returns:
+        float64, shape [N].
+
+    Raises:
+        OmtwarpError: the file is missing, or holds something else.
+    """
+    try:
+        if path.suffix.lower() == ".npy":
+            values = np.load(path, allow_pickle=False)
+        else:
+            lines = [line.strip().rstrip(",") for line in path.read_text("utf-8").splitlines()]
+            lines = [line for line in lines if line and not line.startswith("#")]
+            if lines and not _is_number(lines[0]):
+                del lines[0]
+            values = np.array([float(line) for line in lines])
+        values = np.asarray(values).squeeze()
+        if values.ndim != 1 or values.dtype.kind not in "uifb":
+            raise OmtwarpError(
+                f"'{path}' holds an array of shape {list(values.shape)}: expected one number a vertex or face"
+            )
+        return values.astype(np.float64)
+    except FileNotFoundError:
+        raise OmtwarpError(f"'{path}' does not exist") from None
+    except (OSError, EOFError, UnicodeDecodeError) as error:
+        raise OmtwarpError(f"'{path}' cannot be read: {getattr(error, 'strerror', None) or 'it is damaged'}") from error
+    except ValueError as error:
+        if isinstance(error, OmtwarpError):
+            raise
+        raise OmtwarpError(f"'{path}' is no list of numbers: {str(error).splitlines()[0]}") from error
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

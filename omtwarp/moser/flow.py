@@ -1,4 +1,4 @@
-"""Moser's flow (section 4.2): a mass-preserving map from the density μ to the uniform sphere."""
+"""Moser's flow (section 4.2): a mass-preserving map from the density μ to the uniform sphere, or to another density."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import sums_for
 from omtwarp.device.threads import blas_threads, launch_parts
+from omtwarp.measures import TargetDensity
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, vertex_field
+from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, target_masses, vertex_field
 from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve_arrays
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
@@ -43,16 +44,20 @@ def moser_map(
     surface: Surface,
     start: NDArray[np.float64] | wp.array,
     *,
+    target: TargetDensity | None = None,
     solver: PoissonSolver | None = None,
     device: str | None = "auto",
 ) -> MoserMap:
-    """Carry a map to the sphere to an area-preserving one along Moser's flow.
+    """Carry a map to the sphere to a mass-preserving one along Moser's flow.
 
-    Solves ΔΘ = 1 - μ on the image of ``start`` and moves every vertex along u_t = -∇Θ / ((1 - t) μ + t), t from 0 to 1.
+    Solves ΔΘ = ρ - μ on the image of ``start`` and moves every vertex along u_t = -∇Θ / ((1 - t) μ + t ρ), t from 0 to
+    1. The paper's ρ is 1: with the surface's own areas as masses the map then preserves area.
 
     Args:
-        surface: the surface; its areas, scaled to 4π, are the masses.
+        surface: the surface; its :attr:`~omtwarp.Surface.face_areas`, of total 4π, are the masses.
         start: a map to the sphere without flips, unit vectors, float64, shape [V, 3]; or a Warp array of vec3d.
+        target: the density ρ that the image is to have; uniform where not given. It is taken at the vertices of
+            ``start`` and as linear between them.
         solver: the factorised cotangent Laplacian of the image, made here when left out. For a conformal image the
             surface's own can serve and saves a factorisation, but around the pole a discrete conformal map is not
             conformal: the area error it leaves is three to four times as large, and does not vanish on fine meshes.
@@ -70,11 +75,17 @@ def moser_map(
         solver = SurfaceLaplacianSolver(surface, points, device=where)
     areas = wp.empty(triangles, dtype=wp.float64, device=where)
     total = wp.empty(1, dtype=wp.float64, device=where)
-    sources, mu = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(2))
+    sources, mu, excess = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(3))
     wp.launch(face_areas, dim=triangles, inputs=[points, faces], outputs=[areas], device=where)
     sums_for(where, vertices).total(areas, total)
-    inputs = [areas, total, wp.float64(SPHERE_AREA), mesh.vertex_areas, *rows]
-    wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu], device=where)
+    wanted, wanted_total = areas, total
+    if target is not None:
+        wanted, wanted_total = wp.empty_like(areas), wp.empty_like(total)
+        at_vertices = wp.array(target.at(points.numpy()), dtype=wp.float64, device=where)
+        wp.launch(target_masses, dim=triangles, inputs=[areas, faces, at_vertices], outputs=[wanted], device=where)
+        sums_for(where, vertices).total(wanted, wanted_total)
+    inputs = [areas, total, wanted, wanted_total, wp.float64(SPHERE_AREA), mesh.vertex_areas, *rows]
+    wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu, excess], device=where)
     (potential,) = solve_arrays(solver, [sources])
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
@@ -89,7 +100,7 @@ def moser_map(
 
     def arguments(part: slice) -> tuple[list[Any], list[Any]]:
         own = [points[part], rows[0][part]]
-        shared = [points, faces, mesh.face_neighbours, field, mu, rows[1]]
+        shared = [points, faces, mesh.face_neighbours, field, mu, excess, rows[1]]
         return [*own, *shared, *limits], [moved[part], steps[part]]
 
     launch_parts(integrate_particles, vertices, arguments, where)

@@ -24,13 +24,15 @@ def velocity_at(
     neighbours: wp.array[wp.vec3i],
     field: wp.array[wp.vec3d],
     mu: wp.array[wp.float64],
+    excess: wp.array[wp.float64],
 ):
-    """dx/ds = -∇Θ / (μ + e^s - 1), section 4.2 with s = -log(1 - t); growth is e^s - 1."""
+    """dx/ds = -∇Θ / (μ + (e^s - 1) ρ), section 4.2 with s = -log(1 - t); growth is e^s - 1, excess is ρ - 1."""
     f, w = walk(p, start, points, faces, neighbours)
     face = faces[f]
     v = w[0] * field[face[0]] + w[1] * field[face[1]] + w[2] * field[face[2]]
     density = w[0] * mu[face[0]] + w[1] * mu[face[1]] + w[2] * mu[face[2]]
-    v = (ONE / (density + growth)) * v
+    more = w[0] * excess[face[0]] + w[1] * excess[face[1]] + w[2] * excess[face[2]]
+    v = (ONE / (density + growth + growth * more)) * v
     return v - wp.dot(v, p) * p, f
 
 
@@ -48,9 +50,25 @@ def face_areas(
 
 
 @wp.kernel
+def target_masses(
+    areas: wp.array[wp.float64],
+    faces: wp.array[wp.vec3i],
+    target: wp.array[wp.float64],
+    # Data out:
+    masses: wp.array[wp.float64],
+):
+    """Integrate a density, linear between the vertices, over every triangle."""
+    f = wp.tid()
+    face = faces[f]
+    masses[f] = areas[f] * (target[face[0]] + target[face[1]] + target[face[2]]) / THREE
+
+
+@wp.kernel
 def sources_and_density(
     areas: wp.array[wp.float64],
     total: wp.array[wp.float64],
+    wanted: wp.array[wp.float64],
+    wanted_total: wp.array[wp.float64],
     sphere_area: wp.float64,
     masses: wp.array[wp.float64],
     offsets: wp.array[wp.int32],
@@ -58,16 +76,25 @@ def sources_and_density(
     # Data out:
     sources: wp.array[wp.float64],
     mu: wp.array[wp.float64],
+    excess: wp.array[wp.float64],
 ):
-    """Mass less area on the sphere, and one over the other, at vertices; the area of triangles is scaled to 4π."""
+    """Mass less the mass wanted at vertices, and both over the area on the sphere, the second less 1.
+
+    Areas and masses wanted are those of triangles, scaled to 4π. Where they are the same array ``excess`` is exactly 0.
+    """
     v = wp.tid()
     scale = sphere_area / total[0]
+    wanted_scale = sphere_area / wanted_total[0]
     around = wp.float64(0.0)
+    wanted_around = wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
         around += areas[corners[k] // 3] * scale
+        wanted_around += wanted[corners[k] // 3] * wanted_scale
     around = around / THREE
-    sources[v] = masses[v] - around
+    wanted_around = wanted_around / THREE
+    sources[v] = masses[v] - wanted_around
     mu[v] = wp.min(masses[v] / around, LARGEST)
+    excess[v] = wp.min(wanted_around / around - ONE, LARGEST)
 
 
 @wp.kernel
@@ -116,6 +143,7 @@ def integrate_particles(
     neighbours: wp.array[wp.vec3i],
     field: wp.array[wp.vec3d],
     mu: wp.array[wp.float64],
+    excess: wp.array[wp.float64],
     corners: wp.array[wp.int32],
     largest_step: wp.float64,
     courant: wp.float64,
@@ -136,7 +164,7 @@ def integrate_particles(
     grown = wp.float64(1.0)  # e^s
     count = int(0)
     while s < final and count < 20000:
-        k1, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu)
+        k1, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu, excess)
         face = faces[f]
         p0 = points[face[0]]
         size = wp.sqrt(wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0)))
@@ -158,7 +186,8 @@ def integrate_particles(
                 ahead = THREE_QUARTERS * step
                 weight = FOUR_NINTHS
                 later = later * quarter
-            k, near = velocity_at(wp.normalize(p + ahead * k), later - ONE, near, points, faces, neighbours, field, mu)
+            ahead_point = wp.normalize(p + ahead * k)
+            k, near = velocity_at(ahead_point, later - ONE, near, points, faces, neighbours, field, mu, excess)
             total += weight * k
         grown = later * quarter
         p = wp.normalize(p + step * total)

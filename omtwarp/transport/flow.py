@@ -23,6 +23,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
+from omtwarp.measures import TargetDensity
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Cost, Scheme, choose
 from omtwarp.transport.area import LARGEST_ERROR
@@ -41,6 +42,7 @@ from omtwarp.transport.kernels import (
     divide_by_area,
     face_centres,
     longest_edges,
+    values_at_points,
 )
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 from omtwarp.wavelets.filter import WaveletFilter
@@ -129,6 +131,7 @@ def optimal_transport(
     *,
     cost: str = "squared",
     scheme: str = "default",
+    target: TargetDensity | None = None,
     iterations: int | None = None,
     tolerance: float = CURL_TOLERANCE,
     device: str | None = "auto",
@@ -137,12 +140,14 @@ def optimal_transport(
     """Lower the transport cost of a mass-preserving map by a mass-preserving flow until it is optimal (section 4.3).
 
     Args:
-        surface: the surface; the areas of its triangles, total 4π, are the masses.
+        surface: the surface; its :attr:`~omtwarp.Surface.face_areas`, total 4π, are the masses.
         start: the points x that are transported, unit vectors, shape [V, 3]; or a Warp array of vec3d.
         initial: a mass-preserving map g^0 of them, in the same way; if it has no flip, no step makes one.
         cost: ``squared`` geodesic distance (its optimum is unique), or the paper's ``geodesic`` distance.
         scheme: ``default``, wavelet-preconditioned conjugate gradients; ``plain``, steepest descent with H the curl
             itself (equation 12), as far as the mesh resolves it.
+        target: the density ρ that ``initial`` has reached and that the flow keeps, as the velocity is divided by it;
+            uniform where not given. It is taken as linear between the nodes of the flow's grid.
         iterations: the most iterations; 60 for ``default``, 1000 for ``plain``.
         tolerance: relative curl at which the map counts as optimal.
         device: where the kernels run.
@@ -155,7 +160,7 @@ def optimal_transport(
         OmtwarpError: an unknown cost or scheme.
     """
     cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))
-    flow = _Flow(surface, start, initial, cost, scheme, resolve_device(device))
+    flow = _Flow(surface, start, initial, cost, scheme, resolve_device(device), target)
     most = MAXIMUM_ITERATIONS[scheme] if iterations is None else iterations
     converged = flow.run(flow.iterations(), most, tolerance, progress)
     return TransportMap(flow.points.numpy().copy(), flow.history, converged)
@@ -172,6 +177,7 @@ class _Flow:
         cost: str,
         scheme: str,
         device: Any,
+        target: TargetDensity | None = None,
     ):
         self.device = device
         self.count, self.face_count = surface.vertex_count, surface.face_count
@@ -189,7 +195,11 @@ class _Flow:
         squares = wp.empty(self.face_count, dtype=wp.float64, device=device)
         self.launch(face_centres, self.face_count, [self.points, self.faces], [self.centres])
         self.launch(longest_edges, self.face_count, [self.points, self.faces], [squares])
-        self.sampler = SphereSampler(self.hierarchy, self.centres, device=str(device))
+        density = None if target is None else target.at(self.hierarchy.vertices)
+        self.sampler = SphereSampler(self.hierarchy, self.centres, device=str(device), density=density)
+        self.targeted = density is not None
+        self.shares = wp.empty(self.count if self.targeted else 0, dtype=wp.float64, device=device)
+        self.node_shares = wp.array(1.0 / density if density is not None else [], dtype=wp.float64, device=device)
         # Within a grid cell the direction to x is not resolved anyway.
         self.softening = self.hierarchy.node_spacing(self.hierarchy.level)
         damping = resolution_damping(squares.numpy(), self.sampler.point_faces.numpy(), self.hierarchy)
@@ -223,7 +233,9 @@ class _Flow:
 
     def measure(self, points: Any) -> Any:
         """Partial sums of cost and area error; also sets what :meth:`set_gradient` needs."""
-        options = [int(self.geodesic), wp.float64(self.softening), wp.float64(LARGEST_ERROR)]
+        if self.targeted:
+            self.launch(values_at_points, self.count, [points, self.hints, *self.grid, self.node_shares], [self.shares])
+        options = [self.shares, int(self.geodesic), wp.float64(self.softening), wp.float64(LARGEST_ERROR)]
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             inputs = [self.start_centres[part], points, self.faces[part], self.masses[part], *options]

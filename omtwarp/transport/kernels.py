@@ -77,6 +77,7 @@ def cost_and_force(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     masses: wp.array[wp.float64],
+    shares: wp.array[wp.float64],
     geodesic: int,
     softening: wp.float64,
     largest_error: wp.float64,
@@ -85,14 +86,20 @@ def cost_and_force(
     turned: wp.array[wp.vec3d],
     centres: wp.array[wp.vec3d],
 ):
-    """Cost and area error of every triangle, and c × y with c the cost's derivative with respect to its centre y."""
+    """Cost and area error of every triangle, and c × y with c the cost's derivative with respect to its centre y.
+
+    ``shares`` is the area that a unit of mass is to cover at every vertex, or empty where that is 1.
+    """
     f = wp.tid()
     face = faces[f]
     y = centre(points, face)
     centres[f] = y
     pull, distance = logarithm(y, start_centres[f])
     mass = masses[f]
-    measured[f, 1] = area_error(points, face, mass, largest_error)
+    wanted = mass
+    if shares.shape[0] > 0:
+        wanted = mass * (shares[face[0]] + shares[face[1]] + shares[face[2]]) / wp.float64(3.0)
+    measured[f, 1] = area_error(points, face, wanted, largest_error)
     if geodesic == 1:
         # The gradient of the distance jumps at y = x; within the softening length it is taken as linear.
         soft = wp.sqrt(distance * distance + softening * softening)
@@ -191,6 +198,32 @@ def advect_points(
     k4, f4 = stream_velocity(wp.normalize(p + step * k3), f3, nodes, faces, level_starts, gradients)
     hints[v] = f4
     moved[v] = wp.normalize(p + step * SIXTH * (k1 + TWO * k2 + TWO * k3 + k4))
+
+
+@wp.kernel
+def values_at_points(
+    points: wp.array[wp.vec3d],
+    hints: wp.array[wp.int32],
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+    values: wp.array[wp.float64],
+    # Data out:
+    found: wp.array[wp.float64],
+):
+    """Interpolate a function of the nodes linearly; ``hints`` as in :func:`advect_points`."""
+    v = wp.tid()
+    p = points[v]
+    g = int(hints[v])
+    w = wp.vec3d()
+    if g >= 0:
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+    if g < 0 or wp.min(w) <= ZERO:
+        g = find_triangle(p, nodes, faces, level_starts)
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+        w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    total = w[0] * values[faces[g, 0]] + w[1] * values[faces[g, 1]] + w[2] * values[faces[g, 2]]
+    found[v] = total / (w[0] + w[1] + w[2])
 
 
 @wp.kernel

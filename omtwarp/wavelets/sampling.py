@@ -40,6 +40,8 @@ class SphereSampler:
         points: unit vectors, shape [P, 3], NumPy or Warp.
         level: level whose nodes are used; the finest where not given.
         device: ``auto``, ``cpu`` or ``cuda:N``.
+        density: positive, at the nodes, shape [N]: smooth gradients, and their adjoint, are divided by it there, so
+            that the motion p × ∇H / ρ keeps the density ρ. Uniform where not given.
 
     Attributes:
         point_faces: triangle of each point, Warp int32 [P].
@@ -47,7 +49,13 @@ class SphereSampler:
     """
 
     def __init__(
-        self, hierarchy: SphereHierarchy, points: Any, *, level: int | None = None, device: str = "auto"
+        self,
+        hierarchy: SphereHierarchy,
+        points: Any,
+        *,
+        level: int | None = None,
+        device: str = "auto",
+        density: NDArray[np.float64] | None = None,
     ) -> None:
         self.hierarchy = hierarchy
         self.level = hierarchy.level if level is None else int(level)
@@ -71,7 +79,8 @@ class SphereSampler:
         self._corner_rows = [send(rows[0]), send(rows[1])]
         first, second, third = (nodes[levels[-1][:, k]] for k in range(3))
         weights = np.linalg.norm(np.cross(second - first, third - first), axis=1)
-        self._weights = send(np.bincount(levels[-1].ravel(), np.repeat(weights, 3), minlength=self.node_count))
+        at_nodes = np.bincount(levels[-1].ravel(), np.repeat(weights, 3), minlength=self.node_count)
+        self._weights = send(at_nodes if density is None else at_nodes * density)
         self._edge_rows: list[list[Any]] | None = None
         self._level_sums: list[Any] = []
         self._level_masses: list[Any] = []

@@ -1,0 +1,114 @@
+"""Target densities from what users have: a function, a picture of the sphere, or data on the vertices of a sphere."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.location import Locator
+from omtwarp.measures import TargetDensity
+from omtwarp.texturing.image import as_floats, read_image
+from omtwarp.texturing.projection import direction_to_image
+
+GREY = (0.2126, 0.7152, 0.0722)  # ITU-R BT.709
+
+
+def image_density(image: Any, floor: float = 0.0) -> TargetDensity:
+    """Take the grey values of an equirectangular picture as a density: the brighter, the more mass.
+
+    Args:
+        image: what :func:`omtwarp.texturing.image.read_image` takes; row 0 is the north pole, longitude 0 the middle.
+            Bilinear between texels, so a picture much finer than the mesh should be smoothed first.
+        floor: densities below this share of the mean are raised to it; black needs one above 0.
+
+    Raises:
+        OmtwarpError: no picture, or a black texel and no floor.
+
+    Example:
+        >>> import numpy as np
+        >>> from omtwarp.texturing.density import image_density
+        >>> bright_east = image_density(np.array([[0.2, 0.6]]))
+        >>> bool(bright_east.at([[0.0, 1.0, 0.0]])[0] > bright_east.at([[0.0, -1.0, 0.0]])[0])
+        True
+    """
+    grey = as_floats(read_image(image))[..., :3].astype(np.float64) @ GREY
+    if floor == 0.0 and grey.min() <= 0.0:
+        row, column = np.unravel_index(int(np.argmin(grey)), grey.shape)
+        raise OmtwarpError(
+            f"{np.count_nonzero(grey <= 0.0)} texels of the target image are black, the first in row {row}, column "
+            f"{column}: a density must be positive everywhere; give a floor, such as 0.05 of its mean"
+        )
+    height, width = grey.shape
+    # The first and last column are neighbours; beyond the poles the row next to them goes on.
+    padded = np.pad(np.pad(grey, ((0, 0), (1, 1)), mode="wrap"), ((1, 1), (0, 0)), mode="edge")
+
+    def density(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        u, v = direction_to_image(points).T
+        places = [(1.0 - v) * height + 0.5, u * width + 0.5]
+        return map_coordinates(padded, places, order=1, mode="nearest")
+
+    return TargetDensity(density, floor)
+
+
+def vertex_density(
+    sphere: ArrayLike, faces: ArrayLike, values: ArrayLike, floor: float = 0.0, *, device: str | None = "auto"
+) -> TargetDensity:
+    """Take numbers at the vertices of a triangulated sphere as a density, linear on its triangles.
+
+    Args:
+        sphere: vertices of any sphere about the origin, such as another map, shape [V, 3].
+        faces: its triangles, shape [F, 3].
+        values: positive (or not negative, with a floor), shape [V].
+        floor: densities below this share of the mean are raised to it.
+        device: where points are located.
+
+    Raises:
+        OmtwarpError: arrays that do not fit together, or values that are no density.
+    """
+    points = np.asarray(sphere, dtype=np.float64)
+    points = points / np.linalg.norm(points, axis=1, keepdims=True)
+    triangles, numbers = np.asarray(faces, dtype=np.int32), np.asarray(values, dtype=np.float64)
+    if numbers.shape != (len(points),):
+        raise OmtwarpError(f"the target has {numbers.size} values: its sphere has {len(points)} vertices")
+    locator = Locator(points, triangles, device=device)
+
+    def density(queries: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = locator.find(queries)
+        return (numbers[triangles[found.faces]] * found.coordinates).sum(axis=1)
+
+    return TargetDensity(density, floor)
+
+
+def as_target(target: Any, floor: float = 0.0, *, device: str | None = "auto") -> TargetDensity | None:
+    """Take a target density in any of the accepted forms; None is the uniform one.
+
+    Args:
+        target: a :class:`TargetDensity`; a function of unit vectors, [N, 3] -> [N]; ``(sphere, faces, values)`` with
+            data at the vertices of a triangulated sphere; or an equirectangular picture (a path or an array).
+        floor: densities below this share of the mean are raised to it.
+        device: where points are located.
+
+    Raises:
+        OmtwarpError: none of these, or not positive everywhere.
+    """
+    if target is None or isinstance(target, TargetDensity):
+        return target
+    if isinstance(target, tuple):
+        if len(target) != 3:
+            raise OmtwarpError(f"a target of {len(target)} arrays: give (sphere, faces, values)")
+        return vertex_density(*target, floor, device=device)
+    if callable(target):
+        return TargetDensity(target, floor)
+    if isinstance(target, str | os.PathLike | np.ndarray) or hasattr(target, "convert"):
+        return image_density(target, floor)
+    raise OmtwarpError(
+        f"a target of type {type(target).__name__}: give a function of points, an image, or (sphere, faces, values)"
+    )
+
+
+__all__ = ["as_target", "image_density", "vertex_density"]

@@ -1,0 +1,78 @@
+"""``omtwarp map`` with weights and a target."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from omtwarp.cli import main
+from omtwarp.mesh.shapes import blob
+from omtwarp.mesh.write import write_mesh
+
+SURFACE = blob(2, sphere=700)
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_mesh(tmp_path / "mesh.ply", SURFACE.vertices, SURFACE.faces)
+    return tmp_path
+
+
+def run(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([*words])
+    return ended.value.code or 0
+
+
+def test_weights_from_text_and_arrays_give_the_same_map(desk):
+    weights = 1.0 + (SURFACE.vertices[:, 2] > 0)
+    np.save("w.npy", weights)
+    (desk / "w.csv").write_text("weight\n" + "\n".join(f"{w!r}," for w in weights.tolist()))
+    for name in ("w.npy", "w.csv"):
+        assert run("map", "mesh.ply", "-o", f"{name}.npz", "--weights", name, "--device", "cpu", "-q") == 0
+    first, second = (np.load(f"{name}.npz") for name in ("w.npy", "w.csv"))
+    np.testing.assert_array_equal(first["sphere"], second["sphere"])
+    above = SURFACE.vertices[SURFACE.faces].mean(axis=1)[:, 2] > 0.1
+    assert first["measure"][above].sum() / first["measure"].sum() > 1.2 * SURFACE.face_areas[above].sum() / (4 * np.pi)
+
+
+def test_weights_follow_a_mesh_that_is_mended(desk):
+    """Mending removes the vertex that no face uses, and turns faces: weights are of the file's vertices."""
+    faces = SURFACE.faces.copy()
+    faces[::9] = faces[::9, ::-1]
+    vertices = np.vstack([[9.0, 9.0, 9.0], SURFACE.vertices])
+    write_mesh(desk / "broken.ply", vertices, faces + 1)
+    weights = 1.0 + (SURFACE.vertices[:, 2] > 0)
+    np.save("w.npy", np.r_[50.0, weights])
+    np.save("v.npy", weights)
+    common = ["--device", "cpu", "-q", "--until", "moser"]
+    assert run("map", "broken.ply", "-o", "broken.npz", "--repair", "--weights", "w.npy", *common) == 0
+    assert run("map", "mesh.ply", "-o", "mesh.npz", "--weights", "v.npy", *common) == 0
+    broken, whole = np.load("broken.npz"), np.load("mesh.npz")
+    np.testing.assert_allclose(np.sort(broken["measure"]), np.sort(whole["measure"]), rtol=1e-6)
+
+
+def test_a_picture_as_the_target(desk):
+    Image.fromarray(np.tile(np.linspace(0, 255, 64).astype(np.uint8), (32, 1))).save("t.png")
+    words = ["map", "mesh.ply", "-o", "t.npz", "--target", "t.png", "--until", "moser", "--device", "cpu", "-q"]
+    assert run(*words) == 1
+    assert run(*words, "--target-floor", "0.2", "--report", "t.json") == 0
+    sphere, target = np.load("t.npz")["sphere"], np.load("t.npz")["target"]
+    assert np.corrcoef(np.arctan2(sphere[:, 1], sphere[:, 0]), target)[0, 1] > 0.8
+    assert json.loads((desk / "t.json").read_text())["mass"]["mean"] < 2.1
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [("1\n2\nx\n", "no list of numbers"), ("1\n2\n", "the weights have shape [2]"), ("0\n" * 362, "not positive")],
+)
+def test_weights_that_cannot_be_used(desk, capsys, content, message):
+    (desk / "w.txt").write_text(content)
+    assert run("map", "mesh.ply", "-o", "x.npz", "--weights", "w.txt", "--device", "cpu") == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (desk / "x.npz").exists()
+    assert run("map", "mesh.ply", "-o", "x.npz", "--weights", "missing.npy") == 1

@@ -1,0 +1,168 @@
+"""A density on the sphere as the goal: monotone rearrangement in closed form, mass, and input that is no density."""
+
+import numpy as np
+import pytest
+from sphere_truths import mean_edge, pushed_north, random_rotation, rms, turned, twisted
+
+import omtwarp
+from omtwarp.errors import OmtwarpError
+from omtwarp.measures import TargetDensity
+from omtwarp.measures.target import mass_distortion
+from omtwarp.mesh.shapes import blob, icosphere
+from omtwarp.texturing.density import as_target, image_density, vertex_density
+from omtwarp.texturing.projection import direction_from_angles
+
+AMOUNT = 0.5
+
+
+def pushed_density(points):
+    """What the uniform sphere becomes under :func:`pushed_north`: 1 / (1 - a z(w)) at the image height w."""
+    return 1.0 / np.sqrt(1.0 - 2.0 * AMOUNT * points[:, 2] + AMOUNT**2)
+
+
+PUSHED = TargetDensity(pushed_density)
+
+
+def test_the_total_mass_is_the_integral():
+    """∫ exp(k z) dA = 4π sinh(k) / k."""
+    density = TargetDensity(lambda points: 7.0 * np.exp(2.0 * points[:, 2]))
+    assert density.mass == pytest.approx(7.0 * 4 * np.pi * np.sinh(2.0) / 2.0, rel=1e-3)
+    sphere = icosphere(20)
+    assert density.on_triangles(sphere.vertices, sphere.faces) @ sphere.face_areas == pytest.approx(4 * np.pi, rel=2e-3)
+
+
+def test_moser_carries_the_uniform_sphere_to_an_axisymmetric_density(device):
+    """The monotone rearrangement in latitude, to second order in the size of triangles."""
+    errors = []
+    for frequency in (8, 16):
+        surface = turned(icosphere(frequency))
+        truth = pushed_north(surface.vertices, AMOUNT)
+        sphere = omtwarp.moser_map(surface, surface.vertices, target=PUSHED, device=device).sphere
+        errors.append(rms(np.linalg.norm(sphere - truth, axis=1)))
+        assert mass_distortion(PUSHED.goal(surface, sphere), sphere)["mean"] < 2.0001
+    assert errors[0] < 0.005
+    assert errors[1] < 0.3 * errors[0]
+
+
+def from_a_twist(surface):
+    """A map that reaches the pushed density and is far from optimal: the sphere twisted about x, then pushed north."""
+    about_x = np.roll(np.eye(3), 1, axis=0)
+    return pushed_north(twisted(surface.vertices @ about_x.T, 0.6) @ about_x, AMOUNT)
+
+
+def test_transport_to_an_axisymmetric_density_ends_at_the_monotone_rearrangement(device):
+    surface = turned(icosphere(12))
+    truth, initial = pushed_north(surface.vertices, AMOUNT), from_a_twist(surface)
+    moved = omtwarp.optimal_transport(surface, surface.vertices, initial, target=PUSHED, device=device)
+    before, after = (rms(np.linalg.norm(points - truth, axis=1)) for points in (initial, moved.sphere))
+    assert before > 0.2
+    assert after < 0.1 * before
+    least = omtwarp.transport_cost(surface, surface.vertices, truth, device=device)
+    assert moved.history[-1]["cost"] == pytest.approx(least, rel=0.01)
+    kept = mass_distortion(PUSHED.goal(surface, moved.sphere), moved.sphere)["mean"]
+    assert kept < 2.01
+    uniform = omtwarp.optimal_transport(surface, surface.vertices, initial, device=device).sphere
+    assert mass_distortion(PUSHED.goal(surface, uniform), uniform)["mean"] - 2.0 > 3.0 * (kept - 2.0)
+
+
+def test_steepest_descent_keeps_a_target_too(device):
+    surface = turned(icosphere(8))
+    initial = from_a_twist(surface)
+    moved = omtwarp.optimal_transport(
+        surface, surface.vertices, initial, target=PUSHED, scheme="plain", iterations=40, device=device
+    )
+    costs = [record["cost"] for record in moved.history]
+    assert costs[-1] < 0.97 * costs[0]
+    assert mass_distortion(PUSHED.goal(surface, moved.sphere), moved.sphere)["mean"] < 2.01
+
+
+def test_the_whole_pipeline_reaches_a_target_and_weights(device):
+    """On a sphere the conformal map is a rotation up to the mesh's size, and transport then along meridians."""
+    surface = turned(icosphere(10))
+    edge = mean_edge(surface, surface.vertices)
+    result = omtwarp.map_to_sphere(surface, target=pushed_density, device=device)
+    truth = pushed_north(result.conformal, AMOUNT)
+    assert rms(np.linalg.norm(result.transported - truth, axis=1)) < 0.15 * edge
+    assert result.report["mass"]["mean"] < 2.0001
+    assert result.bijective
+    np.testing.assert_allclose(result.target, PUSHED.at(result.sphere), rtol=1e-12)
+    # The other way round: mass at w as the density says, and the uniform sphere as the goal.
+    weighted = omtwarp.map_to_sphere(surface, weights=pushed_density(surface.vertices), device=device)
+    heights = (1.0 - np.sqrt(1.0 - 2.0 * AMOUNT * surface.vertices[:, 2] + AMOUNT**2)) / AMOUNT
+    axis = np.linalg.lstsq(weighted.sphere, heights, rcond=None)[0]  # heights are linear in the image, up to a rotation
+    assert np.linalg.norm(axis) == pytest.approx(1.0, abs=0.002)
+    assert rms(weighted.sphere @ axis - heights) < 0.002
+    assert weighted.report["mass"]["mean"] < 2.0001
+    assert weighted.measure.sum() == pytest.approx(4 * np.pi, rel=1e-12)
+
+
+def test_a_part_of_thrice_the_weight_covers_thrice_as_much():
+    surface = blob(3, sphere=1500)
+    chosen = surface.vertices[surface.faces].mean(axis=1)[:, 0] > np.quantile(surface.vertices[:, 0], 0.8)
+    result = omtwarp.map_to_sphere(surface, weights=np.where(chosen, 3.0, 1.0), device="cpu")
+    image = omtwarp.mesh.surface.triangle_areas(result.sphere, result.faces)
+    own = omtwarp.Surface(surface.vertices, surface.faces).face_areas
+    gain = (image[chosen].sum() / own[chosen].sum()) / (image[~chosen].sum() / own[~chosen].sum())
+    assert gain == pytest.approx(3.0, rel=0.02)
+
+
+def test_a_picture_is_a_density(device):
+    y, x = np.mgrid[0:90, 0:180]
+    longitude, latitude = (x + 0.5) * np.pi / 90 - np.pi, np.pi / 2 - (y + 0.5) * np.pi / 90
+    smooth = 0.5 + 0.4 * np.cos(latitude) * np.cos(longitude)
+    points = direction_from_angles(longitude.ravel()[::37], latitude.ravel()[::37])
+    density = image_density(smooth)
+    np.testing.assert_allclose(density.at(points) * density.mass / (4 * np.pi), 0.5 + 0.4 * points[:, 0], atol=2e-3)
+    seam = direction_from_angles([np.pi - 1e-9, -np.pi + 1e-9], [0.3, 0.3])
+    assert np.ptp(density.at(seam)) < 1e-6
+    surface = blob(3, sphere=1500)
+    result = omtwarp.map_to_sphere(surface, target=smooth, until="moser", device=device)
+    assert result.report["mass"]["mean"] < 2.02
+
+
+def test_data_on_the_vertices_of_a_sphere_is_a_density():
+    sphere = icosphere(12)
+    values = 2.0 + sphere.vertices[:, 1]
+    density = vertex_density(100.0 * sphere.vertices, sphere.faces, values, device="cpu")
+    points = icosphere(5).vertices @ random_rotation(1).T
+    np.testing.assert_allclose(density.at(points), 1.0 + points[:, 1] / 2.0, atol=0.01)
+    assert as_target((sphere.vertices, sphere.faces, values), device="cpu").mass == pytest.approx(8 * np.pi, rel=0.01)
+
+
+def test_a_floor_raises_the_dark_parts():
+    black = np.zeros((8, 16))
+    black[:, :4] = 1.0
+    with pytest.raises(OmtwarpError, match="96 texels of the target image are black, the first in row 0, column 4"):
+        image_density(black)
+    density = image_density(black, floor=0.1)
+    ratio = density.at(direction_from_angles([0.5], [0.0])) / density.at(direction_from_angles([-2.5], [0.0]))
+    assert ratio[0] == pytest.approx(0.1 * 0.25, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        (lambda p: p[:, 2], "it must be positive and finite everywhere"),
+        (lambda p: np.full(len(p), np.nan), "nan at"),
+        (lambda p: p, r"gave shape \[.*, 3\]"),
+        (lambda p: ["a"] * len(p), "cannot be evaluated"),
+        ((icosphere(2).vertices, icosphere(2).faces), "2 arrays"),
+        ((icosphere(2).vertices, icosphere(2).faces, np.ones(3)), "3 values: its sphere has 42"),
+        (5, "type int"),
+        ("missing.png", r"missing\.png"),
+    ],
+)
+def test_what_is_no_density_is_refused_in_one_line(target, message):
+    with pytest.raises(OmtwarpError, match=message):
+        omtwarp.map_to_sphere(icosphere(3), target=target, device="cpu")
+
+
+@pytest.mark.parametrize("option", [{"method": "tutte"}, {"scheme": "paper"}, {"method": "haker"}])
+def test_methods_that_know_the_uniform_sphere_alone_say_so(option):
+    with pytest.raises(OmtwarpError, match="a target density needs"):
+        omtwarp.map_to_sphere(icosphere(3), target=pushed_density, device="cpu", **option)
+
+
+def test_floors_that_there_are_not():
+    with pytest.raises(OmtwarpError, match="floor"):
+        TargetDensity(pushed_density, floor=1.0)
