@@ -25,6 +25,7 @@ _PUBLIC = {
     "conformal_map": "omtwarp.conformal",
     "distortion": "omtwarp.metrics",
     "hierarchical_embedding": "omtwarp.start.hierarchical",
+    "map_optimality": "omtwarp.metrics.optimality",
     "map_to_sphere": "omtwarp.pipeline",
     "mobius_centring": "omtwarp.conformal",
     "moser_map": "omtwarp.moser",
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from omtwarp.mesh.validate import check as check
     from omtwarp.metrics import distortion as distortion
     from omtwarp.metrics.certificate import certify as certify
+    from omtwarp.metrics.optimality import map_optimality as map_optimality
     from omtwarp.metrics.optimality import optimality as optimality
     from omtwarp.moser import moser_map as moser_map
     from omtwarp.pipeline import map_to_sphere as map_to_sphere
@@ -87,6 +89,7 @@ __all__ = [
     "conformal_map",
     "distortion",
     "hierarchical_embedding",
+    "map_optimality",
     "map_to_sphere",
     "mobius_centring",
     "moser_map",

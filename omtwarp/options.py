@@ -130,7 +130,7 @@ class MapOptions:
         cost: what transport minimises.
         scheme: how it does.
         refine: a named refinement, the weight of area against angle, or None to leave refinement out.
-        optimality: whether the transported map's distance from the optimum is bounded too.
+        optimality: whether the map's distance from the optimum is bounded too.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
     """
 
@@ -139,7 +139,7 @@ class MapOptions:
     cost: Cost = Cost.SQUARED
     scheme: Scheme = Scheme.DEFAULT
     refine: Refinement | float | None = Refinement.AREA
-    optimality: bool = False
+    optimality: bool = True
     device: str = "auto"
 
     @classmethod

@@ -20,6 +20,7 @@ from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere, tube
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify
+from omtwarp.metrics.optimality import map_optimality
 from omtwarp.options import Stage, parse_refinement
 from omtwarp.pipeline import map_to_sphere
 from omtwarp.transport.flow import transport_cost
@@ -29,7 +30,8 @@ MAPS = ("conformal", "moser", "transported")
 
 
 def mapped(surface: Surface, **options):
-    return map_to_sphere((surface.vertices, surface.faces), **({"until": "omt", "device": "cpu"} | options))
+    chosen = {"until": "omt", "optimality": False, "device": "cpu"} | options
+    return map_to_sphere((surface.vertices, surface.faces), **chosen)
 
 
 # Maps known in closed form ------------------------------------------------------------------------------------------
@@ -142,6 +144,28 @@ def test_refinement_keeps_the_bijection_and_betters_the_area():
     np.testing.assert_array_equal(result.transported, mapped(surface).transported)  # stages do not look ahead
 
 
+def test_the_report_tells_how_far_the_map_is_from_optimal():
+    """Of the map that is handed over, in a stage of its own, and what refinement added to the cost."""
+    surface = blob(seed=6, amplitude=0.3, degree=5, sphere=1280)
+    told = []
+    kept = mapped(surface, optimality=True, progress=lambda *arguments: told.append(arguments))
+    refined = mapped(surface, optimality=True, until="refine", refine="angle")
+    for result in (kept, refined):
+        found, measured = result.report["optimality"], map_optimality(result, ascent_steps=0, device="cpu").to_dict()
+        assert {name: found[name] for name in measured} == pytest.approx(measured)
+        last, before = result.report["stages"][-1], result.report["stages"][-2]
+        assert last["name"] == "optimality" and last["seconds"] > 0.0
+        assert last["transport_cost"] == before["transport_cost"] == pytest.approx(found["cost"], rel=0.05)
+        assert found["lower_bound"] <= found["cost"]
+    assert "added_by_refinement" not in kept.report["optimality"]
+    assert refined.report["optimality"]["gap"] > kept.report["optimality"]["gap"]
+    costs = [stage["transport_cost"] for stage in refined.report["stages"]]
+    assert refined.report["optimality"]["added_by_refinement"] == pytest.approx(costs[-1] / costs[2] - 1.0)
+    steps = [(done, total, details) for stage, done, total, details in told if stage == "optimality"]
+    assert steps[0][:2] == (0, 1) and steps[-1][:2] == (1, 1)
+    assert steps[-1][2]["gap"] == kept.report["optimality"]["gap"]
+
+
 BASE = blob(seed=1, amplitude=0.35, degree=5, sphere=1280)
 
 
@@ -201,6 +225,7 @@ def test_faces_told_otherwise_and_mirror_images_differ_within_a_triangle(base, c
 SCRIPT = """
 import hashlib, sys
 from omtwarp.mesh.shapes import blob
+from omtwarp.metrics.optimality import map_optimality
 from omtwarp.pipeline import map_to_sphere
 surface = blob(seed=1, amplitude=0.35, degree=5, sphere=1280)
 result = map_to_sphere((surface.vertices, surface.faces), until="omt", device="cpu")

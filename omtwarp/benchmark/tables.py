@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-STAGES = ("conformal", "moser", "omt", "refine", "other")
+STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
 
 
 def markdown(result: dict[str, Any]) -> str:

@@ -32,7 +32,9 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
         def report(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=total or None, words="")
-            words = "  ".join(_word(name, info[name]) for name in ("cost", "flips", "area", "angle") if name in info)
+            words = "  ".join(
+                _word(name, info[name]) for name in ("cost", "flips", "area", "angle", "gap") if name in info
+            )
             bars.update(tasks[stage], completed=done, total=total or None, words=words)
 
         yield report

@@ -93,7 +93,6 @@ def map_mesh(
         cost=cost,
         scheme=scheme,
         refine=refine,
-        optimality=report is not None,
         weights=per_part,
         target=goal,
         device=device,
@@ -147,4 +146,6 @@ def summary(result: MapResult, output: Path) -> str:
     area, angle = last["area"]["surface"], last["angle"]["surface"]
     size = f"{len(result.vertices)} vertices, {len(result.faces)} faces"
     flips = result.report["certificate"]["flips"]
-    return f"{output}: {size}; flips {flips}, degree {last['degree']:.6f}, area {area:.4f}, angle {angle:.4f}"
+    line = f"{output}: {size}; flips {flips}, degree {last['degree']:.6f}, area {area:.4f}, angle {angle:.4f}"
+    gap = result.report.get("optimality", {}).get("gap")
+    return line if gap is None else f"{line}, cost within {gap:.3%} of the least"

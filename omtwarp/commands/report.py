@@ -35,9 +35,6 @@ def report_on_map(
     pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead; circles by default.")] = None,
     title: Annotated[str | None, typer.Option(help="Heading of the page; the mesh's name by default.")] = None,
     up: Annotated[str, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...")] = "y",
-    optimality: Annotated[
-        bool, typer.Option("--optimality", help="Also measure how far the map is from optimal (slower).")
-    ] = False,
     method: MethodOption = MapOptions.method,
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,
@@ -70,7 +67,6 @@ def report_on_map(
         cost=cost,
         scheme=scheme,
         refine=refine,
-        optimality=optimality,
     )
     source = mesh or finished
     write_report(

@@ -4,10 +4,10 @@ The potential ψ is quadratic on every triangle of the image mesh, in the baryce
 
     ψ(b) = Σ_k b_k ψ_k + b_0 b_1 e_0 + b_1 b_2 e_1 + b_2 b_0 e_2,
 
-and the point of the sphere is p / |p| with p = Σ_k b_k y_k. "Lattice points" are those with multiples of 1/n for b.
-Triangles are the leaves of a complete binary tree in heap order: the children of node k are 2k and 2k + 1.
+and the point of the sphere is p / |p| with p = Σ_k b_k y_k. The samples of a triangle are its corners and the middles
+of its edges. Triangles are the leaves of a complete binary tree in heap order, in which node k has the children 2k and
+2k + 1.
 """
-# mypy: ignore-errors
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 
@@ -15,11 +15,16 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
+# Of a node: level, the two slopes and the second derivatives (0,0), (0,1) and (1,1) of its paraboloid, the least and
+# the largest coordinate along both axes, and the largest distance from its centre.
+vec11d = wp.types.vector(length=11, dtype=wp.float64)
 
 LARGE = wp.constant(wp.float64(1.0e300))
 RIDGE = wp.constant(wp.float64(1.0e-10))
 SLACK = wp.constant(wp.float64(1.0e-14))
-POLISH_ROUNDS = wp.constant(12)
+SAMPLES = wp.constant(6)
+# Triangles of a node that its paraboloid is fitted to; the level that makes it a bound looks at all of them.
+FITTED = wp.constant(4)
 
 
 @wp.func
@@ -33,17 +38,6 @@ def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
     """c(x, y) = d(x, y)² / 2."""
     d = angle_between(x, y)
     return HALF * d * d
-
-
-@wp.func
-def stretch_ratio(cosine: wp.float64) -> wp.float64:
-    """θ / sin θ for cos θ = cosine: minus the slope of θ² / 2 as a function of the cosine, which is convex."""
-    sine = wp.sqrt(wp.max(ONE - cosine * cosine, ZERO))
-    if sine < wp.float64(1.0e-7):
-        if cosine > ZERO:
-            return ONE
-        return LARGE
-    return wp.atan2(sine, cosine) / sine
 
 
 @wp.func
@@ -68,17 +62,22 @@ def point_at(y0: wp.vec3d, y1: wp.vec3d, y2: wp.vec3d, b: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def lattice(i: int, j: int, n: int) -> wp.vec3d:
-    """Barycentric coordinates (n - i - j, i, j) / n."""
-    scale = ONE / wp.float64(n)
-    return wp.vec3d(wp.float64(n - i - j) * scale, wp.float64(i) * scale, wp.float64(j) * scale)
+def sample_weights(s: int) -> wp.vec3d:
+    """Barycentric coordinates of sample s of a triangle: its corners, then the middles of the edges (k, k+1)."""
+    b = wp.vec3d()
+    if s < 3:
+        b[s] = ONE
+    else:
+        b[s - 3] = HALF
+        b[(s - 2) % 3] = HALF
+    return b
 
 
 @wp.kernel
-def displacement(
+def vertex_displacement(
     base: wp.array[wp.vec3d],
     target: wp.array[wp.vec3d],
-    # Out:
+    # Data out:
     log_out: wp.array[wp.vec3d],
 ):
     i = wp.tid()
@@ -90,7 +89,7 @@ def face_displacement(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     log: wp.array[wp.vec3d],
-    # Out:
+    # Data out:
     field_out: wp.array[wp.vec3d],
 ):
     """The mean of the three corners' displacements, in the plane of the flat triangle."""
@@ -106,7 +105,7 @@ def edge_bulges(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     log: wp.array[wp.vec3d],
-    # Out:
+    # Data out:
     edge_out: wp.array[wp.vec3d],
 ):
     """The quadratic terms e of ψ on the edges (k, k+1) from the slopes -log at their ends: those that a quadratic with
@@ -126,7 +125,7 @@ def admissible_differences(
     sources: wp.array[wp.vec3d],
     images: wp.array[wp.vec3d],
     edges: wp.array[wp.vec2i],
-    # Out:
+    # Data out:
     low_out: wp.array[wp.float64],
     high_out: wp.array[wp.float64],
 ):
@@ -164,40 +163,117 @@ def solve_definite(matrix: mat66d, right: vec6d) -> vec6d:
 
 
 @wp.func
-def lowest_on_interval(slope: wp.float64, bend: wp.float64, radius: wp.float64) -> wp.float64:
-    """The least value of bend s²/2 - slope s over 0 <= s <= radius, for slope >= 0."""
-    s = radius
-    if bend * radius > slope:
-        s = slope / bend
-    return HALF * bend * s * s - slope * s
+def lowest_on_interval(slope: wp.float64, bend: wp.float64, low: wp.float64, high: wp.float64) -> wp.float64:
+    """Return the least value of slope s + bend s²/2 over low <= s <= high."""
+    at_low = low * (slope + HALF * bend * low)
+    at_high = high * (slope + HALF * bend * high)
+    least = wp.min(at_low, at_high)
+    if bend > ZERO and slope + bend * low < ZERO and slope + bend * high > ZERO:
+        least = -HALF * slope * slope / bend
+    return least
+
+
+@wp.func
+def swap(order: wp.array[wp.int32], i: int, j: int):
+    """Exchange two entries."""
+    kept = order[i]
+    order[i] = order[j]
+    order[j] = kept
 
 
 @wp.kernel
-def build_nodes(
-    # Mesh, faces in the order of the leaves:
+def split_segments(
+    points: wp.array[wp.vec3d],
+    size: int,
+    # Data in and out:
+    order: wp.array[wp.int32],
+):
+    """Sort every segment of ``size`` entries of an order so far that its halves are apart from each other in space.
+
+    The first half are the points that are lowest along the longest side of the segment's bounding box (Hoare's
+    selection, 1961); where the last segment is not full, its first half is filled first.
+    """
+    segment, _compiled_once = wp.tid()
+    low = segment * size
+    high = wp.min(low + size, points.shape[0]) - 1
+    middle = low + size // 2
+    if middle > high:
+        return
+    least = points[order[low]]
+    most = least
+    for k in range(low + 1, high + 1):
+        least = wp.min(least, points[order[k]])
+        most = wp.max(most, points[order[k]])
+    sides = most - least
+    axis = int(0)
+    if sides[1] > sides[axis]:
+        axis = 1
+    if sides[2] > sides[axis]:
+        axis = 2
+    while low < high:
+        pivot = points[order[(low + high) // 2]][axis]
+        i = int(low)
+        j = int(high)
+        while i <= j:
+            while points[order[i]][axis] < pivot:
+                i += 1
+            while points[order[j]][axis] > pivot:
+                j -= 1
+            if i <= j:
+                swap(order, i, j)
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            low = high
+
+
+@wp.kernel
+def sample_triangles(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     nodal: wp.array[wp.float64],
     edge: wp.array[wp.vec3d],
+    # Data out:
+    places_out: wp.array[wp.vec3d],
+    values_out: wp.array[wp.float64],
+):
+    """Place on the sphere, and potential there, of the six samples of every triangle."""
+    f = wp.tid()
+    face = faces[f]
+    values = wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]])
+    for s in range(SAMPLES):
+        b = sample_weights(s)
+        places_out[SAMPLES * f + s] = point_at(points[face[0]], points[face[1]], points[face[2]], b)
+        values_out[SAMPLES * f + s] = potential_at(values, edge[f], b)
+
+
+@wp.kernel
+def build_nodes(
+    places: wp.array[wp.vec3d],
+    values: wp.array[wp.float64],
+    face_count: int,
     leaf_count: int,
-    divisions: int,
-    # Out:
+    # Data out:
     centre_out: wp.array[wp.vec3d],
     axis_out: wp.array[wp.vec3d],
-    slope_out: wp.array[wp.vec2d],
-    bends_out: wp.array[wp.vec2d],
-    level_out: wp.array[wp.float64],
-    radius_out: wp.array[wp.float64],
+    model_out: wp.array[vec11d],
 ):
-    """Of every node, a ball that holds the lattice points below it and a paraboloid above the potential there.
+    """Find a rectangle that holds every sample below a node, and a paraboloid above the potential there.
 
-    With w the part of z - c tangent at the centre c, in the frame (axis, c × axis), every lattice point z below the
-    node has |z - c| <= radius and ψ(z) <= level + slope · w + (bends_0 w_0² + bends_1 w_1²) / 2. Frame, slope and bends
-    come from a fit; level is raised until the inequality holds.
+    With w the part of z - c tangent at the centre c, in the frame (axis, c × axis), every sample z below the node has w
+    in the rectangle and ψ(z) <= level + slope · w + w · B w / 2. Slope and B are fitted to some of the triangles; the
+    level is raised until the inequality holds at all samples, and in between as far as what is left of ψ there is a
+    quadratic in barycentric coordinates, which it is to third order.
     """
-    node, _ = wp.tid()
+    node, _compiled_once = wp.tid()
+    model = vec11d()
+    model[0] = -LARGE
+    model_out[node] = model
     if node == 0:
-        level_out[node] = -LARGE
         return
     # The leaves below a node: shift it down to the last level on both sides.
     first = int(node)
@@ -206,120 +282,196 @@ def build_nodes(
         first = 2 * first
         last = 2 * last + 1
     first = first - leaf_count
-    last = wp.min(last - leaf_count, faces.shape[0] - 1)
+    last = wp.min(last - leaf_count, face_count - 1)
     if first > last:
-        level_out[node] = -LARGE
         return
 
+    count = last - first + 1
+    fitted = wp.min(count, FITTED)
     total = wp.vec3d()
-    for f in range(first, last + 1):
-        face = faces[f]
-        total += wp.normalize(points[face[0]] + points[face[1]] + points[face[2]])
+    for k in range(fitted):
+        f = first + ((2 * k + 1) * count) // (2 * fitted)
+        total += places[SAMPLES * f] + places[SAMPLES * f + 1] + places[SAMPLES * f + 2]
     c = wp.normalize(total)
     if wp.length(total) < wp.float64(1.0e-9):
-        c = points[faces[first][0]]
+        c = places[SAMPLES * first]
     u = wp.vec3d(ONE, ZERO, ZERO)
     if wp.abs(c[0]) > wp.float64(0.6):
         u = wp.vec3d(ZERO, ONE, ZERO)
     u = wp.normalize(wp.cross(u, c))
     v = wp.cross(c, u)
 
+    # The first axis is the direction in which the node is longest.
     size = wp.float64(1.0e-30)
-    for f in range(first, last + 1):
-        face = faces[f]
-        for k in range(3):
-            size = wp.max(size, wp.length(points[face[k]] - c))
-    # Least squares over corners and edge midpoints, in units of the node's size. On one triangle it interpolates.
+    stretch = wp.vec2d()
+    for k in range(fitted):
+        f = first + ((2 * k + 1) * count) // (2 * fitted)
+        for s in range(3):
+            w = places[SAMPLES * f + s] - c
+            a0 = wp.dot(w, u)
+            a1 = wp.dot(w, v)
+            stretch += wp.vec2d(a0 * a0 - a1 * a1, TWO * a0 * a1)
+            size = wp.max(size, wp.length_sq(w))
+    size = wp.sqrt(size)
+    angle = HALF * wp.atan2(stretch[1], stretch[0])
+    u = wp.cos(angle) * u + wp.sin(angle) * v
+    v = wp.cross(c, u)
+    # Least squares over samples, in units of the node's size. On one triangle it interpolates.
     gram = mat66d()
     right = vec6d()
     for k in range(6):
-        gram[k, k] = RIDGE * wp.float64(last - first + 1)
-    for f in range(first, last + 1):
-        face = faces[f]
-        values = wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]])
-        for s in range(6):
-            b = wp.vec3d()
-            if s < 3:
-                b[s] = ONE
-            else:
-                b[s - 3] = HALF
-                b[(s - 2) % 3] = HALF
-            w = (point_at(points[face[0]], points[face[1]], points[face[2]], b) - c) / size
+        gram[k, k] = RIDGE * wp.float64(fitted)
+    for k in range(fitted):
+        f = first + ((2 * k + 1) * count) // (2 * fitted)
+        for s in range(SAMPLES):
+            w = (places[SAMPLES * f + s] - c) / size
             a0 = wp.dot(w, u)
             a1 = wp.dot(w, v)
-            row = vec6d(ONE, a0, a1, HALF * a0 * a0, a0 * a1, HALF * a1 * a1)
-            value = potential_at(values, edge[f], b)
-            for k in range(6):
-                for l in range(6):
-                    gram[k, l] = gram[k, l] + row[k] * row[l]
-                right[k] = right[k] + value * row[k]
+            row_of = vec6d(ONE, a0, a1, HALF * a0 * a0, a0 * a1, HALF * a1 * a1)
+            value = values[SAMPLES * f + s]
+            for i in range(6):
+                for j in range(i + 1):
+                    gram[i, j] = gram[i, j] + row_of[i] * row_of[j]
+                right[i] = right[i] + value * row_of[i]
     fit = solve_definite(gram, right)
-    # Principal axes of the fitted second derivative.
-    turn = HALF * wp.atan2(TWO * fit[4], fit[3] - fit[5])
-    cosine = wp.cos(turn)
-    sine = wp.sin(turn)
-    axis = cosine * u + sine * v
-    across = wp.cross(c, axis)
-    slope = wp.vec2d(cosine * fit[1] + sine * fit[2], cosine * fit[2] - sine * fit[1]) / size
-    mixed = TWO * cosine * sine * fit[4]
-    bends = wp.vec2d(
-        cosine * cosine * fit[3] + mixed + sine * sine * fit[5],
-        sine * sine * fit[3] - mixed + cosine * cosine * fit[5],
-    ) / (size * size)
-    if not (wp.abs(bends[0]) + wp.abs(bends[1]) < wp.float64(1.0e12)):
-        bends = wp.vec2d()
-        slope = wp.vec2d()
+    for k in range(3):
+        fit[3 + k] = fit[3 + k] / (size * size)
+    if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < wp.float64(1.0e12)):
+        fit = vec6d()
 
     level = -LARGE
     radius = ZERO
+    low = wp.vec2d()
+    high = wp.vec2d()
     for f in range(first, last + 1):
-        face = faces[f]
-        values = wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]])
-        for i in range(divisions + 1):
-            for j in range(divisions + 1 - i):
-                b = lattice(i, j, divisions)
-                w = point_at(points[face[0]], points[face[1]], points[face[2]], b) - c
-                a0 = wp.dot(w, axis)
-                a1 = wp.dot(w, across)
-                radius = wp.max(radius, wp.dot(w, w))
-                model = slope[0] * a0 + slope[1] * a1 + HALF * (bends[0] * a0 * a0 + bends[1] * a1 * a1)
-                level = wp.max(level, potential_at(values, edge[f], b) - model)
+        above = wp.vec3d()
+        for s in range(SAMPLES):
+            k = SAMPLES * f + s
+            w = places[k] - c
+            a0 = wp.dot(w, u)
+            a1 = wp.dot(w, v)
+            bent = HALF * (fit[3] * a0 * a0 + fit[5] * a1 * a1) + fit[4] * a0 * a1
+            over = values[k] - ((fit[1] * a0 + fit[2] * a1) / size + bent)
+            level = wp.max(level, over)
+            radius = wp.max(radius, wp.length_sq(w))
+            low = wp.min(low, wp.vec2d(a0, a1))
+            high = wp.max(high, wp.vec2d(a0, a1))
+            if s < 3:
+                above[s] = over
+            else:
+                # No quadratic on the triangle exceeds its coefficients in Bernstein's form.
+                level = wp.max(level, TWO * over - HALF * (above[s - 3] + above[(s - 2) % 3]))
     centre_out[node] = c
-    axis_out[node] = axis
-    slope_out[node] = slope
-    bends_out[node] = bends
-    level_out[node] = level
-    radius_out[node] = wp.sqrt(radius)
+    axis_out[node] = u
+    for k in range(6):
+        model[k] = fit[k]
+    model[0] = level
+    model[1] = fit[1] / size
+    model[2] = fit[2] / size
+    model[6] = low[0]
+    model[7] = high[0]
+    model[8] = low[1]
+    model[9] = high[1]
+    model[10] = wp.sqrt(radius)
+    model_out[node] = model
 
 
 @wp.func
-def node_bound(
-    x: wp.vec3d,
-    c: wp.vec3d,
-    axis: wp.vec3d,
-    slope: wp.vec2d,
-    bends: wp.vec2d,
-    level: wp.float64,
-    radius: wp.float64,
-) -> wp.float64:
-    """A number that c(x, z) - ψ(z) does not go below at any lattice point z of a node.
+def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: wp.float64) -> wp.float64:
+    """Return a number that c(x, z) - ψ(z) does not go below at any sample z of a node.
 
-    θ²/2 is a convex function of x · z, so it lies above its tangent at the centre: c(x, z) >= c(x, c) - κ x · (z - c)
-    with κ = θ/sin θ. Since z - c = w - |z - c|² c / 2 with w tangent at c, and |z - c|² >= |w|², what is left is a
-    quadratic in w, with w_0 and w_1 apart from each other: each is at least its least value over |w_k| <= radius.
+    With v = 1 - x · z, θ²/2 = Σ (2v)^n / (n² C(2n, n)): it and all its derivatives grow with v. So it lies above the
+    parabola with its value and slope κ = θ / sin θ at the centre's v and with its second derivative at the least v
+    within the node, of which four terms of the series are a lower bound. With w the part of z - c tangent at c and
+    q = |z - c|² >= |w|², x · (z - c) = t · w - q (x · c) / 2; what is left is a quadratic in w, whose least value over
+    the rectangle is inside or on a side, and a remainder of third order. Where a bound by the first derivative alone
+    reaches ``enough``, that is returned.
     """
-    cosine = wp.min(wp.max(wp.dot(x, c), -ONE), ONE)
-    kappa = stretch_ratio(cosine)
-    if kappa > wp.float64(1.0e6) or radius > ONE:
-        return -LARGE  # next to the antipode the tangent is vertical and says nothing
+    radius = model[10]
+    cosine = wp.dot(x, c)
+    v = HALF * wp.length_sq(x - c)
+    if radius > ONE or v > wp.float64(1.999999):
+        return -LARGE  # next to the antipode the slope is infinite and says nothing
+    sine = wp.sqrt(v * (TWO - v))
+    angle = TWO * wp.asin(wp.sqrt(HALF * v))
+    kappa = ONE
+    if sine > wp.float64(1.0e-12):
+        kappa = angle / sine
+    t0 = wp.dot(x, axis)
+    t1 = wp.dot(x, wp.cross(c, axis))
+    down = wp.max(-cosine, ZERO)
+    least = wp.max(v - radius * (sine + HALF * radius * down), ZERO)
+    curve = wp.float64(1.0 / 3.0) + least * (
+        wp.float64(4.0 / 15.0) + least * (wp.float64(6.0 / 35.0) + wp.float64(32.0 / 315.0) * least)
+    )
     normal = kappa * cosine
     if normal < ZERO:
-        normal = normal / (ONE - wp.float64(0.25) * radius * radius)  # |z - c|² = |w|² / (1 - |z - c|² / 4)
-    first = wp.abs(kappa * wp.dot(x, axis) + slope[0])
-    second = wp.abs(kappa * wp.dot(x, wp.cross(c, axis)) + slope[1])
-    angle = angle_between(x, c)
-    least = lowest_on_interval(first, normal - bends[0], radius) + lowest_on_interval(second, normal - bends[1], radius)
-    return HALF * angle * angle - level + least
+        normal = normal / (ONE - wp.float64(0.25) * radius * radius)  # q = |w|² / (1 - q / 4)
+    base = HALF * angle * angle - model[0] - HALF * curve * sine * radius * radius * radius * wp.abs(cosine)
+    g0 = -(kappa * t0 + model[1])
+    g1 = -(kappa * t1 + model[2])
+    h00 = normal + curve * t0 * t0 - model[3]
+    h01 = curve * t0 * t1 - model[4]
+    h11 = normal + curve * t1 * t1 - model[5]
+    mean = HALF * (h00 + h11)
+    half = HALF * (h00 - h11)
+    spread = wp.sqrt(half * half + h01 * h01)
+    simple = base - radius * wp.sqrt(g0 * g0 + g1 * g1) + HALF * wp.min(mean - spread, ZERO) * radius * radius
+    if simple >= enough:
+        return simple
+    low0 = model[6]
+    high0 = model[7]
+    low1 = model[8]
+    high1 = model[9]
+    det = h00 * h11 - h01 * h01
+    if h00 > ZERO and det > ZERO:
+        w0 = (h01 * g1 - h11 * g0) / det
+        w1 = (h01 * g0 - h00 * g1) / det
+        if w0 >= low0 and w0 <= high0 and w1 >= low1 and w1 <= high1:
+            return base + HALF * (g0 * w0 + g1 * w1)
+    value = low0 * (g0 + HALF * h00 * low0) + lowest_on_interval(g1 + h01 * low0, h11, low1, high1)
+    value = wp.min(value, high0 * (g0 + HALF * h00 * high0) + lowest_on_interval(g1 + h01 * high0, h11, low1, high1))
+    value = wp.min(value, low1 * (g1 + HALF * h11 * low1) + lowest_on_interval(g0 + h01 * low1, h00, low0, high0))
+    value = wp.min(value, high1 * (g1 + HALF * h11 * high1) + lowest_on_interval(g0 + h01 * high1, h00, low0, high0))
+    return base + value
+
+
+@wp.func
+def lowest_on_edge(from_value: wp.float64, to_value: wp.float64, edge: wp.float64) -> wp.float64:
+    """Return where (1 - r) from + r to + r (1 - r) edge is least over 0 <= r <= 1."""
+    if edge < ZERO:
+        r = HALF * (to_value - from_value + edge) / edge
+        return wp.min(wp.max(r, ZERO), ONE)
+    if to_value < from_value:
+        return ONE
+    return ZERO
+
+
+@wp.func
+def lowest_on_triangle(nodal: wp.vec3d, edge: wp.vec3d) -> wp.vec3d:
+    """Return the barycentric coordinates where Σ b_k nodal_k + Σ b_k b_k+1 edge_k is least over the triangle."""
+    # With b = (1 - s - t, s, t).
+    mixed = edge[1] - edge[0] - edge[2]
+    det = wp.float64(4.0) * edge[0] * edge[2] - mixed * mixed
+    if edge[0] < ZERO and det > ZERO:
+        p = nodal[1] - nodal[0] + edge[0]
+        q = nodal[2] - nodal[0] + edge[2]
+        s = (TWO * edge[2] * p + mixed * q) / det
+        t = (TWO * edge[0] * q + mixed * p) / det
+        if s >= ZERO and t >= ZERO and s + t <= ONE:
+            return wp.vec3d(ONE - s - t, s, t)
+    best = LARGE
+    out = wp.vec3d()
+    for k in range(3):
+        r = lowest_on_edge(nodal[k], nodal[(k + 1) % 3], edge[k])
+        b = wp.vec3d()
+        b[k] = ONE - r
+        b[(k + 1) % 3] = r
+        value = potential_at(nodal, edge, b)
+        if value < best:
+            best = value
+            out = b
+    return out
 
 
 @wp.kernel
@@ -332,30 +484,28 @@ def c_transform(
     faces: wp.array[wp.vec3i],
     nodal: wp.array[wp.float64],
     edge: wp.array[wp.vec3d],
+    places: wp.array[wp.vec3d],
+    values: wp.array[wp.float64],
     leaf_count: int,
-    divisions: int,
     tolerance: wp.float64,
     # Tree:
     centres: wp.array[wp.vec3d],
     axes: wp.array[wp.vec3d],
-    slopes: wp.array[wp.vec2d],
-    bends: wp.array[wp.vec2d],
-    levels: wp.array[wp.float64],
-    radii: wp.array[wp.float64],
-    # Out:
-    value_out: wp.array[wp.float64],
+    models: wp.array[vec11d],
+    # Data out:
     proven_out: wp.array[wp.float64],
     leaf_out: wp.array[wp.int32],
     weights_out: wp.array[wp.vec3d],
     visited_out: wp.array[wp.int32],
 ):
-    """φ(x) = min of c(x, z) - ψ(z) over all lattice points z, and then downhill from the best one inside its triangle.
+    """Compute φ(x) = min of c(x, z) - ψ(z) over the sphere.
 
     A branch is left out where its bound proves that it holds nothing lower than the best value so far minus the
-    tolerance. ``value`` is the least value found, ``proven`` the lower of it and all bounds that were relied upon:
-    no lattice point has a value below ``proven``, which is at most the tolerance below the true minimum.
+    tolerance. In a triangle that is not left out the quadratic through the values at the six samples says where the
+    least value is, and the value there is taken. ``proven`` is the lower of the least value found and of all bounds
+    that were relied upon: no sample has a value below it, and it is at most the tolerance below what was found.
     """
-    i, _ = wp.tid()
+    i, _compiled_once = wp.tid()
     x = sources[i]
     best = seeds[i]
     best_leaf = int(-1)
@@ -366,9 +516,11 @@ def c_transform(
     while node > 0:
         visited += 1
         inside = bool(False)
-        if levels[node] > -LARGE:
-            bound = node_bound(x, centres[node], axes[node], slopes[node], bends[node], levels[node], radii[node])
-            inside = bound < best - tolerance
+        model = models[node]
+        if model[0] > -LARGE:
+            enough = best - tolerance
+            bound = node_bound(x, centres[node], axes[node], model, enough)
+            inside = bound < enough
             if not inside:
                 relied = wp.min(relied, bound - SLACK)
         if inside and node < leaf_count:
@@ -376,17 +528,36 @@ def c_transform(
         else:
             if inside:
                 f = node - leaf_count
-                face = faces[f]
-                values = wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]])
-                for k in range(divisions + 1):
-                    for l in range(divisions + 1 - k):
-                        b = lattice(k, l, divisions)
-                        z = point_at(points[face[0]], points[face[1]], points[face[2]], b)
-                        value = half_squared_distance(x, z) - potential_at(values, edge[f], b)
-                        if value < best:
-                            best = value
-                            best_leaf = f
-                            best_weights = b
+                corner = wp.vec3d()
+                middle = wp.vec3d()
+                for k in range(3):
+                    one = SAMPLES * f + k
+                    corner[k] = half_squared_distance(x, places[one]) - values[one]
+                    middle[k] = half_squared_distance(x, places[one + 3]) - values[one + 3]
+                bulge = wp.vec3d()
+                for k in range(3):
+                    bulge[k] = wp.float64(4.0) * middle[k] - TWO * (corner[k] + corner[(k + 1) % 3])
+                    b = wp.vec3d()
+                    b[k] = ONE
+                    value = corner[k]
+                    if middle[k] < value:
+                        value = middle[k]
+                        b[k] = HALF
+                        b[(k + 1) % 3] = HALF
+                    if value < best:
+                        best = value
+                        best_leaf = f
+                        best_weights = b
+                b = lowest_on_triangle(corner, bulge)
+                if potential_at(corner, bulge, b) < best:
+                    face = faces[f]
+                    psi = potential_at(wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]]), edge[f], b)
+                    z = point_at(points[face[0]], points[face[1]], points[face[2]], b)
+                    value = half_squared_distance(x, z) - psi
+                    if value < best:
+                        best = value
+                        best_leaf = f
+                        best_weights = b
             # To the next subtree: up while this is a right child, then over to the right.
             while node % 2 == 1 and node > 1:
                 node = node // 2
@@ -394,28 +565,6 @@ def c_transform(
                 node = 0
             else:
                 node = node + 1
-    if best_leaf >= 0:
-        face = faces[best_leaf]
-        values = wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]])
-        step = HALF / wp.float64(divisions)
-        for _ in range(POLISH_ROUNDS):
-            centre = best_weights
-            for k in range(6):
-                move = wp.vec3d()
-                grow = k // 2
-                shrink = (grow + 1 + k % 2) % 3
-                move[grow] = step
-                move[shrink] = -step
-                b = centre + move
-                if wp.min(b) >= ZERO:
-                    z = point_at(points[face[0]], points[face[1]], points[face[2]], b)
-                    value = half_squared_distance(x, z) - potential_at(values, edge[best_leaf], b)
-                    if value < best:
-                        best = value
-                        best_weights = b
-            if wp.length(best_weights - centre) == ZERO:
-                step = step * HALF
-    value_out[i] = best
     proven_out[i] = wp.min(best, relied)
     leaf_out[i] = best_leaf
     weights_out[i] = best_weights

@@ -158,9 +158,9 @@ def _transport_facts(
         facts.append(("Refinement", f"{weight} (weight of area against angle)"))
     if "relative_curl" in optimality:
         facts.append(("Curl left over", f"{optimality['relative_curl']:.2%} of the displacement; 0 for an optimal map"))
-    if "lower_bound" in optimality:
+    if optimality.get("lower_bound"):
         facts.append(("Lower bound", html("{} (Kantorovich's dual)", _number(optimality["lower_bound"]))))
-    if "gap" in optimality:
+    if optimality.get("gap") is not None:
         facts.append(("Gap", f"the optimal cost is at most {optimality['gap']:.3%} lower"))
     repaired = [(stage.label, stage.record.get("repaired", 0)) for stage in stages]
     mended = ", ".join(f"{count} after {label}" for label, count in repaired if count)

@@ -113,7 +113,7 @@ class SurfaceLaplacianSolver:
             self._iterative = DeviceLaplacian(surface, wp.clone(vectors(points, where)))
         else:
             on_host = points.numpy() if isinstance(points, wp.array) else points
-            self._direct = _SurfaceFactorization(surface, on_host, pinned)
+            self._direct = _of_cotangents(surface, on_host, pinned)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
@@ -134,7 +134,7 @@ class SurfaceLaplacianSolver:
                 solved = wp.empty(right.size, dtype=wp.float64, device=given.device)
                 if not self._iterative.solve(given, solved).converged:
                     points = self._iterative.points.numpy()
-                    self._direct = _SurfaceFactorization(self._iterative.surface, points, self._pinned)
+                    self._direct = _of_cotangents(self._iterative.surface, points, self._pinned)
                     self._iterative = None
                     break
                 solutions.append(solved.to(right.device))
@@ -163,12 +163,24 @@ def _solve_on_host(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp
     return [wp.array(values, dtype=wp.float64, device=rights[0].device, copy=False) for values in solutions]
 
 
-class _SurfaceFactorization:
-    """The direct solution on the host; arguments as of :class:`SurfaceLaplacianSolver`."""
+def _of_cotangents(surface: Surface, points: NDArray[np.float64], pinned: int) -> EdgeLaplacianSolver:
+    """Factorise the cotangent Laplacian of a surface whose vertices are at ``points``, on the host."""
+    return EdgeLaplacianSolver(surface, cotangent_edge_weights(surface, points), pinned)
 
-    def __init__(self, surface: Surface, points: NDArray[np.float64], pinned: int = 0):
+
+class EdgeLaplacianSolver:
+    """Solves L u = b on the host for the Laplacian of any weights of a surface's edges.
+
+    (L u)_i is the sum of w_ij (u_i - u_j) over the edges (i, j) at vertex i.
+
+    Args:
+        surface: a closed surface, V vertices and E edges; it keeps the order of elimination.
+        weights: of its edges, float64, shape [E].
+        pinned: the vertex held at zero while solving.
+    """
+
+    def __init__(self, surface: Surface, weights: NDArray[np.float64], pinned: int = 0):
         edges = surface.edges
-        weights = cotangent_edge_weights(surface, points)
         count = surface.vertex_count
         diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)
         # The pinned vertex keeps its place, joined to nothing: its unknown is its right-hand side, zero.

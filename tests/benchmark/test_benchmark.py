@@ -33,7 +33,14 @@ def test_every_stage_of_every_mesh_is_measured(result):
     assert [mesh["family"] for mesh in result["meshes"]] == ["blob", "blob", "mesh 1"]
     for mesh in result["meshes"]:
         (one,) = mesh["runs"]
-        assert [stage["name"] for stage in one["stages"]] == ["conformal", "moser", "omt", "refine", "other"]
+        assert [stage["name"] for stage in one["stages"]] == [
+            "conformal",
+            "moser",
+            "omt",
+            "refine",
+            "optimality",
+            "other",
+        ]
         assert one["device"] == "cpu" and one["flips"] == 0 and one["bijective"]
         assert mesh["splu"]["seconds"] > 0 and one["ratio"] > 0
         assert 3 * mesh["vertices"] == 1.5 * mesh["faces"] + 6
@@ -56,7 +63,11 @@ def test_a_result_is_json_and_markdown(result):
 def test_kernels_of_all_stages_are_recorded(result):
     (kernels,) = result["kernels"]
     names = {row["name"] for row in kernels["kernels"]}
-    assert {"moser.kernels.integrate_particles", "transport.kernels.advect", "refine.kernels.triangle_hessian"} <= names
+    assert {
+        "moser.kernels.integrate_particles",
+        "transport.kernels.advect_points",
+        "refine.kernels.triangle_hessian",
+    } <= names
     for row in kernels["kernels"]:
         assert row["launches"] > 0
         assert (row["bytes"] > 0) == (f"omtwarp.{row['name']}" not in LISTED)

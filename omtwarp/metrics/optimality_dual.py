@@ -1,0 +1,187 @@
+"""Kantorovich's dual on a device: potentials from a map, their c-transform, and steps that improve them.
+
+See :mod:`omtwarp.metrics.optimality` for what the bound says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
+from omtwarp.device.threads import launch_parts
+from omtwarp.mesh.surface import Surface
+from omtwarp.metrics import optimality_kernels as kernels
+from omtwarp.solvers.poisson import EdgeLaplacianSolver
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-5
+"""How far below the true minimum, in units of the mean cost, the search for it may stay: what it adds to the gap."""
+_NARROWEST = 1e-3  # of the median interval: flipped triangles make empty ones, whose weight must stay finite
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A potential and the c-transform it leads to.
+
+    Attributes:
+        potential: ψ at the y_i, float64, shape [V].
+        vertex_gap: c(x_i, y_i) - ψ(y_i) - φ(x_i), never negative, float64, shape [V].
+        excess: Σ m_i vertex_gap_i.
+        face: the triangle in which the minimum is attained, shape [V]; -1 where that is y_i itself.
+        weights: its barycentric coordinates there, shape [V, 3].
+        visited: nodes of the tree that were looked at, shape [V].
+    """
+
+    potential: Array
+    vertex_gap: Array
+    excess: float
+    face: NDArray[np.int64]
+    weights: Array
+    visited: NDArray[np.int32]
+
+
+class TransportDual:
+    """The dual problem of a map x_i -> y_i with masses m_i.
+
+    Args:
+        surface: the faces, V vertices; where its vertices are does not matter.
+        x: the x_i, unit vectors, shape [V, 3].
+        y: the y_i, unit vectors, shape [V, 3].
+        mass: the m_i, shape [V].
+        device: where kernels run.
+        tolerance: see ``TOLERANCE``.
+    """
+
+    def __init__(
+        self, surface: Surface, x: Array, y: Array, mass: Array, device: str | None, tolerance: float = TOLERANCE
+    ):
+        self.device = resolve_device(device)
+        self.surface, self.mass = surface, mass
+        self._x, self._y = vectors(x, self.device), vectors(y, self.device)
+        vertices, faces = surface.vertex_count, surface.face_count
+        displaced = wp.empty(vertices, dtype=wp.vec3d, device=self.device)
+        self._launch(kernels.vertex_displacement, vertices, [self._y, self._x], [displaced])
+        self.log: Array = displaced.numpy()
+        self.cost: Array = 0.5 * (self.log**2).sum(axis=1)
+        self.tolerance = tolerance * float(mass @ self.cost) / float(mass.sum())
+        # Triangles near each other in space next to each other in the tree.
+        self.order = space_order(y[surface.faces].mean(axis=1))
+        self._faces = wp.array(surface.faces[self.order], dtype=wp.vec3i, device=self.device)
+        self._edge = wp.empty(faces, dtype=wp.vec3d, device=self.device)
+        self._launch(kernels.edge_bulges, faces, [self._y, self._faces, displaced], [self._edge])
+        self._corners = y[surface.faces[self.order]]
+        self._leaves = leaf_count(faces)
+        self._solver: EdgeLaplacianSolver | None = None
+
+    @property
+    def edge_terms(self) -> Array:
+        """The quadratic terms of ψ on the edges of every triangle, in ``order``, shape [F, 3]."""
+        return self._edge.numpy()
+
+    def initial_potential(self) -> tuple[Array, int]:
+        """Fit ψ to the middles of the admissible differences along all edges.
+
+        Returns:
+            The potential, shape [V], and the number of edges that admit no difference.
+        """
+        edges = self.surface.edges
+        ends = wp.array(edges, dtype=wp.vec2i, device=self.device)
+        low, high = (wp.empty(len(edges), dtype=wp.float64, device=self.device) for _ in range(2))
+        self._launch(kernels.admissible_differences, len(edges), [self._x, self._y, ends], [low, high])
+        lowest, highest = low.numpy(), high.numpy()
+        width = highest - lowest
+        floor = max(_NARROWEST * float(np.median(np.abs(width))), np.finfo(float).tiny)
+        weights = 1.0 / np.maximum(width, floor)
+        weights /= weights.mean()
+        flow = weights * (0.5 * (lowest + highest))
+        count = len(self.mass)
+        right = (np.bincount(edges[:, 1], flow, count) - np.bincount(edges[:, 0], flow, count)).astype(np.float64)
+        self._solver = EdgeLaplacianSolver(self.surface, weights)
+        return self._solver.solve(right), int((highest < lowest).sum())
+
+    def bound(self, potential: Array) -> Bound:
+        """Compute φ, the c-transform of ψ, at every x_i."""
+        faces, nodes = self.surface.face_count, 2 * self._leaves
+        nodal = wp.array(potential, dtype=wp.float64, device=self.device)
+        mesh = [self._y, self._faces, nodal, self._edge]
+        places = wp.empty(kernels.SAMPLES * faces, dtype=wp.vec3d, device=self.device)
+        values = wp.empty(kernels.SAMPLES * faces, dtype=wp.float64, device=self.device)
+        self._launch(kernels.sample_triangles, faces, mesh, [places, values])
+        node = (wp.vec3d, wp.vec3d, kernels.vec11d)
+        tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
+        self._launch(kernels.build_nodes, nodes, [places, values, faces, self._leaves], tree)
+        own = self.cost - potential
+        seeds = wp.array(own, dtype=wp.float64, device=self.device)
+        minimum = (wp.float64, wp.int32, wp.vec3d, wp.int32)
+        found = [wp.empty(len(own), dtype=kind, device=self.device) for kind in minimum]
+
+        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+            inputs = [self._x[part], seeds[part], *mesh, places, values, self._leaves, self.tolerance, *tree]
+            return inputs, [array[part] for array in found]
+
+        launch_parts(kernels.c_transform, len(own), arguments, self.device)
+        proven, leaf, weights, visited = (array.numpy() for array in found)
+        face = np.where(leaf >= 0, self.order[np.maximum(leaf, 0)], -1)
+        gap = own - proven
+        return Bound(potential, gap, float(self.mass @ gap), face, weights, visited)
+
+    def ascent_direction(self, current: Bound) -> tuple[Array, float]:
+        """Find a change of ψ that raises the bound, and the slope of the bound along it.
+
+        Where the minima attract mass that the map does not send, ψ has to sink, smoothly. The slope of
+        Σ m_i (φ(x_i) + ψ(y_i)) in ψ is the map's own mass minus the mass at the minimisers, and the matrix of the
+        initial fit stands for its second derivative.
+        """
+        assert self._solver is not None
+        moved = current.face >= 0
+        mass = self.mass[moved]
+        corners = self.surface.faces[current.face[moved]]
+        shares = (mass[:, None] * current.weights[moved]).ravel()
+        slope = np.bincount(np.flatnonzero(moved), weights=mass, minlength=len(self.mass)).astype(np.float64)
+        slope = slope - np.bincount(corners.ravel(), weights=shares, minlength=len(self.mass))
+        direction = self._solver.solve(slope)
+        return direction, float(direction @ slope)
+
+    def integral(self, potential: Array) -> float:
+        """Integrate ψ over the sphere: the mean of a quadratic on every triangle, times its solid angle."""
+        a, b, c = (self._corners[:, k] for k in range(3))
+        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
+        solid = 2.0 * np.arctan2(triple, 1.0 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
+        nodal = potential[self.surface.faces[self.order]].mean(axis=1)
+        return float(solid @ (nodal + self.edge_terms.sum(axis=1) / 12.0))
+
+    def _launch(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
+
+
+def space_order(points: Array) -> NDArray[np.int32]:
+    """Order points so that those below each node of a complete binary tree in heap order lie close together.
+
+    Args:
+        points: shape [N, 3].
+
+    Returns:
+        The order, shape [N]; the order's first N leaves of 2^k, the least such number that is at least N, are taken.
+    """
+    order = wp.array(np.arange(len(points), dtype=np.int32), device="cpu")
+    places = wp.array(points, dtype=wp.vec3d, device="cpu")
+    size = leaf_count(len(points))
+    while size > 1:
+        inputs = [places, size]
+        wp.launch(
+            kernels.split_segments, dim=(-(-len(points) // size), 1), inputs=inputs, outputs=[order], device="cpu"
+        )
+        size //= 2
+    return order.numpy()
+
+
+def leaf_count(items: int) -> int:
+    """Return the least power of two that is at least 2 and at least ``items``."""
+    return 1 << max(items - 1, 1).bit_length()
