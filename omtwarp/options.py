@@ -60,6 +60,15 @@ class Refinement(StrEnum):
     ANGLE = "angle"
 
 
+class Interpolation(StrEnum):
+    """How data are carried from one sphere to another."""
+
+    BARYCENTRIC = "barycentric"
+    NEAREST = "nearest"
+    ADAPTIVE = "adaptive"
+    CONSERVATIVE = "conservative"
+
+
 Kind = TypeVar("Kind", bound=StrEnum)
 
 _NAMES: dict[type[StrEnum], str] = {
@@ -68,6 +77,7 @@ _NAMES: dict[type[StrEnum], str] = {
     Cost: "cost",
     Scheme: "scheme",
     Refinement: "refinement",
+    Interpolation: "interpolation",
 }
 
 
