@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 _PUBLIC = {
     "Defect": "omtwarp.mesh.validate",
     "MapResult": "omtwarp.result",
+    "SurfaceMap": "omtwarp.surface_map",
     "OmtwarpError": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
     "TargetDensity": "omtwarp.measures",
@@ -26,6 +27,7 @@ _PUBLIC = {
     "distortion": "omtwarp.metrics",
     "hierarchical_embedding": "omtwarp.start.hierarchical",
     "map_optimality": "omtwarp.metrics.optimality",
+    "map_surface": "omtwarp.any_surface",
     "map_to_sphere": "omtwarp.pipeline",
     "mobius_centring": "omtwarp.conformal",
     "moser_map": "omtwarp.moser",
@@ -48,6 +50,7 @@ _MODULES = {"benchmark": "omtwarp.benchmark", "shapes": "omtwarp.mesh.shapes"}
 
 if TYPE_CHECKING:
     from omtwarp import benchmark as benchmark
+    from omtwarp.any_surface import map_surface as map_surface
     from omtwarp.baselines import barycentric_map as barycentric_map
     from omtwarp.conformal import conformal_map as conformal_map
     from omtwarp.conformal import mobius_centring as mobius_centring
@@ -72,6 +75,7 @@ if TYPE_CHECKING:
     from omtwarp.resampling import resample as resample
     from omtwarp.result import MapResult as MapResult
     from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
+    from omtwarp.surface_map import SurfaceMap as SurfaceMap
     from omtwarp.texturing import texture as texture
     from omtwarp.transport import optimal_transport as optimal_transport
     from omtwarp.transport import paper_flow as paper_flow
@@ -83,6 +87,7 @@ __all__ = [
     "MapResult",
     "OmtwarpError",
     "Surface",
+    "SurfaceMap",
     "TargetDensity",
     "__version__",
     "barycentric_map",
@@ -92,6 +97,7 @@ __all__ = [
     "distortion",
     "hierarchical_embedding",
     "map_optimality",
+    "map_surface",
     "map_to_sphere",
     "mobius_centring",
     "moser_map",

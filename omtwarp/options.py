@@ -69,6 +69,23 @@ class Interpolation(StrEnum):
     CONSERVATIVE = "conservative"
 
 
+class Domain(StrEnum):
+    """Where a surface goes; ``auto`` is the sphere for a closed one and the hemisphere for one with a single hole."""
+
+    AUTO = "auto"
+    SPHERE = "sphere"
+    HEMISPHERE = "hemisphere"
+    DISK = "disk"
+    CAP = "cap"
+
+
+class FillArea(StrEnum):
+    """How much of the sphere filled holes take."""
+
+    NATURAL = "natural"
+    SMALL = "small"
+
+
 Kind = TypeVar("Kind", bound=StrEnum)
 
 _NAMES: dict[type[StrEnum], str] = {
@@ -78,6 +95,8 @@ _NAMES: dict[type[StrEnum], str] = {
     Scheme: "scheme",
     Refinement: "refinement",
     Interpolation: "interpolation",
+    Domain: "domain",
+    FillArea: "fill area",
 }
 
 

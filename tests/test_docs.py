@@ -67,6 +67,12 @@ def desk(tmp_path, monkeypatch) -> Path:
     surface = shapes.limbs(length=0.5, sharpness=4.0, sphere=1280)
     for name in ("bunny.ply", "mesh.ply", "bunny.obj"):
         write_mesh(tmp_path / name, surface.vertices, surface.faces)
+    kept = surface.faces[(surface.vertices[surface.faces, 2] > -0.4).all(axis=1)]
+    used, kept = np.unique(kept, return_inverse=True)
+    part, kept = surface.vertices[used], kept.reshape(-1, 3)
+    write_mesh(tmp_path / "face.ply", part, kept)
+    both = np.concatenate([surface.faces, kept + len(surface.vertices)])
+    write_mesh(tmp_path / "parts.ply", np.concatenate([surface.vertices, part + 4.0]), both)
     turned = surface.faces.copy()
     turned[::7] = turned[::7, ::-1]  # some triangles face inwards
     write_mesh(tmp_path / "broken.ply", surface.vertices, turned)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import Cost, Kind, Method, Scheme, Stage, choose, parse_refinement
+from omtwarp.options import Cost, FillArea, Kind, Method, Scheme, Stage, choose, parse_refinement
 
 Value = TypeVar("Value")
 
@@ -77,6 +77,22 @@ RepairOption = Annotated[
         "--repair",
         help="Mend the mesh first: equal vertices, orientation, small holes, the largest component; says what it did.",
     ),
+]
+HemisphereOption = Annotated[
+    bool, typer.Option("--hemisphere", help="Map a surface with a hole to the hemisphere, the boundary on the equator.")
+]
+DiskOption = Annotated[
+    bool, typer.Option("--disk", help="The same, laid flat by Lambert's equal-area projection: the unit disk.")
+]
+CapOption = Annotated[
+    bool, typer.Option("--cap", help="The same on a spherical cap of the area that the filled hole leaves.")
+]
+FillAreaOption = Annotated[
+    FillArea | None,
+    named(FillArea, "Fill holes, on the sphere as large as they are or small; the filling is in the .npz only."),
+]
+ComponentsOption = Annotated[
+    bool, typer.Option("--components", help="Map every part of the surface by itself, each to a sphere of its own.")
 ]
 SizeOption = Annotated[
     str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size, help="Size of the picture in pixels.")

@@ -41,15 +41,20 @@ def say(text: str) -> None:
     print(f"omtwarp: {text}", file=sys.stderr)
 
 
-def read_sound_mesh(path: Path, repair: bool = False) -> Input:
+def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = False) -> Input:
     """Read a mesh and make sure that it can be mapped.
+
+    Args:
+        path: the file.
+        repair: whether to mend the mesh first.
+        any_surface: whether holes, handles and several parts are left to :func:`omtwarp.map_surface`.
 
     Raises:
         OmtwarpError: whatever is wrong with the file or the mesh, in one line.
     """
     from omtwarp.mesh.read import read_mesh
     from omtwarp.mesh.surface import Surface
-    from omtwarp.mesh.validate import require_valid
+    from omtwarp.mesh.validate import as_arrays, require_valid
 
     mesh = read_mesh(path, triangulate=repair)
     notes, origins = list(mesh.notes), {}
@@ -64,6 +69,8 @@ def read_sound_mesh(path: Path, repair: bool = False) -> Input:
             origins = {"vertex_origin": mended.vertex_origin, "face_origin": mended.face_origin}
     for note in notes:
         say(f"{path}: {note}")
+    if any_surface:
+        return Input(Surface(*as_arrays(vertices, faces)), (len(mesh.vertices), len(mesh.faces)), notes, origins)
     surface = Surface(*require_valid(vertices, faces, str(path)))
     surface.checked = True
     return Input(surface, (len(mesh.vertices), len(mesh.faces)), notes, origins)
@@ -107,12 +114,23 @@ def report_text(report: dict[str, Any]) -> str:
     return json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
 
 
-def make_map(surface: Surface, *, quiet: bool, **options: Any) -> MapResult:
-    """Map a mesh with a progress bar; the options are those of :func:`omtwarp.map_to_sphere`."""
+def make_map(surface: Surface, *, quiet: bool, any_surface: dict[str, Any] | None = None, **options: Any) -> MapResult:
+    """Map a mesh with a progress bar.
+
+    Args:
+        surface: what to map.
+        quiet: whether to draw no progress.
+        any_surface: options of :func:`omtwarp.map_surface` for a mesh that is no sphere.
+        options: those of :func:`omtwarp.map_to_sphere`.
+    """
     from omtwarp.commands._progress import progress_bar
     from omtwarp.pipeline import map_to_sphere
 
     with progress_bar(quiet) as progress:
+        if any_surface is not None:
+            from omtwarp.any_surface import map_surface
+
+            return map_surface(surface, progress=progress, **any_surface, **options)
         return map_to_sphere(surface, progress=progress, **options)
 
 

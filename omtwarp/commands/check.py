@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from omtwarp.commands._options import MeshArgument
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from omtwarp.mesh.validate import Defect
 
 
 def check_mesh(
@@ -46,6 +51,8 @@ def check_mesh(
         defects = check(vertices, faces)
         for defect in defects:
             print(f"  left: {defect}")
+    for line in options_text(vertices, faces, defects):
+        print(f"  option {line}")
     if output is not None:
         write_mesh(output, vertices, faces)
         print(f"{output}: {len(vertices)} vertices, {len(faces)} faces")
@@ -53,3 +60,15 @@ def check_mesh(
         count = len(defects)
         raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{' left' if repair else ''}, see above")
     print("  closed, manifold, oriented outward, one component, genus 0: it can be mapped")
+
+
+def options_text(vertices: NDArray, faces: NDArray, defects: list[Defect]) -> list[str]:
+    """What each option of ``omtwarp map`` would do with a mesh that is no sphere; nothing for other defects."""
+    from omtwarp.topology.kind import MAPPABLE, options_for, parts_of
+
+    if not defects or any(defect.kind not in MAPPABLE for defect in defects):
+        return []
+    try:
+        return options_for(parts_of(vertices, faces))
+    except OmtwarpError:  # a boundary that touches itself, which no option takes
+        return []

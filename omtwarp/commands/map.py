@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from omtwarp.commands._options import (
+    CapOption,
+    ComponentsOption,
     CostOption,
     DeviceOption,
+    DiskOption,
+    FillAreaOption,
+    HemisphereOption,
     MeshArgument,
     MethodOption,
     QuietOption,
@@ -21,7 +26,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
-from omtwarp.options import MapOptions, Method
+from omtwarp.options import Domain, FillArea, MapOptions, Method
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,6 +34,8 @@ if TYPE_CHECKING:
 
     from omtwarp.commands._work import Input
     from omtwarp.result import MapResult
+
+RIMS = (Domain.HEMISPHERE, Domain.DISK, Domain.CAP)
 
 
 def map_mesh(
@@ -42,6 +49,11 @@ def map_mesh(
     cost: CostOption = MapOptions.cost,
     scheme: SchemeOption = MapOptions.scheme,
     refine: RefineOption = str(MapOptions.refine),
+    hemisphere: HemisphereOption = False,
+    disk: DiskOption = False,
+    cap: CapOption = False,
+    fill_area: FillAreaOption = None,
+    components: ComponentsOption = False,
     device: DeviceOption = MapOptions.device,
     weights: Annotated[
         Path | None,
@@ -73,6 +85,9 @@ def map_mesh(
 
     With --weights parts of the surface cover more of the sphere than their area; with --target the sphere is not filled
     evenly but as a picture says. Example: omtwarp map head.ply -o head.npz --weights face.npy --target importance.png
+
+    A surface with holes or of several parts is mapped with one of --hemisphere, --disk, --cap, --fill-area and
+    --components; "omtwarp check" says what each would do with it.
     """
     from omtwarp.commands._work import make_map, read_sound_mesh, report_text, require_no_flips, start_device
     from omtwarp.mesh.write import SUFFIXES
@@ -81,12 +96,14 @@ def map_mesh(
     check_output(output, (".npz", *SUFFIXES), mesh)
     if report is not None:
         check_output(report, (".json",), mesh, output)
-    sound = read_sound_mesh(mesh, repair)
+    any_surface = surface_options(hemisphere=hemisphere, disk=disk, cap=cap, fill_area=fill_area, components=components)
+    sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
     per_part = None if weights is None else weights_of(weights, sound)
     start_device(device)
     goal = None if density is None else as_target(density, target_floor)
     result = make_map(
         sound.surface,
+        any_surface=any_surface,
         quiet=quiet,
         method=method,
         until=until,
@@ -99,7 +116,11 @@ def map_mesh(
     )
     if sound.origins:
         vertices, faces = sound.origins["vertex_origin"], sound.origins["face_origin"]
-        result = replace(result, vertex_origin=vertices, face_origin=faces)
+        result = replace(
+            result,
+            vertex_origin=composed(result.vertex_origin, vertices),
+            face_origin=composed(result.face_origin, faces),
+        )
     with staged(output) as file:
         save(result, file)
     if report is not None:
@@ -130,6 +151,33 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
     return weights
 
 
+def surface_options(
+    *, hemisphere: bool, disk: bool, cap: bool, fill_area: FillArea | None, components: bool
+) -> dict[str, Any] | None:
+    """Options of :func:`omtwarp.map_surface`, None where none was given: the surface has to be a sphere then.
+
+    Raises:
+        OmtwarpError: more than one domain.
+    """
+    rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap), strict=True) if given]
+    if len(rims) > 1:
+        raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
+    if not (rims or fill_area or components):
+        return None
+    return {
+        "domain": rims[0] if rims else Domain.SPHERE,
+        "fill_area": fill_area or FillArea.NATURAL,
+        "components": components,
+    }
+
+
+def composed(origin: NDArray | None, before: NDArray) -> NDArray:
+    """Where vertices or faces come from after two steps, -1 where either made them; the first step is a repair's."""
+    import numpy as np
+
+    return before if origin is None else np.where(origin >= 0, before[origin], -1)
+
+
 def save(result: MapResult, file: Path) -> None:
     """Write a map as .npz, or its sphere as a mesh."""
     from omtwarp.mesh.write import write_mesh
@@ -137,7 +185,15 @@ def save(result: MapResult, file: Path) -> None:
     if file.suffix.lower() == ".npz":
         result.save(file)
     else:
-        write_mesh(file, result.sphere, result.faces)
+        write_mesh(file, image_of(result), result.faces)
+
+
+def image_of(result: MapResult) -> NDArray:
+    """The image of the surface as points in space, shape [V, 3]: the sphere, or the disk at height 0."""
+    import numpy as np
+
+    disk = getattr(result, "disk", None)
+    return result.sphere if disk is None else np.concatenate([disk, np.zeros((len(disk), 1))], axis=1)
 
 
 def summary(result: MapResult, output: Path) -> str:

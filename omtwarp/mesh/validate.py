@@ -224,7 +224,9 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
         if copies:
             remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
         else:
-            remedy = f"fill small holes with {REPAIR}, large ones in a mesh editor"
+            remedy = (
+                f"fill small holes with {REPAIR}, or map it with --hemisphere or --fill-area (map_surface in Python)"
+            )
         found.append(Defect("open-boundary", int(lone.sum()), a, text, remedy))
 
     clashing = topology.clashing_edges
@@ -251,7 +253,7 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
             f"{pieces} components, the largest with {sizes[largest]} of {len(faces)} faces, "
             f"first face of another is {first}"
         )
-        remedy = f"map them one by one, or keep the largest with {REPAIR}"
+        remedy = f"map each with --components (map_surface in Python), or keep the largest with {REPAIR}"
         found.append(Defect("several-components", pieces, first, text, remedy))
 
     if sound and orientable and not crowded.any() and not pinched.any():

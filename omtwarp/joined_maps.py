@@ -1,0 +1,133 @@
+"""Maps of the parts of a surface put together into one, in the input's order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.surface_map import SurfaceMap
+
+_PER_VERTEX = ("vertices", "sphere", "conformal", "density", "moser", "transported", "disk")
+
+
+def joined(maps: list[SurfaceMap], vertex_count: int) -> SurfaceMap:
+    """One map of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
+
+    The input's vertices and faces keep their order. Vertices that split edges, and copies made by cuts, follow.
+
+    Args:
+        maps: of the parts, with vertices and faces of origins in the input.
+        vertex_count: of the input.
+    """
+    count, numbers, split = vertex_count, [], []
+    taken = np.zeros(vertex_count, dtype=bool)
+    for part in maps:
+        origin = _known(part.vertex_origin)
+        first = np.zeros(len(origin), dtype=bool)
+        given = np.flatnonzero(origin >= 0)
+        first[given[np.unique(origin[given], return_index=True)[1]]] = True
+        number = np.where(first, origin, -1)
+        taken[origin[first]] = True
+        number[~first] = count + np.arange(int((~first).sum()))
+        count += int((~first).sum())
+        numbers.append(number)
+        split.append(number[_known(part.split_edges)])
+    faces = np.concatenate([number[part.faces] for number, part in zip(numbers, maps, strict=True)])
+    face_origin = np.concatenate([_known(part.face_origin) for part in maps])
+    order = np.argsort(face_origin, kind="stable")
+    labels = np.repeat(np.arange(len(maps)), [len(part.faces) for part in maps])
+    place = np.concatenate(numbers)
+
+    def at_vertices(name: str) -> Any:
+        values = [getattr(part, name) for part in maps]
+        if any(value is None for value in values):
+            return None
+        stacked = np.concatenate(values)
+        out = np.zeros((count, *stacked.shape[1:]), dtype=stacked.dtype)
+        out[place] = stacked
+        return out
+
+    vertex_origin = np.full(count, -1, dtype=np.int64)
+    vertex_origin[place] = np.concatenate([_known(part.vertex_origin) for part in maps])
+    densities = [part.face_density for part in maps]
+    domains = sorted({part.domain for part in maps})
+    report = _report(maps)
+    result = SurfaceMap(
+        **{name: at_vertices(name) for name in _PER_VERTEX},
+        faces=faces[order].astype(np.int32),
+        face_density=None if any(d is None for d in densities) else np.concatenate(densities)[order],  # type: ignore[arg-type]
+        report=report,
+        domain=domains[0] if len(domains) == 1 else "several",
+        vertex_origin=vertex_origin,
+        face_origin=face_origin[order],
+        split_edges=np.concatenate(split),
+        part=labels[order],
+        **_filling(maps, numbers, count, at_vertices),
+    )
+    report["stages"][0] |= result.distortion().to_dict() | {"transport_cost": 0.0}
+    return result
+
+
+def _known(values: NDArray | None) -> NDArray:
+    assert values is not None
+    return values
+
+
+def _filling(maps: list[SurfaceMap], numbers: list[NDArray], count: int, at_vertices: Any) -> dict[str, Any]:
+    """The arrays about filled loops, none where no loop was filled."""
+    if all(part.loops is None for part in maps):
+        return {}
+    loops, ends, pairs, points, images, faces, marks = [], [], [], [], [], [], []
+    entries = numbered = 0
+    for part, number in zip(maps, numbers, strict=True):
+        own = len(part.vertices)
+        if part.loops is None or part.filled_faces is None:
+            faces.append(number[part.faces])
+            marks.append(np.full(len(part.faces), -1))
+            continue
+        new = len(_known(part.filled_vertices)) - own
+        place = np.concatenate([number, count + np.arange(new)])
+        count += new
+        points.append(_known(part.filled_vertices)[own:])
+        images.append(_known(part.filled_sphere)[own:])
+        faces.append(place[part.filled_faces])
+        marks.append(np.where(_known(part.filled_loop) >= 0, _known(part.filled_loop) + numbered, -1))
+        loops.append(number[part.loops])
+        ends.append(_known(part.loop_ends) + entries)
+        if part.loop_pairs is not None:
+            pairs.append(part.loop_pairs + numbered)
+        entries += len(part.loops)
+        numbered += len(_known(part.loop_ends))
+    filled = np.concatenate(marks)
+    order = np.argsort(filled >= 0, kind="stable")
+    return {
+        "loops": np.concatenate(loops),
+        "loop_ends": np.concatenate(ends),
+        "loop_pairs": np.concatenate(pairs) if pairs else None,
+        "filled_vertices": np.concatenate([at_vertices("vertices"), *points]),
+        "filled_sphere": np.concatenate([at_vertices("sphere"), *images]),
+        "filled_faces": np.concatenate(faces)[order],
+        "filled_loop": filled[order],
+    }
+
+
+def _report(maps: list[SurfaceMap]) -> dict[str, Any]:
+    """The reports of the parts, and one certificate for all."""
+    certificates = [part.report["certificate"] for part in maps]
+    first = maps[0].report
+    same = ("versions", "device", "method", "cost", "scheme", "refine", "options")
+    return {name: first[name] for name in same if name in first} | {
+        "mesh": {name: sum(part.report["mesh"][name] for part in maps) for name in ("vertices", "faces")},
+        "seconds": sum(part.report["seconds"] for part in maps),
+        "stages": [{"name": "parts", "seconds": sum(part.report["seconds"] for part in maps), "iterations": 0}],
+        "certificate": {
+            "flips": sum(c["flips"] for c in certificates),
+            "bijective": all(c["bijective"] for c in certificates),
+        },
+        "parts": [part.report for part in maps],
+    }
+
+
+__all__ = ["joined"]

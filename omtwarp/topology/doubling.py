@@ -1,0 +1,130 @@
+"""The double of a surface with a boundary: the surface glued to its mirror copy along the boundary.
+
+The double of a disk is a closed surface of genus 0 with a mirror symmetry that fixes exactly the boundary. For it to be
+a triangle mesh, no edge inside the surface may have both ends on the boundary: its two copies would be one edge of four
+triangles. Such edges are split at their midpoints first, which leaves the surface where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.topology.boundary import boundary_half_edges
+
+
+@dataclass(frozen=True)
+class SplitSurface:
+    """A surface some of whose edges were split at their midpoints.
+
+    Attributes:
+        vertices: the given ones first, then the midpoints, float64, shape [V + K, 3].
+        faces: int32, shape [F', 3].
+        split_edges: the ends of the edge that each midpoint lies on, shape [K, 2].
+        face_origin: the given face that each face is a part of, shape [F'].
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    split_edges: NDArray[np.int64]
+    face_origin: NDArray[np.int64]
+
+
+def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np.int64] | None = None) -> SplitSurface:
+    """Split every edge inside the surface whose two ends lie on the boundary, at its midpoint.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: an oriented manifold mesh, shape [F, 3].
+        loop: vertices of the one boundary loop that counts; all of the boundary by default.
+    """
+    count = len(vertices)
+    triangles = np.asarray(faces, dtype=np.int64)
+    half = boundary_half_edges(triangles, count)
+    on_boundary = np.zeros(count, dtype=bool)
+    on_boundary[half if loop is None else loop] = True
+    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    keys = low * count + high
+    chord = on_boundary[tail] & on_boundary[head] & ~np.isin(keys, half.min(axis=1) * count + half.max(axis=1))
+    split, number = np.unique(keys[chord], return_inverse=True)
+    edges = np.stack([split // count, split % count], axis=1)
+    midpoint = np.full(len(keys), -1, dtype=np.int64)
+    midpoint[chord] = count + number
+    return SplitSurface(
+        np.concatenate([vertices, 0.5 * (vertices[edges[:, 0]] + vertices[edges[:, 1]])]),
+        *_subdivided(triangles, midpoint.reshape(-1, 3), edges),
+    )
+
+
+def _subdivided(
+    faces: NDArray[np.int64], midpoint: NDArray[np.int64], edges: NDArray[np.int64]
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    """Faces cut through the midpoints of their edges (k, k+1), -1 where an edge stays whole."""
+    whole = (midpoint < 0).all(axis=1)
+    parts, origins = [faces[whole]], [np.flatnonzero(whole)]
+    for split_count in (1, 2, 3):
+        for first in range(3):
+            # Turned so that the split edges come first; an edge that stays whole is the last of two, or of three.
+            turned = np.roll(faces, -first, axis=1)
+            middle = np.roll(midpoint, -first, axis=1)
+            pattern = (middle >= 0) == (np.arange(3) < split_count)
+            here = np.flatnonzero(pattern.all(axis=1))
+            if not len(here) or (split_count == 3 and first > 0):
+                continue
+            (a, b, c), (p, q, r) = turned[here].T, middle[here].T
+            pieces = {
+                1: [(a, p, c), (p, b, c)],
+                2: [(p, b, q), (a, p, q), (a, q, c)],
+                3: [(a, p, r), (p, b, q), (r, q, c), (p, q, r)],
+            }[split_count]
+            for piece in pieces:
+                parts.append(np.stack(piece, axis=1))
+                origins.append(here)
+    origin = np.concatenate(origins)
+    order = np.argsort(origin, kind="stable")
+    return np.concatenate(parts)[order].astype(np.int32), edges, origin[order]
+
+
+@dataclass(frozen=True)
+class Double:
+    """A surface glued to its mirror copy along the boundary.
+
+    Attributes:
+        vertices: those of the surface first, then the copies of those inside, float64, shape [W, 3].
+        faces: those of the surface first, then the copies, turned over, int32, shape [2F, 3].
+        mirror: the copy of every vertex, shape [W]; a vertex of the boundary is its own.
+        on_boundary: which vertices those are, shape [W].
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    mirror: NDArray[np.int64]
+    on_boundary: NDArray[np.bool_]
+
+
+def double(vertices: NDArray[np.float64], faces: NDArray) -> Double:
+    """Glue a surface to its mirror copy along its boundary; the copy lies where the surface lies.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: an oriented manifold mesh without an inner edge between boundary vertices (see :func:`split_chords`),
+            shape [F, 3].
+    """
+    count = len(vertices)
+    on_boundary = np.zeros(count, dtype=bool)
+    on_boundary[boundary_half_edges(faces, count)] = True
+    inside = np.flatnonzero(~on_boundary)
+    copy = np.arange(count)
+    copy[inside] = count + np.arange(len(inside))
+    return Double(
+        np.concatenate([vertices, vertices[inside]]),
+        np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32),
+        np.concatenate([copy, inside]),
+        np.concatenate([on_boundary, np.zeros(len(inside), dtype=bool)]),
+    )
+
+
+__all__ = ["Double", "SplitSurface", "double", "split_chords"]

@@ -1,0 +1,156 @@
+"""Filling the holes of a surface with well-shaped triangles that span a surface of small area.
+
+A loop of n vertices is filled with rings of vertices that become fewer towards the middle, so that triangles stay near
+equilateral and grow by at most a quarter from ring to ring; the middle is a fan. No new edge joins two vertices of the
+loop, so that the result is a triangle mesh whatever edges the surface has. Positions are those of a discrete minimal
+surface [1]_: the harmonic membrane in the loop, its weights renewed from its own shape a few times.
+
+.. [1] U. Pinkall, K. Polthier, "Computing discrete minimal surfaces and their conjugates", Exp. Math. 2 (1993).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from omtwarp.geometry.operators import corner_cotangents
+
+COARSENING = 0.8  # a ring has at least so many times the vertices of the ring around it
+FAN = 7  # a ring of so few vertices is closed by one vertex in the middle
+RENEWALS = 5  # of the membrane's weights; the area has settled to under a per cent by then
+LEAST_WEIGHT = 1e-3  # of an edge: positive, so that a vertex lies among its neighbours
+
+
+@dataclass(frozen=True)
+class Patch:
+    """What fills a loop of n vertices.
+
+    Attributes:
+        vertices: the new vertices, float64, shape [K, 3].
+        faces: triangles by the vertices of the loop, 0 to n - 1, and the new ones, n to n + K - 1, int64, shape [P, 3].
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+def fill_loop(points: NDArray[np.float64]) -> Patch:
+    """Fill a closed loop.
+
+    Args:
+        points: the loop's vertices, three or more, in the direction in which the surface's faces run through them,
+            shape [n, 3].
+    """
+    # In the unit of the loop: weights and tolerances are then free of scale.
+    centre = points.mean(axis=0)
+    extent = max(float(np.abs(points - centre).max()), np.finfo(float).tiny)
+    loop = (points - centre) / extent
+    steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
+    turns = np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / max(float(steps.sum()), np.finfo(float).tiny)
+    flat, faces = _rings(turns)
+    count = len(points)
+    places = _harmonic(flat, faces, loop)
+    for _ in range(RENEWALS):
+        places = _harmonic(places, faces, loop)
+    return Patch(places[count:] * extent + centre, faces)
+
+
+def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """A triangulated unit disk whose first vertices lie on the circle at the turns given, in [0, 1), ascending."""
+    rings, radius = [turns], 1.0
+    points = [np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns), 0.0 * turns], axis=1)]
+    while len(rings[-1]) > FAN:
+        around = len(rings[-1])
+        # Near-equilateral triangles: the next ring is sqrt(3)/2 of an edge further in.
+        shrink = 1.0 - np.sqrt(3.0) * np.pi / around
+        radius *= shrink
+        fewer = max(round(COARSENING * around), round(shrink * around), 3) if shrink < COARSENING else 0
+        fewer = fewer or max(round(COARSENING * around), 3)
+        rings.append((np.arange(fewer) + 0.5) / fewer)
+        angle = 2 * np.pi * rings[-1]
+        points.append(radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
+    rows, first = [], 0
+    for outer, inner in pairwise(rings):
+        rows.append(_strip(outer, inner, first, first + len(outer)))
+        first += len(outer)
+    last = np.arange(len(rings[-1]))
+    middle = first + len(last)
+    rows.append(np.stack([first + last, first + np.roll(last, -1), np.full(len(last), middle)], axis=1))
+    points.append(np.zeros((1, 3)))
+    # The surface's faces run along the loop, so that the patch has to run against it.
+    return np.concatenate(points), np.concatenate(rows)[:, ::-1].copy()
+
+
+def _strip(outer: NDArray[np.float64], inner: NDArray[np.float64], first: int, second: int) -> NDArray[np.int64]:
+    """Triangles between two rings of vertices, counter-clockwise: each advances the ring that lags behind."""
+    start = int(np.argmin(np.abs(inner - outer[0])))
+    ahead = np.concatenate([outer, [outer[0] + 1.0]])
+    behind = np.concatenate([inner[start:], inner[:start] + 1.0, [inner[start] + 1.0]])
+    faces, i, j = [], 0, 0
+    while i < len(outer) or j < len(inner):
+        a, b = first + i % len(outer), second + (start + j) % len(inner)
+        advance_outer = j == len(inner) or (i < len(outer) and ahead[i + 1] <= behind[j + 1])
+        if advance_outer:
+            faces.append((a, first + (i + 1) % len(outer), b))
+            i += 1
+        else:
+            faces.append((a, second + (start + j + 1) % len(inner), b))
+            j += 1
+    return np.array(faces, dtype=np.int64)
+
+
+def _harmonic(shape: NDArray[np.float64], faces: NDArray[np.int64], loop: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places of all vertices with the loop held, harmonic by the cotangent weights of a shape, shape [n + K, 3]."""
+    count, held = len(shape), len(loop)
+    halves = 0.5 * np.clip(corner_cotangents(shape, faces), LEAST_WEIGHT, 1.0 / LEAST_WEIGHT)
+    one, other = np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
+    weights = sparse.coo_array((halves.ravel(), (one, other)), shape=(count, count)).tocsr()
+    weights = weights + weights.T
+    laplacian = (sparse.diags_array(weights.sum(axis=1)) - weights).tocsr()
+    right = -(laplacian[held:, :held] @ loop)
+    inner = spsolve(laplacian[held:, held:].tocsc(), right).reshape(-1, 3)
+    return np.concatenate([loop, inner])
+
+
+@dataclass(frozen=True)
+class FilledSurface:
+    """A surface whose holes were filled.
+
+    Attributes:
+        vertices: those of the surface, then those of the filling, float64, shape [W, 3].
+        faces: those of the surface, then those of the filling, int32, shape [G, 3].
+        patch: the loop that each face fills, -1 for the surface's own, shape [G].
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    patch: NDArray[np.int64]
+
+
+def fill_holes(vertices: NDArray[np.float64], faces: NDArray, loops: list[NDArray[np.int64]]) -> FilledSurface:
+    """Fill loops of the boundary of a surface, each with a patch of its own.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: an oriented manifold mesh, shape [F, 3].
+        loops: boundary loops, see :func:`omtwarp.topology.boundary.boundary_loops`; others stay open.
+    """
+    points, triangles = [vertices], [np.asarray(faces, dtype=np.int64)]
+    marks = [np.full(len(faces), -1, dtype=np.int64)]
+    count = len(vertices)
+    for number, loop in enumerate(loops):
+        patch = fill_loop(vertices[loop])
+        own = np.concatenate([loop, count + np.arange(len(patch.vertices))])
+        points.append(patch.vertices)
+        triangles.append(own[patch.faces])
+        marks.append(np.full(len(patch.faces), number, dtype=np.int64))
+        count += len(patch.vertices)
+    return FilledSurface(np.concatenate(points), np.concatenate(triangles).astype(np.int32), np.concatenate(marks))
+
+
+__all__ = ["FilledSurface", "Patch", "fill_holes", "fill_loop"]

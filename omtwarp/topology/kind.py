@@ -1,0 +1,101 @@
+"""What kind of surface a mesh is: its parts, their holes and handles, and the options that would map it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
+from omtwarp.topology.boundary import boundary_loops
+
+MAPPABLE = ("open-boundary", "several-components", "genus")
+"""Defects of :func:`omtwarp.mesh.validate.check` that only say that a surface is no sphere."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A connected piece of a surface with vertices numbered anew.
+
+    Attributes:
+        vertices: float64, shape [V, 3].
+        faces: int32, shape [F, 3].
+        vertex_origin: index of every vertex in the whole mesh, shape [V].
+        face_origin: index of every face in the whole mesh, shape [F].
+        loops: boundary loops, see :func:`omtwarp.topology.boundary.boundary_loops`.
+        genus: number of handles, holes counted as filled.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    vertex_origin: NDArray[np.int64]
+    face_origin: NDArray[np.int64]
+    loops: list[NDArray[np.int64]]
+    genus: int
+
+    @property
+    def is_sphere(self) -> bool:
+        """Whether it is closed and without handles."""
+        return not self.loops and self.genus == 0
+
+
+def parts_of(vertices: NDArray[np.float64], faces: NDArray, name: str = "") -> list[Part]:
+    """The connected pieces of an oriented manifold mesh, in the order of their first faces.
+
+    Args:
+        vertices: coordinates, shape [V, 3].
+        faces: vertex indices, shape [F, 3].
+        name: what to call the mesh in a message.
+
+    Raises:
+        OmtwarpError: the mesh has defects other than holes, handles and several parts.
+    """
+    points, triangles = as_arrays(vertices, faces)
+    defects = [d for d in check(points, triangles) if d.kind not in (*MAPPABLE, "inward-orientation")]
+    if defects:
+        raise OmtwarpError(describe(defects, name))
+    _, labels = Topology(triangles, len(points)).components
+    _, first = np.unique(labels, return_index=True)
+    parts = []
+    for label in labels[np.sort(first)]:
+        own = np.flatnonzero(labels == label)
+        used, numbered = np.unique(triangles[own], return_inverse=True)
+        numbered = numbered.reshape(-1, 3)
+        topology = Topology(numbered.astype(np.int64), len(used))
+        loops = boundary_loops(numbered, len(used)) if (topology.edge_face_count == 1).any() else []
+        parts.append(Part(points[used], np.asarray(numbered, dtype=np.int32), used, own, loops, topology.genus))
+    return parts
+
+
+def described(part: Part) -> str:
+    """A part in words: ``genus 1, 2 holes``."""
+    holes = number(len(part.loops), "hole") if part.loops else "closed"
+    return f"genus {part.genus}, {holes}"
+
+
+def options_for(parts: list[Part]) -> list[str]:
+    """What the options of ``omtwarp map`` would do with a mesh, a line each; none for what needs no option."""
+    if len(parts) == 1 and parts[0].is_sphere:
+        return []
+    lines = []
+    loops, genus = max(len(part.loops) for part in parts), max(part.genus for part in parts)
+    if len(parts) > 1:
+        lines.append(f"--components: map each of the {len(parts)} parts by itself")
+    cut = " (with --cut)" if genus else ""
+    if loops:
+        others = "" if loops == 1 else ", the other holes filled"
+        lines.append(f"--hemisphere: the longest boundary loop on the equator{others}{cut}")
+        lines.append(f"--disk, --cap: the same in the unit disk, or on a cap as large as the hole leaves{cut}")
+        lines.append(
+            f"--fill-area natural or small: {number(loops, 'hole')} filled, the rest of the sphere covered{cut}"
+        )
+    if genus == 1 and not loops:
+        lines.append("--torus: map the surface of genus 1 to a flat torus")
+    if genus:
+        lines.append(f"--cut: cut {number(genus, 'handle')} open along short loops, the cuts filled small")
+    return lines
+
+
+__all__ = ["MAPPABLE", "Part", "described", "options_for", "parts_of"]

@@ -1,0 +1,71 @@
+"""Commands on surfaces that are no sphere: what they refuse, and what the options make of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import omtwarp
+from omtwarp.cli import main
+from omtwarp.mesh import shapes
+from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.write import write_mesh
+
+
+def run(capsys, *arguments) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
+
+
+@pytest.fixture
+def open_mesh(tmp_path):
+    """A file with a surface that has one hole."""
+    blob = shapes.blob(seed=3, sphere=1280)
+    used, faces = np.unique(blob.faces[(blob.vertices[blob.faces, 2] > -0.3).all(axis=1)], return_inverse=True)
+    write_mesh(tmp_path / "open.ply", blob.vertices[used], faces.reshape(-1, 3))
+    return tmp_path / "open.ply"
+
+
+def test_open_surface_is_refused_with_the_option_that_maps_it(capsys, open_mesh):
+    status, _, err = run(capsys, "map", open_mesh, "-o", open_mesh.with_name("m.npz"))
+    assert status == 1 and "--hemisphere" in err and "--fill-area" in err and len(err.splitlines()) == 1
+    status, out, _ = run(capsys, "check", open_mesh)
+    options = [line.split()[1] for line in out.splitlines() if line.startswith("  option ")]
+    assert status == 1 and options == ["--hemisphere:", "--disk,", "--fill-area"]
+
+
+@pytest.mark.parametrize("option", [("--hemisphere",), ("--disk",), ("--cap",), ("--fill-area", "natural")])
+def test_options_map_and_the_other_commands_take_the_result(capsys, open_mesh, option):
+    target = open_mesh.with_name("m.npz")
+    status, out, err = run(capsys, "map", open_mesh, "-o", target, "--quiet", *option)
+    assert (status, out, err) == (0, "", "")
+    result = omtwarp.SurfaceMap.load(target)
+    assert result.report["certificate"]["bijective"] and result.domain == (option[0][2:], "sphere")[len(option) - 1]
+    for command, name in (("texture", "m.glb"), ("preview", "m.png"), ("report", "m.html")):
+        status, _, err = run(capsys, command, "--map", target, "-o", open_mesh.with_name(name), "--quiet")
+        assert status == 0, err
+
+
+def test_disk_is_written_flat(capsys, open_mesh):
+    status, _, err = run(capsys, "map", open_mesh, "-o", open_mesh.with_name("disk.off"), "--disk", "--until", "omt")
+    assert status == 0, err
+    flat = read_mesh(open_mesh.with_name("disk.off")).vertices
+    assert (flat[:, 2] == 0.0).all() and np.linalg.norm(flat, axis=1).max() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_two_domains_are_wrong(capsys, open_mesh):
+    status, _, err = run(capsys, "map", open_mesh, "-o", open_mesh.with_name("m.npz"), "--disk", "--cap")
+    assert status == 1 and "both --disk and --cap" in err
+
+
+def test_parts(capsys, tmp_path):
+    ball = shapes.blob(seed=1, sphere=320)
+    vertices = np.concatenate([ball.vertices, ball.vertices + 4.0])
+    write_mesh(tmp_path / "two.ply", vertices, np.concatenate([ball.faces, ball.faces + ball.vertex_count]))
+    status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz")
+    assert status == 1 and "--components" in err
+    status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--components", "--quiet")
+    assert status == 0, err
+    assert np.bincount(omtwarp.SurfaceMap.load(tmp_path / "m.npz").part).tolist() == [320, 320]

@@ -1,0 +1,161 @@
+"""Surfaces with holes and of several parts, mapped to hemisphere, disk, cap and spheres."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+import omtwarp
+from omtwarp.flips.predicates import count_flips
+from omtwarp.mesh import shapes
+from omtwarp.mesh.surface import triangle_areas
+from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
+from omtwarp.open_surfaces.planar import flipped_in_plane, mend_in_plane
+from omtwarp.topology.boundary import boundary_loops
+
+
+def round_disk(rings: int = 14) -> tuple[np.ndarray, np.ndarray]:
+    """A triangulated unit disk in the plane: points of nearly even density, [V, 2], and faces."""
+    points = [np.zeros((1, 2))]
+    for ring in range(1, rings + 1):
+        turn = 2.0 * np.pi * (np.arange(6 * ring) + 0.5 * (ring % 2)) / (6 * ring)
+        points.append(ring / rings * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    flat = np.concatenate(points)
+    faces = Delaunay(flat).simplices
+    first, second = flat[faces[:, 1]] - flat[faces[:, 0]], flat[faces[:, 2]] - flat[faces[:, 0]]
+    turned = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0
+    faces[turned] = faces[turned][:, ::-1]
+    return flat, faces
+
+
+def without(surface: omtwarp.Surface, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is left of a surface when only some vertices are kept."""
+    used, faces = np.unique(surface.faces[keep[surface.faces].all(axis=1)], return_inverse=True)
+    return surface.vertices[used], faces.reshape(-1, 3)
+
+
+def face_with_hole() -> tuple[np.ndarray, np.ndarray]:
+    blob = shapes.blob(seed=3, sphere=1280)
+    return without(blob, blob.vertices[:, 2] > -0.3)
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.8])
+def test_bowl_of_revolution_against_its_closed_form(depth):
+    """The optimal map of a rotationally symmetric surface keeps longitude and the area inside every circle."""
+    flat, faces = round_disk()
+    radius = np.linalg.norm(flat, axis=1)
+    bowl = np.concatenate([flat, depth * radius[:, None] ** 2], axis=1)
+    result = omtwarp.map_surface((bowl, faces), domain="disk", device="cpu")
+    assert result.report["certificate"]["bijective"] and result.report["certificate"]["flips"] == 0
+    rim = boundary_loops(result.faces, len(result.vertices))[0]
+    assert np.abs(result.sphere[rim, 2]).max() == 0.0
+    assert np.abs(np.linalg.norm(result.disk[rim], axis=1) - 1.0).max() < 1e-12
+
+    def area_within(r):  # of the paraboloid z = depth r²
+        return r**2 if depth == 0.0 else ((1.0 + 4.0 * depth**2 * r**2) ** 1.5 - 1.0)
+
+    own = result.vertex_origin >= 0
+    wanted = np.sqrt(area_within(radius) / area_within(1.0))
+    assert np.abs(np.linalg.norm(result.disk[own], axis=1) - wanted).max() < 0.02
+    # The direction up to one rotation of the whole disk.
+    at, to = flat @ [1, 1j], result.disk[own] @ [1, 1j]
+    turn = np.vdot(at, to)
+    assert np.abs(to * np.conj(turn) / abs(turn) - at / np.maximum(radius, 1e-9) * wanted).max() < 0.025
+
+
+def test_half_of_a_symmetric_shape_agrees_with_half_of_its_map():
+    ball = shapes.uv_sphere(31, 48)  # one of its parallels is the equator
+    whole = omtwarp.Surface(ball.vertices * [1.0, 0.8, 1.4], ball.faces)
+    half = without(whole, whole.vertices[:, 2] > -1e-9)
+    open_map = omtwarp.map_surface(half, device="cpu")
+    full = omtwarp.map_to_sphere(whole, device="cpu").sphere[whole.vertices[:, 2] > -1e-9]
+    own = open_map.sphere[open_map.vertex_origin >= 0]
+    u, _, vt = np.linalg.svd(own.T @ full)
+    apart = np.linalg.norm(own @ (u @ vt) - full, axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 0.01  # edges are 0.1 long
+
+
+@pytest.mark.parametrize("domain", ["hemisphere", "disk", "cap", "sphere"])
+def test_every_domain_keeps_area_and_flips_nothing(domain):
+    vertices, faces = face_with_hole()
+    result = omtwarp.map_surface((vertices, faces), domain=domain, device="cpu")
+    measured = result.distortion()
+    assert measured.flips == 0 and measured.area["surface"] < 2.02
+    assert result.domain == domain and result.report["certificate"]["bijective"]
+    assert np.array_equal(result.vertices[result.vertex_origin >= 0], vertices)
+    rim = boundary_loops(result.faces, len(result.vertices))[0]
+    heights = result.sphere[rim, 2]
+    if domain == "sphere":
+        assert np.array_equal(result.faces, faces) and len(result.filled_faces) > len(faces)
+        assert count_flips(result.filled_sphere, result.filled_faces) == 0
+    else:
+        assert np.ptp(heights) < 1e-12 and heights[0] == pytest.approx(result.sphere[:, 2].min(), abs=1e-12)
+    if domain == "cap":
+        share = result.report["surface"]["share_of_sphere"]
+        assert heights[0] == pytest.approx(1.0 - 2.0 * share) and 0.5 < share < 1.0
+    if domain == "disk":
+        assert not flipped_in_plane(result.disk, result.faces).any()
+
+
+def test_small_filling_takes_a_hundredth():
+    ball = shapes.icosphere(6)
+    mesh = without(ball, ball.vertices[:, 2] > -0.7)
+    result = omtwarp.map_surface(mesh, domain="sphere", fill_area="small", device="cpu")
+    areas = triangle_areas(result.filled_sphere, result.filled_faces)
+    assert areas[result.filled_loop >= 0].sum() < 0.012 * areas.sum()
+    assert result.report["certificate"]["bijective"] and result.distortion().area["surface"] < 2.02
+
+
+def test_parts_are_mapped_each_by_itself_in_the_order_of_the_input(tmp_path):
+    ball, (points, faces) = shapes.blob(seed=1, sphere=320), face_with_hole()
+    both = np.concatenate([ball.vertices + 5.0, points]), np.concatenate([ball.faces, faces + ball.vertex_count])
+    mixed = np.random.default_rng(0).permutation(len(both[1]))
+    result = omtwarp.map_surface((both[0], both[1][mixed]), domain="sphere", device="cpu")
+    assert np.array_equal(result.faces, both[1][mixed]) and np.array_equal(result.vertices, both[0])
+    alone = omtwarp.map_to_sphere(ball, device="cpu").sphere
+    assert np.abs(result.sphere[: ball.vertex_count] - alone).max() < 1e-4
+    assert len(result.report["parts"]) == 2 and result.report["certificate"]["bijective"]
+    assert result.distortion().area["surface"] < 2.02
+    result.save(tmp_path / "parts.npz")
+    again = omtwarp.SurfaceMap.load(tmp_path / "parts.npz")
+    for name in ("sphere", "part", "filled_sphere", "filled_faces", "filled_loop", "loops", "loop_ends"):
+        assert np.array_equal(getattr(again, name), getattr(result, name)), name
+    with pytest.raises(omtwarp.OmtwarpError, match="2 parts"):
+        omtwarp.map_surface(both, components=False)
+
+
+def test_lambert_keeps_area():
+    points = shapes.fibonacci_sphere(4000).vertices
+    north = points[points[:, 2] >= 0.0]
+    disk = hemisphere_to_disk(north)
+    inside = [(np.linalg.norm(disk, axis=1) <= r).mean() for r in (0.25, 0.5, 0.75)]
+    assert np.allclose(inside, np.square([0.25, 0.5, 0.75]), atol=0.003)
+    assert np.abs(disk_to_cap(disk, 0.5) - north).max() < 1e-12
+    assert np.abs(np.linalg.norm(disk_to_cap(disk, 0.8), axis=1) - 1.0).max() < 1e-12
+
+
+def test_flipped_triangles_of_the_plane_are_mended():
+    flat, faces = round_disk(6)
+    held = np.linalg.norm(flat, axis=1) > 0.99
+    moved = flat.copy()
+    moved[10] += [0.2, 0.1]
+    assert flipped_in_plane(moved, faces).sum() > 0
+    mended, left = mend_in_plane(moved, faces, held)
+    assert left == 0 and not flipped_in_plane(mended, faces).any() and np.array_equal(mended[held], flat[held])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "options", "words"),
+    [
+        (shapes.icosphere(4), {"domain": "disk"}, "no boundary"),
+        (shapes.icosphere(4), {"domain": "plane"}, "unknown domain"),
+        (shapes.icosphere(4), {"fill_area": "large"}, "unknown fill area"),
+        (([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 1]]), {}, "zero area"),
+        ("mesh.ply", {}, "expected a trimesh"),
+        (face_with_hole(), {"weights": np.ones(4)}, "closed, connected"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(mesh, options, words):
+    with pytest.raises(omtwarp.OmtwarpError, match=words):
+        omtwarp.map_surface(mesh, **options)

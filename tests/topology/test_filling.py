@@ -1,0 +1,65 @@
+"""What fills a hole: closed, well shaped, of little area."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from omtwarp.mesh.validate import check
+from omtwarp.topology.boundary import boundary_loops
+from omtwarp.topology.filling import fill_holes, fill_loop
+
+
+def circle(count: int, wave: float = 0.0) -> np.ndarray:
+    turn = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    return np.stack([np.cos(turn), np.sin(turn), wave * np.cos(2.0 * turn)], axis=1)
+
+
+def patch_mesh(points: np.ndarray) -> trimesh.Trimesh:
+    patch = fill_loop(points)
+    return trimesh.Trimesh(np.concatenate([points, patch.vertices]), patch.faces, process=False)
+
+
+@pytest.mark.parametrize("count", [3, 4, 7, 8, 12, 50, 300])
+def test_flat_loop_is_filled_flat_with_well_shaped_triangles(count):
+    points = circle(count)
+    mesh = patch_mesh(points)
+    assert mesh.area == pytest.approx(0.5 * count * np.sin(2.0 * np.pi / count))
+    assert np.degrees(mesh.face_angles).min() > 20.0
+    (loop,) = boundary_loops(mesh.faces, len(mesh.vertices))
+    assert loop.tolist() == [0, *range(count - 1, 0, -1)]  # against the loop, as the surface's neighbour
+
+
+def test_area_is_that_of_the_minimal_surface():
+    # Two coaxial circles joined by a slit would be a catenoid; over a wavy circle z = w cos 2t the minimal graph is
+    # w r² cos 2t to first order, whose area is π (1 + w²) to second.
+    wave = 0.1
+    mesh = patch_mesh(circle(200, wave))
+    polygon = 0.5 * 200 * np.sin(2.0 * np.pi / 200)
+    assert mesh.area == pytest.approx(polygon * (1.0 + wave**2), rel=1e-3)
+
+
+@given(st.integers(3, 40), st.integers(0, 1000), st.floats(1e-6, 1e6))
+def test_any_loop_is_filled_whatever_its_size(count, seed, scale):
+    rng = np.random.default_rng(seed)
+    turn = np.sort(rng.random(count)) * 2.0 * np.pi
+    points = scale * np.stack([np.cos(turn), np.sin(turn), rng.normal(size=count)], axis=1)
+    mesh = patch_mesh(points)
+    assert np.isfinite(mesh.vertices).all() and mesh.euler_number == 1
+    assert len(boundary_loops(mesh.faces, len(mesh.vertices))) == 1
+    assert np.abs(mesh.vertices).max() <= np.abs(points).max() * (1.0 + 1e-9)  # a vertex lies among its neighbours
+
+
+def test_filled_surface_is_closed_and_marked():
+    tube = trimesh.creation.cylinder(1.0, 3.0, sections=24)
+    side = tube.faces[np.abs(tube.face_normals[:, 2]) < 0.5]
+    used, faces = np.unique(side, return_inverse=True)
+    points, faces = np.asarray(tube.vertices[used]), faces.reshape(-1, 3)
+    filled = fill_holes(points, faces, boundary_loops(faces, len(points)))
+    assert not check(filled.vertices, filled.faces)
+    assert np.array_equal(filled.faces[: len(faces)], faces) and np.array_equal(filled.vertices[: len(points)], points)
+    assert (filled.patch[: len(faces)] == -1).all() and set(filled.patch[len(faces) :].tolist()) == {0, 1}
+    assert trimesh.Trimesh(filled.vertices, filled.faces).volume == pytest.approx(tube.volume, rel=1e-6)
