@@ -31,7 +31,7 @@ from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import surface_optimality
 from omtwarp.moser import moser_map
 from omtwarp.options import Cost, MapOptions, Method, Progress, Scheme, Stage
-from omtwarp.refine.solver import refine_map
+from omtwarp.refine.solver import refine_map, refinement_weight
 from omtwarp.result import MapResult, StageRecord
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import as_target
@@ -323,13 +323,24 @@ class _Run:
             self.tell(Stage.REFINE, done, total, {"text": text})
 
         give_back()  # the largest matrices follow
-        sphere, repaired = self.sphere, 0
+        sphere, repaired = self.least_distorted(refinement_weight(weight)), 0
         for _ in range(1 if self.target is None else TARGET_ROUNDS):
             refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=tell)
             sphere, flips = self.mend(sphere, refined.sphere)
             repaired += flips
         record = {"weight": self.options.to_dict()["refine"], "converged": refined.converged, "repaired": repaired}
         self.finish(Stage.REFINE, sphere, len(refined.history), **record)
+
+    def least_distorted(self, weight: float) -> NDArray[np.float64]:
+        """The map made so far with the least angle + weight * area distortion, which is what refinement lowers.
+
+        With a small weight that may be the first: from the last one refinement would have to find back to it along the
+        Möbius transformations, which its energy hardly tells apart.
+        """
+        if self.target is not None:
+            return self.sphere
+        best = min(self.records, key=lambda record: record.angle["surface"] + weight * record.area["surface"])
+        return self.maps[best.name]
 
     def optimality(self) -> dict[str, float | int | None]:
         """How far the map that is handed out is from optimal, and what refinement added to the cost of transport."""

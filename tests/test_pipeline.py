@@ -144,6 +144,16 @@ def test_refinement_keeps_the_bijection_and_betters_the_area():
     np.testing.assert_array_equal(result.transported, mapped(surface).transported)  # stages do not look ahead
 
 
+@pytest.mark.parametrize("weight", [0.003, 0.3, 100.0])
+def test_refinement_ends_below_every_map_before_it(weight):
+    """What it lowers is angle + weight * area, also where a nearly conformal map comes before a nearly optimal one."""
+    surface = blob(seed=6, amplitude=0.2, degree=4, sphere=1280)
+    stages = mapped(surface, until="refine", refine=weight).report["stages"]
+    energies = [stage["angle"]["surface"] - 2 + weight * (stage["area"]["surface"] - 2) for stage in stages]
+    assert energies[-1] < 0.98 * min(energies[:-1])
+    assert stages[-1]["converged"]
+
+
 def test_the_report_tells_how_far_the_map_is_from_optimal():
     """Of the map that is handed over, in a stage of its own, and what refinement added to the cost."""
     surface = blob(seed=6, amplitude=0.3, degree=5, sphere=1280)

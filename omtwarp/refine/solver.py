@@ -55,6 +55,10 @@ FEW = 0.01  # of the vertices: mending so few says little against the step
 MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
 WORTH = 0.15  # of what the last fresh matrix gained: with less from a corrected step the matrix is renewed
 
+# With a small weight of area, angle + λ area of a nearly conformal map is a few hundredths above its least value, of
+# which an absolute tolerance would leave a tenth. Above an energy of 0.2, where all named weights are, it decides.
+RELATIVE_TOLERANCE = 0.01
+
 
 @dataclass
 class RefineResult:
@@ -114,7 +118,8 @@ def refine_map(
             twice, and twice more where that is seen to bring both below.
         device: where the kernels run; :func:`omtwarp.device.policy.on_device` says where sparse systems are solved.
         iterations: most steps taken.
-        tolerance: stop when the expected decrease of angle + λ area falls below this.
+        tolerance: stop when the expected decrease of angle + λ area falls below this and below a hundredth of what
+            that is above its least possible value, 2 + 2 λ.
         progress: called with (text, step, most steps) after every step.
 
     Returns:
@@ -220,10 +225,11 @@ class Refiner:
             gain = terms.total(weight) - new_terms.total(weight)
             self._steps.learn(points, gradient, new_points, new_gradient)
             points, terms, gradient = new_points, new_terms, new_gradient
-            ended = decrement < 2.0 * tolerance and length >= (0.5 if fresh else 1.0)
+            enough = min(tolerance, RELATIVE_TOLERANCE * terms.total(weight))
+            ended = decrement < 2.0 * enough and length >= (0.5 if fresh else 1.0)
             if not ended:
                 points, terms, gradient, relaxed = self._relaxed(
-                    points, terms, gradient, weight, caution, decrement, tolerance
+                    points, terms, gradient, weight, caution, decrement, enough
                 )
             result.history.append(_record(terms, weight, decrement, length, mended, relaxed, fresh))
             if progress is not None:
