@@ -225,7 +225,7 @@ def area_row(name: str, surface: omtwarp.Surface, result: omtwarp.MapResult) -> 
     return {
         "mesh": name,
         "faces": surface.face_count,
-        "start": result.report["start"]["road"],
+        "start": result.report["start"]["route"],
         "flips": "/".join(str(count) for count in flips),
         "degree": certificate["degree"],
         "bijective": certificate["bijective"],

@@ -132,13 +132,13 @@ def measure(
     last = "omt" if options.refine == "none" else "refine"
     result = omtwarp.map_to_sphere(surface, until=last, refine=options.refine, device=options.device)
     stages = {stage["name"]: stage for stage in result.report["stages"]}
-    road = result.report["start"]["road"]
+    route = result.report["start"]["route"]
     kept = {"haker": ("conformal", result.conformal), "moser": ("moser", result.moser)}
     kept |= {"omt": ("omt", result.transported), "refined": ("refine", result.sphere)}
     for method, (stage, sphere) in kept.items():
         if stage in stages and sphere is not None:
             done = stages[stage]
-            note = f"start: {road}" if method == "haker" else ""
+            note = f"start: {route}" if method == "haker" else ""
             add(method, sphere, done["iterations"], done["seconds"], note)
     if options.paper_scheme:
         paper = omtwarp.map_to_sphere(surface, scheme="paper", cost="geodesic", until="omt", device=options.device)

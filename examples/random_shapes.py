@@ -309,7 +309,7 @@ def examine(surface: Surface, last: str = "sphere", device: str = "cpu") -> dict
     done = {stage["name"]: stage for stage in result.report["stages"]}
     judged = done[STAGES[last]]
     return {
-        "start": result.report["start"]["road"],
+        "start": result.report["start"]["route"],
         "flips": "/".join(str(certificates[stage].flips) for stage in wanted),
         "degrees": "/".join(f"{certificates[stage].degree}" for stage in wanted),
         "repaired": "/".join(str(done[STAGES[stage]].get("repaired", 0)) for stage in wanted),

@@ -38,7 +38,7 @@ from omtwarp.texturing.density import as_target
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import optimal_transport, transport_cost
 from omtwarp.transport.paper import paper_flow
-from omtwarp.transport.polish import ROUNDS as POLISH_ROUNDS
+from omtwarp.transport.polish import MAX_ROUNDS as POLISH_ROUNDS
 from omtwarp.transport.polish import polish_transport
 from omtwarp.untangling.untangle import untangle
 from omtwarp.version import package_version
@@ -164,7 +164,7 @@ class _Run:
         assert self.first is not None
         return self.first
 
-    def tell(self, stage: str, done: int, total: int, details: dict[str, Any]) -> None:
+    def notify(self, stage: str, done: int, total: int, details: dict[str, Any]) -> None:
         if self.progress is not None:
             self.progress(str(stage), done, total, details)
 
@@ -196,7 +196,7 @@ class _Run:
                 name=str(name), seconds=seconds, iterations=iterations, **measured, transport_cost=cost, details=details
             )
         )
-        self.tell(name, 1, 1, {"flips": measured["flips"], "cost": cost})
+        self.notify(name, 1, 1, {"flips": measured["flips"], "cost": cost})
         self.stage_begun = time.perf_counter()
 
     def result(self) -> MapResult:
@@ -237,9 +237,9 @@ class _Run:
 
     def conformal(self) -> None:
         """The conformal map, or what stands in for it."""
-        self.tell(Stage.CONFORMAL, 0, 1, {})
+        self.notify(Stage.CONFORMAL, 0, 1, {})
         start = bijective_start(self.surface, device=self.device, progress=self.progress)
-        self.origin = {"road": start.road, "reason": start.reason}
+        self.origin = {"route": start.route, "reason": start.reason}
         sphere, repaired = start.sphere, start.repaired_flips
         del start  # its factorisation is large, and not needed again
         self.finish(Stage.CONFORMAL, sphere, 1, **self.origin, repaired=repaired)
@@ -250,7 +250,7 @@ class _Run:
         least = self.area_error(sphere)
         steps = repaired = 0
         for k in range(MOSER_PASSES):
-            self.tell(Stage.MOSER, k, MOSER_PASSES, {})
+            self.notify(Stage.MOSER, k, MOSER_PASSES, {})
             flowed = moser_map(self.surface, self.points(sphere), target=self.target, device=self.device)
             steps += flowed.steps
             mended, flips = self.mend(sphere, flowed.sphere)
@@ -268,8 +268,8 @@ class _Run:
             return
         initial, cost, scheme = self.sphere, self.options.cost, self.options.scheme
 
-        def tell(done: int, total: int, details: dict[str, Any]) -> None:
-            self.tell(Stage.OMT, done, total, details)
+        def notify(done: int, total: int, details: dict[str, Any]) -> None:
+            self.notify(Stage.OMT, done, total, details)
 
         moved = optimal_transport(
             self.surface,
@@ -279,7 +279,7 @@ class _Run:
             scheme=scheme,
             target=self.target,
             device=self.device,
-            progress=tell,
+            progress=notify,
         )
         sphere, repaired = self.mend(initial, moved.sphere)
         self.history = moved.history
@@ -288,7 +288,12 @@ class _Run:
             passes, rounds = (1, POLISH_ROUNDS) if self.target is None else (TARGET_POLISHES, 2)
             for _ in range(passes):
                 polished = polish_transport(
-                    self.goal(sphere), self.start, self.points(sphere), rounds=rounds, device=self.device, progress=tell
+                    self.goal(sphere),
+                    self.start,
+                    self.points(sphere),
+                    rounds=rounds,
+                    device=self.device,
+                    progress=notify,
                 )
                 sphere, more = self.mend(sphere, polished.sphere)
                 repaired += more
@@ -319,13 +324,13 @@ class _Run:
         weight = self.options.refine
         assert weight is not None
 
-        def tell(text: str, done: int, total: int) -> None:
-            self.tell(Stage.REFINE, done, total, {"text": text})
+        def notify(text: str, done: int, total: int) -> None:
+            self.notify(Stage.REFINE, done, total, {"text": text})
 
         give_back()  # the largest matrices follow
         sphere, repaired = self.least_distorted(refinement_weight(weight)), 0
         for _ in range(1 if self.target is None else TARGET_ROUNDS):
-            refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=tell)
+            refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=notify)
             sphere, flips = self.mend(sphere, refined.sphere)
             repaired += flips
         record = {"weight": self.options.to_dict()["refine"], "converged": refined.converged, "repaired": repaired}
@@ -367,7 +372,7 @@ class _Run:
             replace(last_record, name=OPTIMALITY, seconds=seconds, iterations=measured.ascent_steps, details={})
         )
         details = {"flips": last_record.flips, "cost": measured.cost, "gap": measured.gap}
-        self.tell(OPTIMALITY, 1, 1, details)
+        self.notify(OPTIMALITY, 1, 1, details)
         self.stage_begun = time.perf_counter()
         return found
 
@@ -380,7 +385,7 @@ class _Run:
         method = self.options.method
         weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"
         solved = solve_barycentric(self.surface, weights, device=self.device)
-        self.origin = {"road": str(method)}
+        self.origin = {"route": str(method)}
         self.finish(method, solved.sphere, solved.iterations, converged=solved.converged)
 
     def mend(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:

@@ -354,7 +354,7 @@ def test_progress_names_the_stages_in_order():
 def test_a_tube_too_long_for_a_conformal_map_says_what_it_started_from():
     result = mapped(tube(length=30.0, girth=1.0, face_count=1500))
     assert result.bijective
-    assert result.report["start"]["road"] == "tube"
+    assert result.report["start"]["route"] == "tube"
     assert "conformal map" in result.report["start"]["reason"]
 
 

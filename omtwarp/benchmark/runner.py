@@ -73,7 +73,7 @@ def run(
     if not meshes and not (sizes and shapes):
         raise OmtwarpError("nothing to measure: give sizes and shapes, or meshes")
     names = tuple(str(resolve_device(device)) for device in devices)
-    tell = progress or (lambda text: None)
+    notify = progress or (lambda text: None)
     result: dict[str, Any] = {
         "format": FORMAT,
         "machine": machine(names),
@@ -81,19 +81,19 @@ def run(
         "meshes": [],
     }
     for name in names:
-        tell(f"warming up {name}")
+        notify(f"warming up {name}")
         measure_map(made("blob", 2000), name, refine)
     largest: Surface | None = None
     for family, label, surface in all_meshes(tuple(shapes), tuple(sizes), tuple(meshes), subdivisions):
-        result["meshes"].append(measure_mesh(family, label, surface, names, repeats, refine, largest_reference, tell))
+        result["meshes"].append(measure_mesh(family, label, surface, names, repeats, refine, largest_reference, notify))
         if kernels and (largest is None or surface.face_count > largest.face_count):
             largest = surface
     result["growth"] = growth_exponents(result["meshes"])
     if kernels and largest is not None:
-        tell("timing kernels one by one")
+        notify("timing kernels one by one")
         result["kernels"] = [kernel_table(largest, name, refine) for name in names]
     if cold:
-        tell("compiling into an empty cache")
+        notify("compiling into an empty cache")
         result["first_use"] = {name: first_use(name) for name in names}
     return result
 
@@ -106,7 +106,7 @@ def measure_mesh(
     repeats: int,
     refine: str | float | None,
     largest_reference: int,
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
 ) -> dict[str, Any]:
     """Reference and maps of one mesh."""
     system = reference_system(surface) if surface.face_count <= largest_reference else None
@@ -115,7 +115,7 @@ def measure_mesh(
     for device in devices:
         measured = []
         for repeat in range(repeats):
-            tell(f"{label}: {device}, map {repeat + 1} of {repeats}")
+            notify(f"{label}: {device}, map {repeat + 1} of {repeats}")
             before = None
             if system is not None and device == "cpu":
                 before = splu_reference(*system)

@@ -45,7 +45,7 @@ def demo(
     _refuse_other_files(files)
     start = time.perf_counter()
 
-    def tell(text: str) -> None:
+    def notify(text: str) -> None:
         if not quiet:
             print(f"{time.perf_counter() - start:6.1f} s  {text}", flush=True)
 
@@ -54,22 +54,22 @@ def demo(
 
     surface = demo_shape(faces)
     write_mesh(mesh_file, surface.vertices, surface.faces)
-    tell(f"{mesh_file}: a creature of {surface.face_count} faces")
+    notify(f"{mesh_file}: a creature of {surface.face_count} faces")
     result = make_map(surface, quiet=quiet, device=device)
     with staged(map_file) as file:
         save(result, file)
     with staged(report_file) as file:
         file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
-    tell(summary(result, map_file))
+    notify(summary(result, map_file))
     globe = texture(result, pattern="globe", rotate=[180.0, 0.0, 0.0], device=device)  # Africa on its flank
     globe.export(model_file)
-    tell(f"{model_file}: a globe pulled back to it")
+    notify(f"{model_file}: a globe pulled back to it")
     circles = texture(result, pattern="circles", device=device)
     for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
         preview(textured.trimesh(), file_to_be, **POSE, device=device)
-        tell(f"{file_to_be}")
+        notify(f"{file_to_be}")
     comparison(result, comparison_file, image=rasterize("circles", 2048, device=device), **POSE, device=device)
-    tell(f"{comparison_file}: the conformal map beside the area-preserving one")
+    notify(f"{comparison_file}: the conformal map beside the area-preserving one")
     require_no_flips(result, map_file)
 
 

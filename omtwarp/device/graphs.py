@@ -17,7 +17,7 @@ from omtwarp.device.policy import records_graphs
 from omtwarp.device.start import wp
 
 # So many graphs of one kind of work are kept.
-ROOM = 8
+MAX_GRAPHS = 8
 
 _recording = True
 
@@ -74,7 +74,7 @@ class GraphsByArray:
             return
         key = (work.__name__, array.ptr)
         if key not in self._graphs:
-            if len(self._graphs) >= ROOM:
+            if len(self._graphs) >= MAX_GRAPHS:
                 wp.synchronize_device(self._device)  # none of them may still be running
                 self._graphs.clear()
             self._graphs[key] = Graph(partial(work, array), self._device, True)

@@ -1,4 +1,4 @@
-"""Memory on the host: room that steps of a computation share, and giving back what is no longer used."""
+"""Memory on the host: a workspace that steps of a computation share, and the return of what is no longer used."""
 
 from __future__ import annotations
 
@@ -12,25 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Room:
-    """Memory for what is made and used up before the next step needs room; it is as large as the largest of these."""
+class Workspace:
+    """An array that steps of a computation take in turn; it grows to the largest number of elements asked for.
+
+    What one step writes there holds until the next one takes it.
+    """
 
     def __init__(self) -> None:
         self._numbers: NDArray[np.float64] = np.empty(0)
 
     def numbers(self, count: int) -> NDArray[np.float64]:
-        """So many float64, of any value; they are the first ones of every other call."""
+        """Return an uninitialised float64 array, shape [count], in the same memory at every call."""
         if len(self._numbers) < count:
-            self._numbers = np.empty(0)  # first: both would be there for a moment
+            self._numbers = np.empty(0)  # free the old array first: otherwise both exist for a moment
             self._numbers = np.empty(count)
         return self._numbers[:count]
 
 
 def give_back() -> None:
-    """Return to the system what was freed and what the C library keeps for later, where it can be told to.
+    """Return freed memory that the C library keeps to the system, where it has a function for it (glibc).
 
-    A stage leaves holes in which the arrays of the next one do not fit: on meshes of some ten thousand triangles, more
-    than what a map is made of.
+    The arrays of a stage do not fit into the gaps that the stage before leaves: on meshes of some ten thousand
+    triangles these gaps take more memory than the map itself.
     """
     trim = _trim()
     if trim is not None:
@@ -46,4 +49,4 @@ def _trim() -> Any:
     return None
 
 
-__all__ = ["Room", "give_back"]
+__all__ = ["Workspace", "give_back"]

@@ -1,4 +1,4 @@
-"""Sums on the device, in an order that depends on nothing but the number of terms; and their like on the host."""
+"""Sums on the device, in an order that depends on nothing but the number of terms; and sums by NumPy on the host."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from omtwarp.device.policy import adds_on_device
 from omtwarp.device.start import wp
 from omtwarp.device.sum_kernels import GROUP, LANES, finish_sum, remove_mean, sum_products, sum_rows
 
-# This few rows are left to the thread that needs their sum.
-FEW = 64
+# Partial sums are reduced to at most this many rows; the thread that needs the total adds those.
+MAX_PARTIAL_ROWS = 64
 
 
 def partial_count(rows: int) -> int:
-    """Threads that sum so many rows, GROUP each."""
+    """Return how many threads sum this many rows, GROUP rows each."""
     return LANES * -(-rows // (LANES * GROUP))
 
 
 class RowSums:
-    """Sums of the columns of an array, down to a few rows of partial sums.
+    """Sums the columns of an array, down to a few rows of partial sums.
 
     Args:
         rows, columns: shape of the arrays to be summed.
@@ -28,12 +28,12 @@ class RowSums:
     def __init__(self, rows: int, columns: int, device: Any):
         self._device = device
         self._levels: list[Any] = []
-        while rows > FEW:
+        while rows > MAX_PARTIAL_ROWS:
             rows = partial_count(rows)
             self._levels.append(wp.empty((rows, columns), dtype=wp.float64, device=device))
 
     def __call__(self, values: Any) -> Any:
-        """Partial sums of a float64 array [rows, columns]: at most FEW rows, which hold until the next call."""
+        """Return partial sums of an array [rows, columns]: MAX_PARTIAL_ROWS at most, valid until the next call."""
         for level in self._levels:
             wp.launch(sum_rows, dim=level.shape, inputs=[values], outputs=[level], device=self._device)
             values = level
@@ -45,54 +45,54 @@ class DeviceSum:
 
     Args:
         device: a Warp device.
-        length: of arrays that are to be summed while a graph is recorded, when it is too late to make room for them.
+        length: of arrays that will be summed while a graph is recorded: memory cannot be allocated then.
     """
 
     def __init__(self, device: Any, length: int | None = None):
         self.device = device
-        self._room: dict[int, tuple[Any, RowSums, RowSums]] = {}
+        self._workspace: dict[int, tuple[Any, RowSums, RowSums]] = {}
         if length is not None:
-            self._room_for(length)
+            self._workspace_for(length)
 
     def products(self, a: Any, b: Any) -> Any:
-        """Partial sums of a · b, at most FEW rows of one: what the kernels that need the sum finish themselves."""
-        partial, _, sums = self._room_for(a.size)
+        """Return partial sums of a · b, at most MAX_PARTIAL_ROWS; the kernels that need the total add them."""
+        partial, _, sums = self._workspace_for(a.size)
         wp.launch(sum_products, dim=len(partial), inputs=[a, b], outputs=[partial], device=self.device)
         return sums(partial)
 
     def dot(self, a: Any, b: Any, out: Any) -> None:
-        """a · b as the first element of ``out``."""
+        """Write a · b to the first element of ``out``."""
         wp.launch(finish_sum, dim=1, inputs=[self.products(a, b)], outputs=[out], device=self.device)
 
     def total(self, a: Any, out: Any) -> None:
-        """The sum of all elements as the first element of ``out``."""
-        _, sums, _ = self._room_for(a.size)
+        """Write the sum of all elements to the first element of ``out``."""
+        _, sums, _ = self._workspace_for(a.size)
         inputs = [sums(a.reshape((a.size, 1)))]
         wp.launch(finish_sum, dim=1, inputs=inputs, outputs=[out], device=self.device)
 
-    def remove_mean(self, a: Any, room: Any) -> None:
-        """Take the mean off every element; ``room`` is for one number."""
-        self.total(a, room)
-        wp.launch(remove_mean, dim=a.size, inputs=[room], outputs=[a], device=self.device)
+    def remove_mean(self, a: Any, total: Any) -> None:
+        """Subtract the mean from every element of ``a``; ``total`` is a workspace of one element."""
+        self.total(a, total)
+        wp.launch(remove_mean, dim=a.size, inputs=[total], outputs=[a], device=self.device)
 
-    def _room_for(self, length: int) -> tuple[Any, RowSums, RowSums]:
-        """Where products are summed first; sums of values, and of those products."""
-        if length not in self._room:
+    def _workspace_for(self, length: int) -> tuple[Any, RowSums, RowSums]:
+        """Return the array of partial products, and the sums of values and of those partial products."""
+        if length not in self._workspace:
             rows = partial_count(length)
             partial = wp.empty((rows, 1), dtype=wp.float64, device=self.device)
-            self._room[length] = partial, RowSums(length, 1, self.device), RowSums(rows, 1, self.device)
-        return self._room[length]
+            self._workspace[length] = partial, RowSums(length, 1, self.device), RowSums(rows, 1, self.device)
+        return self._workspace[length]
 
 
 class HostSum:
-    """The same by NumPy, in its order: for arrays that the host reads anyway."""
+    """Sums by NumPy, in its order, for arrays that the host can read."""
 
     def dot(self, a: Any, b: Any, out: Any) -> None:
-        """a · b as the first element of ``out``."""
+        """Write a · b to the first element of ``out``."""
         out[:1].fill_(float(a.numpy() @ b.numpy()))
 
     def total(self, a: Any, out: Any) -> None:
-        """The sum of all elements as the first element of ``out``."""
+        """Write the sum of all elements to the first element of ``out``."""
         out[:1].fill_(float(a.numpy().sum()))
 
 
@@ -101,4 +101,4 @@ def sums_for(device: wp.Device, vertices: int) -> DeviceSum | HostSum:
     return DeviceSum(device) if adds_on_device(device, vertices) else HostSum()
 
 
-__all__ = ["FEW", "DeviceSum", "HostSum", "RowSums", "partial_count", "sums_for"]
+__all__ = ["MAX_PARTIAL_ROWS", "DeviceSum", "HostSum", "RowSums", "partial_count", "sums_for"]

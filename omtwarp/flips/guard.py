@@ -15,13 +15,13 @@ from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
 
 # A vertex whose step was halved this often stays where it was.
-HALVINGS = 6
-MAXIMUM_ROUNDS = 500
+MAX_HALVINGS = 6
+MAX_ROUNDS = 500
 # A step that leaves a triangle a hundredth of its area is as good as a flip: on scanned shapes a single such triangle
 # costs the whole map's area distortion more than the step gains.
-SMALLEST_PART = 0.2
+MIN_PART = 0.2
 # A motion of which not even this part of a halving leaves a bijection is given up.
-WHOLE_HALVINGS = 6
+MAX_WHOLE_HALVINGS = 6
 
 
 class StepGuard:
@@ -41,7 +41,7 @@ class StepGuard:
         held: how many vertices the last step was shortened for, Warp int32 [1] on the device.
     """
 
-    def __init__(self, surface: Surface, device: Any, smallest: float = SMALLEST_PART):
+    def __init__(self, surface: Surface, device: Any, smallest: float = MIN_PART):
         self.device = device
         self.vertex_count = surface.vertex_count
         self.face_count = surface.face_count
@@ -69,7 +69,7 @@ class StepGuard:
         )
         return int(self._counters.numpy()[0])
 
-    def hold(self, old: Any, new: Any, rounds: int = MAXIMUM_ROUNDS) -> None:
+    def hold(self, old: Any, new: Any, rounds: int = MAX_ROUNDS) -> None:
         """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips or shrinks too far.
 
         Where so many rounds of it do not suffice, everything stays at ``old``. All happens on the device and can be
@@ -103,7 +103,7 @@ class StepGuard:
 
             end = prepare(end_round, 1, [rounds], [self._counters, self._again])
             find = prepare(find_bad, self.face_count, [old, new, *mesh], [self._counters, self._bad])
-            inputs = [old, self._faces, self._bad, HALVINGS, rounds, threads]
+            inputs = [old, self._faces, self._bad, MAX_HALVINGS, rounds, threads]
             both = [self._counters, self._vertex_rounds, self._halvings, self._wanted, new]
             shorten = prepare(shorten_steps, threads, inputs, [*both, self._changed])
             inputs = [old, new, *mesh, self._offsets, self._corners, self._changed, threads]
@@ -142,7 +142,7 @@ def hold_back(
     where = resolve_device(device)
     guard, start = StepGuard(surface, where), vectors(before, where)
     step = np.nan_to_num(after - before, posinf=0.0, neginf=0.0)
-    for halvings in range(WHOLE_HALVINGS + 1):
+    for halvings in range(MAX_WHOLE_HALVINGS + 1):
         moved = before + step * 0.5**halvings
         lengths = np.linalg.norm(moved, axis=1, keepdims=True)
         held = wp.clone(vectors(np.where(lengths > 0.0, moved / np.where(lengths > 0.0, lengths, 1.0), before), where))

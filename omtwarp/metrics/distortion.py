@@ -137,7 +137,7 @@ def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]
     at = 0.95 * (count - 1)
     places = [(count - 1) // 2, count // 2, int(at), min(int(at) + 1, count - 1), count - 1]
     chosen = wp.array(places, dtype=wp.int32, device=where)
-    # The radix sort of Warp wants room for twice the keys.
+    # The radix sort of Warp needs a workspace of twice the keys.
     keys = wp.empty(2 * count, dtype=wp.float64, device=where)
     order = wp.zeros(2 * count, dtype=wp.int32, device=where)
 

@@ -11,7 +11,7 @@ THREE_QUARTERS = wp.constant(wp.float64(0.75))
 TWO_NINTHS = wp.constant(wp.float64(2.0 / 9.0))
 THIRD = wp.constant(wp.float64(1.0 / 3.0))
 FOUR_NINTHS = wp.constant(wp.float64(4.0 / 9.0))
-LARGEST = wp.constant(wp.float64(1e300))  # instead of infinity
+LARGEST_DENSITY = wp.constant(wp.float64(1e300))  # instead of infinity
 
 
 @wp.func(inline=True)
@@ -93,8 +93,8 @@ def sources_and_density(
     around = around / THREE
     wanted_around = wanted_around / THREE
     sources[v] = masses[v] - wanted_around
-    mu[v] = wp.min(masses[v] / around, LARGEST)
-    excess[v] = wp.min(wanted_around / around - ONE, LARGEST)
+    mu[v] = wp.min(masses[v] / around, LARGEST_DENSITY)
+    excess[v] = wp.min(wanted_around / around - ONE, LARGEST_DENSITY)
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.memory import Room
+from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
@@ -73,8 +73,8 @@ class TriangleKernels:
         frames: see :func:`omtwarp.triangle_newton.frames.triangle_frames`, vec3d, shape [F].
         areas: on the original surface, float64, shape [F].
         rows: corners of the triangles around the first points, those with a gradient: offsets and corners, int32.
-        room: on the CPU, for what :meth:`gradient` and :meth:`hessian` make of triangles. On CUDA, where memory is dear
-            and asking for it is not, there is room only while it is used.
+        workspace: on the CPU, memory for the results of :meth:`gradient` and :meth:`hessian`. On CUDA, where
+            allocations are cheap and memory is scarce, it is allocated for each call.
     """
 
     def __init__(
@@ -83,9 +83,9 @@ class TriangleKernels:
         frames: wp.array,
         areas: wp.array,
         rows: list[wp.array],
-        room: Room,
+        workspace: Workspace,
     ):
-        self.device, self.count, self._room = faces.device, len(faces), room
+        self.device, self.count, self._workspace = faces.device, len(faces), workspace
         self.faces, self.frames, self.areas, self.rows = faces, frames, areas, rows
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
@@ -94,7 +94,7 @@ class TriangleKernels:
             if columns == 3:
                 return wp.empty(rows, dtype=wp.vec3d, device=self.device)
             return wp.empty((rows, columns), dtype=wp.float64, device=self.device)
-        numbers = self._room.numbers(rows * columns).reshape(rows, columns)
+        numbers = self._workspace.numbers(rows * columns).reshape(rows, columns)
         return wp.array(numbers, dtype=wp.vec3d if columns == 3 else wp.float64, device=self.device, copy=False)
 
     def terms(self, points: wp.array) -> list[wp.array]:
@@ -129,13 +129,13 @@ class TriangleKernels:
         launch_parts(gather_tangent, gradient.size, gathered, self.device)
         return gradient
 
-    def hessian(self, points: wp.array, pressures: Pressures, caution: float) -> wp.array:
+    def hessian(self, points: wp.array, pressures: Pressures, curvature_share: float) -> wp.array:
         """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
 
-        Of each 6x6 matrix the entries on and above the diagonal, row by row. What next asks for room overwrites them.
+        Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
         blocks = self._scratch(self.count, 21)
-        numbers = [*pressures, wp.float64(caution), wp.float64(SPHERE_AREA)]
+        numbers = [*pressures, wp.float64(curvature_share), wp.float64(SPHERE_AREA)]
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             return [points, self.faces[part], self.frames[part], self.areas[part], *numbers], [blocks[part]]
@@ -152,7 +152,7 @@ class DistortionEnergy:
         device: a Warp device.
 
     Attributes:
-        room: on the host, for what is used up at once: Hessians, fronts of factorisations.
+        workspace: on the host, for Hessians and the fronts of factorisations.
     """
 
     def __init__(self, surface: Surface, device: wp.Device):
@@ -160,10 +160,10 @@ class DistortionEnergy:
         self.device = device
         self.areas = surface.face_areas
         count = surface.face_count
-        self.room = Room()
+        self.workspace = Workspace()
         mesh = surface.on(device)
         own = wp.array(triangle_frames(surface), dtype=wp.vec3d, device=device, copy=False)
-        self.triangles = TriangleKernels(mesh.faces, own, mesh.face_areas, mesh.vertex_corners, self.room)
+        self.triangles = TriangleKernels(mesh.faces, own, mesh.face_areas, mesh.vertex_corners, self.workspace)
         self._sums = None if shares_host_memory(device) else DistortionSums(count, device)
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
@@ -193,12 +193,12 @@ class DistortionEnergy:
         """Gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
         return self.triangles.gradient(points, self.pressures(terms, weight))
 
-    def hessian(self, points: wp.array, terms: Terms, weight: float, caution: float) -> wp.array:
+    def hessian(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> wp.array:
         """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
 
-        Of each 6x6 matrix the entries on and above the diagonal, row by row. What next asks for room overwrites them.
+        Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
-        return self.triangles.hessian(points, self.pressures(terms, weight), caution)
+        return self.triangles.hessian(points, self.pressures(terms, weight), curvature_share)
 
     def pressures(self, terms: Terms, weight: float) -> Pressures:
         """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

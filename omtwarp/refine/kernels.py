@@ -18,39 +18,39 @@ from omtwarp.triangle_newton.triangle import (
 wp.set_module_options(KERNEL_OPTIONS)
 
 # A triangle may lose this share of its volume in one step before its corners are held back.
-SMALLEST_SHARE = wp.constant(wp.float64(0.1))
+MIN_VOLUME_SHARE = wp.constant(wp.float64(0.1))
 # Volumes below this have no certain sign in floating point: none may shrink to it.
 ROUND_OFF = wp.constant(wp.float64(1e-14))
 # Below this cosine between a triangle's plane and the sphere's the needle barrier sets in.
-STEEP = wp.constant(wp.float64(0.5))
+STEEP_COSINE = wp.constant(wp.float64(0.5))
 
 
 @wp.func
 def needle(cosine: wp.float64) -> wp.float64:
-    """A barrier against flips that flat areas do not see, 0 above ``STEEP``.
+    """A barrier against flips that flat areas do not see, 0 above ``STEEP_COSINE``.
 
     The flat triangle of a needle whose height is far below the sagitta of its long edge stands nearly upright: its
     volume can vanish while its flat area does not.
     """
-    if cosine >= STEEP:
+    if cosine >= STEEP_COSINE:
         return ZERO
-    gap = STEEP - cosine
+    gap = STEEP_COSINE - cosine
     return gap * gap * gap / cosine
 
 
 @wp.func
 def needle_slope(cosine: wp.float64) -> wp.float64:
-    if cosine >= STEEP:
+    if cosine >= STEEP_COSINE:
         return ZERO
-    gap = STEEP - cosine
+    gap = STEEP_COSINE - cosine
     return -(THREE * cosine + gap) * gap * gap / (cosine * cosine)
 
 
 @wp.func
 def needle_curvature(cosine: wp.float64) -> wp.float64:
-    if cosine >= STEEP:
+    if cosine >= STEEP_COSINE:
         return ZERO
-    gap = STEEP - cosine
+    gap = STEEP_COSINE - cosine
     share = gap / cosine
     return TWO * share * (THREE + THREE * share + share * share)
 
@@ -176,7 +176,7 @@ def triangle_trouble(
     face = faces[t]
     after = triple(moved[face[0]], moved[face[1]], moved[face[2]])
     # Written so that a NaN counts as trouble.
-    if after > SMALLEST_SHARE * volume[t] and (after > ROUND_OFF or after >= volume[t]):
+    if after > MIN_VOLUME_SHARE * volume[t] and (after > ROUND_OFF or after >= volume[t]):
         trouble[t] = wp.int32(0)
     else:
         trouble[t] = wp.int32(1)
@@ -212,7 +212,7 @@ def triangle_hessian(
     linear: wp.float64,
     inverse: wp.float64,
     barrier: wp.float64,
-    caution: wp.float64,
+    curvature_share: wp.float64,
     divisor: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
@@ -223,9 +223,9 @@ def triangle_hessian(
     known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
     flip and two scalings. Negative eigenvalues are cut off, which makes the matrix positive semidefinite.
 
-    ``caution``, 0 to 1, is the share kept of the curvature of D, whose factor is the pressure of the triangle. Far
-    from the minimum the cut-off matrix needs all of it. Near it the pressure is smooth, where it is smooth the
-    curvatures of neighbouring triangles cancel, and cutting off the negative ones only would stiffen the matrix.
+    ``curvature_share``, 0 to 1, is the share of the curvature of D that is kept; its factor is the pressure of the
+    triangle. Far from the minimum all of it is needed. Near the minimum the pressure varies smoothly, the curvatures of
+    neighbouring triangles cancel, and a matrix that drops only the negative ones would be too stiff.
     """
     t, _compiled_once = wp.tid()
     face = faces[t]
@@ -251,7 +251,7 @@ def triangle_hessian(
     d = s1 * s2
     fro = s1 * s1 + s2 * s2
 
-    by_det = caution * (linear - (fro + inverse) / (d * d))
+    by_det = curvature_share * (linear - (fro + inverse) / (d * d))
     twist = wp.max(TWO / d + by_det, ZERO)
     flip = wp.max(TWO / d - by_det, ZERO)
     h11 = TWO * (s2 * s2 + inverse) / (s1 * s1 * d)

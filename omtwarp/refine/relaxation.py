@@ -27,12 +27,14 @@ from omtwarp.refine.kernels import (
 from omtwarp.triangle_newton.line_search import search_patches
 from omtwarp.triangle_newton.newton import NewtonMatrix
 
-WORTH = 3.0  # times what a step of all gains for each vertex: those that gain more alone are worth a step of their own
-LARGEST = 0.01  # of what could be gained, that one vertex counts for: the rest would be gained beyond its tangent plane
-RINGS = 2  # freed around them
-MOST_CHOSEN, MOST_FREED = 0.15, 0.6  # of all vertices: with more than that a step of all costs no more
-STEPS = 3
-HALVINGS = 12
+# A vertex is relaxed if it alone gains this many times what a step of all vertices gains on average for each.
+MIN_GAIN_RATIO = 3.0
+# No vertex counts for more than this share of the whole gain: more would need a step that leaves its tangent plane.
+MAX_GAIN_SHARE = 0.01
+FREED_RINGS = 2  # rings of vertices that move with each vertex chosen
+MAX_CHOSEN_SHARE, MAX_FREED_SHARE = 0.15, 0.6  # of all vertices: beyond it a step of all costs no more
+MAX_STEPS = 3  # Newton steps of the patches in one relaxation
+MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
 
 
 def stiff_vertices(decrements: NDArray[np.float64], gain: float) -> NDArray[np.bool_]:
@@ -42,9 +44,9 @@ def stiff_vertices(decrements: NDArray[np.float64], gain: float) -> NDArray[np.b
         decrements: what moving each vertex alone is expected to gain, twice over, shape [V].
         gain: the same for moving all together.
     """
-    counted = np.minimum(decrements, LARGEST * gain)
-    chosen = counted > WORTH * gain / len(counted)
-    most = int(MOST_CHOSEN * len(counted))
+    counted = np.minimum(decrements, MAX_GAIN_SHARE * gain)
+    chosen = counted > MIN_GAIN_RATIO * gain / len(counted)
+    most = int(MAX_CHOSEN_SHARE * len(counted))
     if chosen.sum() > max(most, 1):
         chosen[:] = False
         chosen[np.argsort(-counted, kind="stable")[:most]] = True
@@ -62,25 +64,31 @@ class Relaxation:
         points: the map, vec3d, shape [V], on the device.
         terms: of the map.
         weight: λ.
-        caution: see :func:`omtwarp.refine.kernels.triangle_hessian`.
+        curvature_share: see :func:`omtwarp.refine.kernels.triangle_hessian`.
     """
 
     def __init__(
-        self, energy: DistortionEnergy, patches: Patches, points: wp.array, terms: Terms, weight: float, caution: float
+        self,
+        energy: DistortionEnergy,
+        patches: Patches,
+        points: wp.array,
+        terms: Terms,
+        weight: float,
+        curvature_share: float,
     ):
         device, surface = energy.device, energy.surface
-        self._device, self._patches, self._caution = device, patches, caution
+        self._device, self._patches, self._curvature_share = device, patches, curvature_share
         self._whole, self._vertices = points, self._sent(patches.vertices, wp.int32)
         self._points = self._taken(points, self._vertices)
         # Of the whole map's area patches are a small part: its scale is taken to stay.
         self._pressures = energy.pressures(terms, weight)
         self._areas = surface.face_areas[patches.triangles]
         freed = surface.scaled_vertices[patches.vertices[: patches.free]]
-        self._matrix = NewtonMatrix.of_patches(patches, freed, energy.room)
+        self._matrix = NewtonMatrix.of_patches(patches, freed, energy.workspace)
         faces, areas = self._sent(patches.faces, wp.vec3i), self._sent(self._areas, wp.float64)
         frames = self._taken(energy.triangles.frames, self._sent(patches.triangles, wp.int32))
         rows = [array.to(device) for array in self._matrix.vertex_corners]
-        self._triangles = TriangleKernels(faces, frames, areas, rows, energy.room)
+        self._triangles = TriangleKernels(faces, frames, areas, rows, energy.workspace)
 
     def run(self) -> wp.array:
         """The map after a few steps, vec3d, shape [V].
@@ -88,7 +96,7 @@ class Relaxation:
         Raises:
             OmtwarpError: the distortion is not finite.
         """
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS):
             if not self._step():
                 break
         out = wp.clone(self._whole)
@@ -112,7 +120,7 @@ class Relaxation:
         free = patches.free
         energies, volume = self._energies(points)
         gradient = self._gradient()
-        blocks = self._triangles.hessian(points, self._pressures, self._caution)
+        blocks = self._triangles.hessian(points, self._pressures, self._curvature_share)
         self._matrix.factorise(blocks.numpy())
         coordinates = wp.array(-self._matrix.solve(gradient), dtype=wp.float64, device=device)
         vectors = wp.empty(free, dtype=wp.vec3d, device=device)
@@ -127,7 +135,7 @@ class Relaxation:
             energies,
             slope,
             longest,
-            HALVINGS,
+            MAX_HALVINGS,
         )
         return bool(length.any())
 
@@ -167,7 +175,7 @@ def relax(
     points: wp.array,
     terms: Terms,
     weight: float,
-    caution: float,
+    curvature_share: float,
     chosen: NDArray[np.bool_],
 ) -> tuple[wp.array, Terms, int] | None:
     """Move the vertices chosen, and some rings around them, to where they hold less distortion.
@@ -177,19 +185,19 @@ def relax(
         points: a map without flips, vec3d, shape [V], on the device.
         terms: of the map.
         weight: λ.
-        caution: see :func:`omtwarp.refine.kernels.triangle_hessian`.
+        curvature_share: see :func:`omtwarp.refine.kernels.triangle_hessian`.
         chosen: the vertices, shape [V].
 
     Returns:
         The new map, its terms and how many vertices were freed; None where they are too many or nothing is gained.
     """
     surface = energy.surface
-    freed = grow(surface.faces, chosen, RINGS)
-    if freed.mean() > MOST_FREED:
+    freed = grow(surface.faces, chosen, FREED_RINGS)
+    if freed.mean() > MAX_FREED_SHARE:
         return None
     patches = Patches.of_vertices(surface.faces, freed)
     try:
-        moved = Relaxation(energy, patches, points, terms, weight, caution).run()
+        moved = Relaxation(energy, patches, points, terms, weight, curvature_share).run()
     except OmtwarpError:
         return None
     after = energy.terms(moved)

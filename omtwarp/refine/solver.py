@@ -26,7 +26,7 @@ from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
-from omtwarp.triangle_newton.line_search import SUFFICIENT
+from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.untangling.untangle import Schedule, untangle_patches
 
 # λ: how much area counts against angle
@@ -35,25 +35,25 @@ WEIGHTS = {
     Refinement.BALANCED: 10.0,
     Refinement.ANGLE: 2.0,
 }
-# "area" promises mean and 95th percentile of area distortion; λ grows by HARDER until both are met: to HARD, and to
-# HARDEST where neither is then farther from 2 than CLOSE times the promise. There a larger λ mostly gets through; on
-# maps farther off it only costs angle.
+# "area" promises a mean and a 95th percentile of area distortion. λ is multiplied by WEIGHT_GROWTH until both are met,
+# up to MAX_WEIGHT; and up to MAX_WEIGHT_IN_REACH where both are then within MAX_EXCESS_IN_REACH times the promised
+# distance from 2. Most such maps still meet the promise; on maps farther away a larger λ only costs angle.
 AREA_MEAN, AREA_P95 = 2.002, 2.01
-HARDER, HARD, HARDEST = 3.0, 900.0, 8100.0
-CLOSE = 4.0
+WEIGHT_GROWTH, MAX_WEIGHT, MAX_WEIGHT_IN_REACH = 3.0, 900.0, 8100.0
+MAX_EXCESS_IN_REACH = 4.0
 
-HALVINGS = 25  # of the step as a whole
-CORRECTED_HALVINGS = 2  # of a step by an older matrix: where that is not enough a fresh one is worth more
-MENDED = 3  # of them tried with repair of what they flip
-HOLDS = 30  # of the shares of corners of triangles in trouble
-LEAST_CAUTION = 0.03  # see triangle_hessian
-REPAIRS = (
+MAX_HALVINGS = 25  # of the whole step, in a line search
+MAX_HALVINGS_CORRECTED = 2  # of a step with an older matrix: after that a new matrix gains more
+MAX_REPAIR_TRIALS = 3  # step lengths that are tried with repair of the triangles they flip
+MAX_HOLDING_ROUNDS = 30  # of halving the shares of corners of nearly flipped triangles
+MIN_CURVATURE_SHARE = 0.03  # of the curvature of D, see omtwarp.refine.kernels.triangle_hessian
+REPAIR_SCHEDULES = (
     Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
     Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02, largest=0.5),
 )  # how the few triangles that a step flips are mended, before the step is shortened
-FEW = 0.01  # of the vertices: mending so few says little against the step
-MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
-WORTH = 0.15  # of what the last fresh matrix gained: with less from a corrected step the matrix is renewed
+MAX_TRUSTED_REPAIRS = 0.01  # of the vertices: a step after which fewer are repaired counts as a full step
+MAX_TROUBLED_SHARE = 0.05  # of the triangles: where a step flips more, it is shortened, not repaired
+MIN_GAIN_SHARE = 0.15  # of the gain of the last new matrix: where a corrected step gains less, the matrix is renewed
 
 # With a small weight of area, angle + λ area of a nearly conformal map is a few hundredths above its least value, of
 # which an absolute tolerance would leave a tenth. Above an energy of 0.2, where all named weights are, it decides.
@@ -144,18 +144,18 @@ def refine_map(
         excess = _area_excess(refiner, result.sphere)
         if excess <= 1.0:
             return result
-        if result.weight <= HARD:
+        if result.weight <= MAX_WEIGHT:
             kept = result
-        harder = HARDER * result.weight
-        if harder > (HARDEST if excess <= CLOSE else HARD):
+        harder = WEIGHT_GROWTH * result.weight
+        if harder > (MAX_WEIGHT_IN_REACH if excess <= MAX_EXCESS_IN_REACH else MAX_WEIGHT):
             break
-        # Up to HARD every λ is converged alike; the last tries, for the promise alone, shall not miss it narrowly.
-        loose = tolerance * (harder / value if harder <= HARD else 1.0)
+        # Up to MAX_WEIGHT all λ have the same tolerance; beyond, only the promise counts.
+        loose = tolerance * (harder / value if harder <= MAX_WEIGHT else 1.0)
         again = refiner.minimise(result.sphere, harder, iterations=iterations, tolerance=loose, progress=progress)
         again.history = result.history + again.history[1:]
         again.factorisations += result.factorisations
         result = again
-    return result if result.weight <= HARD else kept
+    return result if result.weight <= MAX_WEIGHT else kept
 
 
 def _area_excess(refiner: Refiner, sphere: NDArray[np.float64]) -> float:
@@ -197,39 +197,42 @@ class Refiner:
         gradient = energy.gradient(points, terms, weight)
         result = RefineResult(sphere, weight)
         result.history.append(_record(terms, weight, 0.0, 0.0, 0, 0, False))
-        caution, renew = 1.0, True
+        curvature_share, renew = 1.0, True
         last_gain = 0.0
-        self._steps.assemble(points, terms, weight, caution)
+        self._steps.assemble(points, terms, weight, curvature_share)
         gain = terms.total(weight)  # at most
-        points, terms, gradient, relaxed = self._relaxed(points, terms, gradient, weight, caution, gain, tolerance)
+        points, terms, gradient, relaxed = self._relaxed(
+            points, terms, gradient, weight, curvature_share, gain, tolerance
+        )
         for step in range(iterations):
             if renew:
                 if step > 0 or relaxed:
-                    self._steps.assemble(points, terms, weight, caution)
+                    self._steps.assemble(points, terms, weight, curvature_share)
                 self._steps.factorise()
                 result.factorisations += 1
             direction = self._steps.direction(points, gradient)
             decrement = -direction.slope
             moved = None
             if decrement > 0.0:
-                moved = self._search(points, terms, direction, weight, HALVINGS if renew else CORRECTED_HALVINGS)
+                halvings = MAX_HALVINGS if renew else MAX_HALVINGS_CORRECTED
+                moved = self._search(points, terms, direction, weight, halvings)
             if moved is None:
-                if renew and caution == 1.0:
+                if renew and curvature_share == 1.0:
                     break
-                caution = 1.0 if renew else caution
+                curvature_share = 1.0 if renew else curvature_share
                 renew = True
                 continue
             fresh = renew
             new_points, new_terms, length, mended = moved
             new_gradient = energy.gradient(new_points, new_terms, weight)
             gain = terms.total(weight) - new_terms.total(weight)
-            self._steps.learn(points, gradient, new_points, new_gradient)
+            self._steps.update(points, gradient, new_points, new_gradient)
             points, terms, gradient = new_points, new_terms, new_gradient
             enough = min(tolerance, RELATIVE_TOLERANCE * terms.total(weight))
             ended = decrement < 2.0 * enough and length >= (0.5 if fresh else 1.0)
             if not ended:
                 points, terms, gradient, relaxed = self._relaxed(
-                    points, terms, gradient, weight, caution, decrement, enough
+                    points, terms, gradient, weight, curvature_share, decrement, enough
                 )
             result.history.append(_record(terms, weight, decrement, length, mended, relaxed, fresh))
             if progress is not None:
@@ -239,21 +242,23 @@ class Refiner:
                 break
             trust = 2.0 * gain / decrement
             if fresh:
-                if length == 1.0 and mended <= FEW * self.surface.vertex_count and 0.75 < trust:
-                    caution = max(caution / 3.0, LEAST_CAUTION)
+                if length == 1.0 and mended <= MAX_TRUSTED_REPAIRS * self.surface.vertex_count and 0.75 < trust:
+                    curvature_share = max(curvature_share / 3.0, MIN_CURVATURE_SHARE)
                 elif length < 1.0 or trust < 0.5:
-                    caution = min(1.0, 3.0 * caution)
+                    curvature_share = min(1.0, 3.0 * curvature_share)
             if fresh:
                 last_gain = gain
-            renew = mended > 0 or relaxed > 0 or gain < WORTH * last_gain or (fresh and length < 1.0)
+            renew = mended > 0 or relaxed > 0 or gain < MIN_GAIN_SHARE * last_gain or (fresh and length < 1.0)
         result.sphere = points.numpy().copy()
         return result
 
-    def _relaxed(self, points, terms: Terms, gradient, weight: float, caution: float, gain: float, tolerance: float):
+    def _relaxed(
+        self, points, terms: Terms, gradient, weight: float, curvature_share: float, gain: float, tolerance: float
+    ):
         """Points, terms and gradient after the stiffest vertices have had steps of their own, and how many had."""
         decrements = self._steps.decrements(gradient)
         if decrements.sum() > tolerance:
-            moved = relax(self.energy, points, terms, weight, caution, stiff_vertices(decrements, gain))
+            moved = relax(self.energy, points, terms, weight, curvature_share, stiff_vertices(decrements, gain))
             if moved is not None:
                 points, terms, count = moved
                 return points, terms, self.energy.gradient(points, terms, weight), count
@@ -264,17 +269,17 @@ class Refiner:
         before = terms.total(weight)
         length = 1.0 / max(1.0, 2.0 * direction.reach)  # no vertex may swing farther than half a radian
         for attempt in range(halvings):
-            if attempt < MENDED:
+            if attempt < MAX_REPAIR_TRIALS:
                 moved, mended = self._mended(points, direction.vectors, terms.d_volume, length, weight)
                 if moved is not None:
                     after = self.energy.terms(moved)
-                    if after.total(weight) <= before + SUFFICIENT * length * direction.slope:
+                    if after.total(weight) <= before + SUFFICIENT_DECREASE * length * direction.slope:
                         return moved, after, length, mended
             moved, share = self._held_back(points, direction.vectors, terms.d_volume, length)
             if moved is not None:
                 slope = length * direction.slope_of(share)
                 after = self.energy.terms(moved)
-                if slope < 0.0 and after.total(weight) <= before + SUFFICIENT * slope:
+                if slope < 0.0 and after.total(weight) <= before + SUFFICIENT_DECREASE * slope:
                     return moved, after, length, int((share.numpy() < 1.0).sum())
             length *= 0.5
         return None
@@ -295,10 +300,10 @@ class Refiner:
             return moved, 0
         seeds = trouble.numpy() > 0
         mended = 0
-        for schedule in REPAIRS:
+        for schedule in REPAIR_SCHEDULES:
             if not seeds.any():
                 return moved, mended
-            if seeds.mean() > MOST_TROUBLE:
+            if seeds.mean() > MAX_TROUBLED_SHARE:
                 return None, 0
             schedule = replace(schedule, weight=weight)
             sphere, patch = untangle_patches(self.surface, moved.numpy(), seeds, schedule, device)
@@ -315,7 +320,7 @@ class Refiner:
         other = wp.empty(count, dtype=wp.float64, device=device)
         moved = wp.empty(count, dtype=wp.vec3d, device=device)
         trouble = wp.empty(faces, dtype=wp.int32, device=device)
-        for _ in range(HOLDS):
+        for _ in range(MAX_HOLDING_ROUNDS):
             inputs = [points, direction, share, wp.float64(length)]
             wp.launch(retract_to_sphere, dim=count, inputs=inputs, outputs=[moved], device=device)
             if self._count_trouble(moved, volume, trouble) == 0:

@@ -28,8 +28,8 @@ from omtwarp.refine.step_kernels import (
 )
 from omtwarp.triangle_newton.newton import NewtonMatrix
 
-MEMORY = 8  # pairs kept by limited-memory BFGS
-CURVED = 1e-12  # of the product of its lengths: pairs with less curvature than that are forgotten
+MAX_PAIRS = 8  # (s, y) that limited-memory BFGS keeps
+MIN_CURVATURE = 1e-12  # s · y over |s| |y|: pairs with less are not kept, their inverse curvature is round-off
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Direction:
 class Steps(Protocol):
     """What finds directions; points and gradients are vec3d arrays of shape [V] on the device."""
 
-    def assemble(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
-        """Make the Newton matrix of a map, and forget all pairs."""
+    def assemble(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> None:
+        """Compute the Newton matrix of a map, and drop all pairs."""
 
     def factorise(self) -> None:
         """Make ready for directions with the matrix assembled last."""
@@ -64,8 +64,8 @@ class Steps(Protocol):
     def direction(self, points: wp.array, gradient: wp.array) -> Direction:
         """The direction at a map."""
 
-    def learn(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
-        """Take account of how the gradient changed along a step."""
+    def update(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
+        """Add the pair (s, y) of a step: s the change of the points, y that of the gradient (Nocedal 1980)."""
 
 
 class HostSteps:
@@ -78,16 +78,16 @@ class HostSteps:
     def __init__(self, energy: DistortionEnergy):
         self._energy, self._device = energy, energy.device
         self._count = energy.surface.vertex_count
-        self._matrix = NewtonMatrix.of_surface(energy.surface, energy.room)
+        self._matrix = NewtonMatrix.of_surface(energy.surface, energy.workspace)
         self._blocks = self._matrix.diagonal_blocks.flatten()
         self._places = wp.array(np.arange(self._count, dtype=np.int32), device="cpu", copy=False)
         self._decrements = wp.empty(self._count, dtype=wp.float64, device="cpu")
-        self._memory: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
+        self._pairs: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
 
-    def assemble(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
-        self._matrix.assemble(self._energy.hessian(points, terms, weight, caution).numpy())
+    def assemble(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> None:
+        self._matrix.assemble(self._energy.hessian(points, terms, weight, curvature_share).numpy())
         self._base = points
-        self._memory.clear()
+        self._pairs.clear()
 
     def factorise(self) -> None:
         self._matrix.factorise()
@@ -106,24 +106,24 @@ class HostSteps:
         vectors = wp.array(direction, dtype=wp.vec3d, device=self._device, copy=False)
         return Direction(vectors, float(along.sum()), reach, lambda share: float(along @ share.numpy()))
 
-    def learn(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
-        change, turn = new_points.numpy() - points.numpy(), new_gradient.numpy() - gradient.numpy()
-        product = float((change * turn).sum())
-        if product > CURVED * float(np.linalg.norm(change) * np.linalg.norm(turn)):
-            self._memory.append((change, turn, product))
-            del self._memory[:-MEMORY]
+    def update(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
+        s, y = new_points.numpy() - points.numpy(), new_gradient.numpy() - gradient.numpy()
+        product = float((s * y).sum())
+        if product > MIN_CURVATURE * float(np.linalg.norm(s) * np.linalg.norm(y)):
+            self._pairs.append((s, y, product))
+            del self._pairs[:-MAX_PAIRS]
 
     def _corrected(self, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The factorised matrix's step for a gradient, corrected by the steps since."""
+        """Apply the L-BFGS inverse to a gradient: two loops over the pairs around a solve."""
         right = gradient.copy()
         factors = []
-        for change, turn, product in reversed(self._memory):
-            factor = float((change * right).sum()) / product
+        for s, y, product in reversed(self._pairs):
+            factor = float((s * right).sum()) / product
             factors.append(factor)
-            right -= factor * turn
+            right -= factor * y
         out = self._solve(right)
-        for (change, turn, product), factor in zip(self._memory, reversed(factors), strict=True):
-            out += change * (factor - float((turn * out).sum()) / product)
+        for (s, y, product), factor in zip(self._pairs, reversed(factors), strict=True):
+            out += s * (factor - float((y * out).sum()) / product)
         return out
 
     def _solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -158,14 +158,14 @@ class DeviceSteps:
         self._numbers = wp.empty(3 + self.REACHES, dtype=wp.float64, device=self._device)
         self._places: list[Any] = [self._numbers[k : k + 1] for k in range(3)]
         self._reaches: Any = self._numbers[3:]
-        self._factors = [wp.empty(1, dtype=wp.float64, device=self._device) for _ in range(MEMORY)]
-        self._memory: list[tuple[Any, Any, Any]] = []
-        self._spare: tuple[Any, Any, Any] | None = None
+        self._factors = [wp.empty(1, dtype=wp.float64, device=self._device) for _ in range(MAX_PAIRS)]
+        self._pairs: list[tuple[Any, Any, Any]] = []
+        self._spare_pair: tuple[Any, Any, Any] | None = None
 
-    def assemble(self, points: wp.array, terms: Terms, weight: float, caution: float) -> None:
-        self._memory.clear()  # first: Hessians take as much room
-        self._spare = None
-        self._matrix.assemble(points, lambda: self._energy.hessian(points, terms, weight, caution))
+    def assemble(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> None:
+        self._pairs.clear()  # before the Hessians, which take as much memory
+        self._spare_pair = None
+        self._matrix.assemble(points, lambda: self._energy.hessian(points, terms, weight, curvature_share))
         self._base = points
 
     def factorise(self) -> None:
@@ -185,41 +185,41 @@ class DeviceSteps:
         numbers = self._numbers.numpy()
         return Direction(vectors, float(numbers[0]), float(numbers[3:].max()), self._slope_of)
 
-    def learn(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
-        change, turn, product = self._spare or self._room()
-        self._spare = change, turn, product
-        self._launch(gradient_differences, [new_points, points], [change])
-        self._launch(gradient_differences, [new_gradient, gradient], [turn])
-        for place, (one, other) in zip(self._places, ((change, turn), (change, change), (turn, turn)), strict=True):
+    def update(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
+        s, y, product = self._spare_pair or self._new_pair()
+        self._spare_pair = s, y, product
+        self._launch(gradient_differences, [new_points, points], [s])
+        self._launch(gradient_differences, [new_gradient, gradient], [y])
+        for place, (one, other) in zip(self._places, ((s, y), (s, s), (y, y)), strict=True):
             self._sum.dot(flat(one), flat(other), place)
         wp.copy(product, self._places[0])
         curvature, *squares = self._numbers.numpy()[:3]
-        if curvature > CURVED * np.sqrt(squares[0] * squares[1]):
-            self._memory.append(self._spare)
-            self._spare = self._memory.pop(0) if len(self._memory) > MEMORY else None
+        if curvature > MIN_CURVATURE * np.sqrt(squares[0] * squares[1]):
+            self._pairs.append(self._spare_pair)
+            self._spare_pair = self._pairs.pop(0) if len(self._pairs) > MAX_PAIRS else None
 
-    def _room(self) -> tuple[Any, Any, Any]:
+    def _new_pair(self) -> tuple[Any, Any, Any]:
         count, device = self._count, self._device
-        change, turn = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
-        return change, turn, wp.empty(1, dtype=wp.float64, device=device)
+        s, y = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
+        return s, y, wp.empty(1, dtype=wp.float64, device=device)
 
     def _slope_of(self, share: wp.array) -> float:
         self._sum.dot(self._along, share, self._places[0])
         return float(self._numbers.numpy()[0])
 
     def _correct(self, gradient: wp.array) -> None:
-        """The step for a gradient as the matrix and the pairs have it."""
+        """Apply the L-BFGS inverse to a gradient: two loops over the pairs around a solve."""
         wp.copy(self._right, gradient)
-        for (change, turn, product), factor in zip(reversed(self._memory), self._factors, strict=False):
-            self._sum.dot(flat(change), flat(self._right), factor)
-            self._launch(subtract_share, [factor, product, turn], [self._right])
+        for (s, y, product), factor in zip(reversed(self._pairs), self._factors, strict=False):
+            self._sum.dot(flat(s), flat(self._right), factor)
+            self._launch(subtract_share, [factor, product, y], [self._right])
         self._launch(to_tangent, [self._base, self._right], [self._coordinates])
         self._matrix.solve(self._coordinates)
         self._launch(from_tangent, [self._base, self._coordinates], [self._step])
-        used = self._factors[: len(self._memory)]
-        for (change, turn, product), factor in zip(self._memory, reversed(used), strict=True):
-            self._sum.dot(flat(turn), flat(self._step), self._places[0])
-            self._launch(add_share, [factor, self._places[0], product, change], [self._step])
+        used = self._factors[: len(self._pairs)]
+        for (s, y, product), factor in zip(self._pairs, reversed(used), strict=True):
+            self._sum.dot(flat(y), flat(self._step), self._places[0])
+            self._launch(add_share, [factor, self._places[0], product, s], [self._step])
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
         wp.launch(kernel, dim=self._count, inputs=inputs, outputs=outputs, device=self._device)

@@ -21,7 +21,7 @@ REPORT: dict[str, Any] = {
     "cost": TEXT,
     "versions": {"*": TEXT},
     "mesh": {"faces": COUNT},
-    "start": {"road": TEXT, "reason": TEXT},
+    "start": {"route": TEXT, "reason": TEXT},
     "optimality": {"relative_curl": NUMBER, "lower_bound": NUMBER, "gap": NUMBER},
     "stages": [
         {
@@ -31,7 +31,7 @@ REPORT: dict[str, Any] = {
             "transport_cost": NUMBER,
             "weight": TEXT,
             "repaired": COUNT,
-            "road": TEXT,
+            "route": TEXT,
             "converged": FLAG,
         }
     ],

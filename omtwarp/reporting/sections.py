@@ -147,9 +147,9 @@ def _transport_facts(
     facts: list[tuple[str, str]] = []
     start = report.get("start", {})
     if start:
-        road = str(start.get("road", ""))
+        route = str(start.get("route", ""))
         reason = str(start.get("reason", ""))
-        facts.append(("Start", f"{road}{f': {reason}' if reason else ''}"))
+        facts.append(("Start", f"{route}{f': {reason}' if reason else ''}"))
     for name, key in (("Method", "method"), ("Scheme", "scheme"), ("Cost", "cost")):
         if report.get(key) not in (None, ""):
             facts.append((name, str(report[key])))
@@ -179,8 +179,8 @@ def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> Markup:
         seconds = record.get("seconds")
         share = 0.0 if seconds is None else float(seconds) / total
         remarks = []
-        if record.get("road") not in (None, "conformal", ""):
-            remarks.append(str(record["road"]))
+        if record.get("route") not in (None, "conformal", ""):
+            remarks.append(str(record["route"]))
         if record.get("converged") is False:
             remarks.append("stopped before it converged")
         remark = html("<small>{}</small>", "; ".join(remarks)) if remarks else ""

@@ -19,8 +19,8 @@ KNOWN = (
     ("transported", "omt", "Optimal transport", "--transport"),
     ("sphere", "refine", "Refined", "--after"),
 )
-# Labels of the first map by the road that led to it (see :mod:`omtwarp.start.choice`) or by its method.
-ROADS = {
+# Labels of the first map by the route that led to it (see :mod:`omtwarp.start.choice`) or by its method.
+ROUTES = {
     "conformal": "Conformal",
     "conformal, repaired": "Conformal",
     "hierarchical": "Coarse-to-fine",
@@ -56,7 +56,7 @@ def stages_of(result: Any) -> list[Stage]:
     """The stages of a :class:`~omtwarp.result.MapResult` in order, each map once; the last is the final map."""
     report = shown_report(result)
     records = {record.get("name"): record for record in report.get("stages", ())}
-    road = report.get("start", {}).get("road", "conformal")
+    route = report.get("start", {}).get("route", "conformal")
     scale = max(float(np.abs(result.vertices).max()), np.finfo(float).tiny)  # squares stay in range at any scale
     areas = triangle_areas(result.vertices / scale, result.faces)
     weights = areas / areas.sum()
@@ -66,7 +66,7 @@ def stages_of(result: Any) -> list[Stage]:
         if sphere is None or any(np.array_equal(sphere, stage.sphere) for stage in found):
             continue
         if attribute == "conformal":
-            label = ROADS.get(road, str(road).capitalize())
-        record = records.get(key) or (records.get(road, {}) if attribute == "conformal" else {})
+            label = ROUTES.get(route, str(route).capitalize())
+        record = records.get(key) or (records.get(route, {}) if attribute == "conformal" else {})
         found.append(Stage(key, label, colour, sphere, result.distortion(attribute), record, weights))
     return found

@@ -40,21 +40,21 @@ class Start:
 
     Attributes:
         sphere: unit vectors, float64, shape [V, 3].
-        road: ``conformal``, ``conformal, repaired``, ``tube`` or ``hierarchical``.
+        route: ``conformal``, ``conformal, repaired``, ``tube`` or ``hierarchical``.
         reason: why the conformal map was not taken, or empty.
         conformal: the conformal map as section 4.1 gives it, before repair; None if it could not be computed.
         repaired_flips: flips of the conformal map that were repaired.
     """
 
     sphere: NDArray[np.float64]
-    road: str
+    route: str
     reason: str
     conformal: ConformalMap | None
     repaired_flips: int
 
     @property
     def is_conformal(self) -> bool:
-        return self.road.startswith("conformal")
+        return self.route.startswith("conformal")
 
 
 def bijective_start(

@@ -17,8 +17,8 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import Surface
 from omtwarp.start.decimation_kernels import (
+    FORBIDDEN_COST,
     MAX_VALENCE,
-    NEVER,
     NO_KEY,
     gather_rings,
     propose_collapses,
@@ -174,7 +174,7 @@ def _select(
     device: wp.Device,
 ) -> NDArray[np.int64]:
     """Positions in ``alive`` of an independent set of cheap vertices."""
-    legal = np.flatnonzero(cost < float(NEVER))
+    legal = np.flatnonzero(cost < float(FORBIDDEN_COST))
     if len(legal) == 0:
         raise OmtwarpError(
             f"simplification stopped at {len(alive)} vertices: the mesh is not one closed manifold of genus 0"

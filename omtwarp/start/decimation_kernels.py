@@ -15,12 +15,12 @@ MAX_VALENCE = 12
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
 Ring = wp.types.vector(length=MAX_VALENCE, dtype=wp.int32)
 
-NEVER = wp.constant(wp.float64(1.0e300))
+FORBIDDEN_COST = wp.constant(wp.float64(1.0e300))
 NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 _FOUR_ROOT_THREE = wp.constant(wp.float64(6.928203230275509))
 _WORST_SHAPE = wp.constant(wp.float64(20.0))
 _TINY = wp.constant(wp.float64(1.0e-300))
-_CROWDED = wp.constant(wp.int32(8))
+_MAX_FREE_VALENCE = wp.constant(wp.int32(8))
 
 
 @wp.func
@@ -109,7 +109,7 @@ def propose_collapses(
     begin = offsets[v]
     end = offsets[v + 1]
     valence = end - begin
-    best = NEVER
+    best = FORBIDDEN_COST
     best_target = int(-1)
     if valence >= 3 and valence <= _MAX_VALENCE:
         ring = ring_from(begin, begin, end, heads, thirds)
@@ -128,7 +128,7 @@ def propose_collapses(
                         r = points[ring[(apex + k + 1) % valence]]
                         shape += shape_penalty(points[w], q, r, star_normal)
                     # Kept valences stay low, so that rings fit the fixed-size arrays and their kernels stay wide.
-                    crowd = wp.float64(wp.max(0, offsets[w + 1] - offsets[w] + valence - 4 - _CROWDED))
+                    crowd = wp.float64(wp.max(0, offsets[w + 1] - offsets[w] + valence - 4 - _MAX_FREE_VALENCE))
                     total = mass * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
                     if total < best:
                         best = total

@@ -16,7 +16,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.poisson import Factorization
 
 SMALLEST_WEIGHT = 1e-3  # of the mean weight: keeps both harmonic functions free of extrema off the poles
-TIE = 1e-10  # levels nearer than this, relative to the range, share their latitude
+LEVEL_TIE = 1e-10  # levels nearer than this, relative to the range, share their latitude
 
 
 def tube_map(surface: Surface) -> NDArray[np.float64]:
@@ -113,7 +113,7 @@ def area_latitude(level: NDArray[np.float64], vertex_areas: NDArray[np.float64])
     order = np.argsort(level, kind="stable")
     ranked = level[order]
     below = np.cumsum(vertex_areas[order])
-    start = np.flatnonzero(np.r_[True, np.diff(ranked) > TIE * (ranked[-1] - ranked[0])])
+    start = np.flatnonzero(np.r_[True, np.diff(ranked) > LEVEL_TIE * (ranked[-1] - ranked[0])])
     group = np.zeros(len(level), dtype=np.intp)
     group[start[1:]] = 1
     group = np.cumsum(group)

@@ -37,19 +37,19 @@ from omtwarp.transport.polish_kernels import (
     weak_curl_and_area,
 )
 
-ROUNDS = 18
+MAX_ROUNDS = 18
 # The part of the way that a round goes: where the map contracts strongly a full step overshoots. A round that does not
 # lower the curl, or is paid for with area, is taken back and tried again at half of it; the area is restored with twice
 # the step.
 STEP = 0.7
 SHORTEST_STEP = 0.1
 # A round has to take at least this part off the curl to be worth another.
-WORTHWHILE = 0.03
-NEGLIGIBLE = 1e-3
+MIN_CURL_REDUCTION = 0.03
+NEGLIGIBLE_CURL = 1e-3
 # The area error has to stay where it was, both with triangles counting at most 0.1 each, which says how the bulk of the
 # map fares, and with up to 10 each, which says how the worst of it fare; but for so little that no measure shows it,
 # and the share of what is gained in cost that the flow allows itself too.
-WORST = 10.0
+MAX_COUNTED_ERROR = 10.0
 AREA_SLACK = 1e-4
 
 
@@ -59,7 +59,7 @@ def polish_transport(
     start: NDArray[np.float64] | wp.array,
     sphere: NDArray[np.float64] | wp.array,
     *,
-    rounds: int = ROUNDS,
+    rounds: int = MAX_ROUNDS,
     device: str | None = "auto",
     progress: Callable[[int, int, dict[str, Any]], None] | None = None,
 ) -> TransportMap:
@@ -91,7 +91,7 @@ def polish_transport(
     face_sums, vertex_sums = RowSums(surface.face_count, 3, where), sums_for(where, count)
 
     def measure() -> tuple[float, float, float]:
-        limits = [wp.float64(LARGEST_ERROR), wp.float64(WORST)]
+        limits = [wp.float64(LARGEST_ERROR), wp.float64(MAX_COUNTED_ERROR)]
 
         def of_triangles(part: slice) -> tuple[list[Any], list[Any]]:
             return [origin, points, faces[part], areas[part], *limits], [measured[part]]
@@ -131,7 +131,7 @@ def polish_transport(
         slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, 1e-300))
         tried = step
         if removable < least and errors[0] <= largest[0] + slack and errors[1] <= largest[1] + slack:
-            last = removable > (1.0 - WORTHWHILE) * least
+            last = removable > (1.0 - MIN_CURL_REDUCTION) * least
             wp.copy(best, points)
             least = removable
             potentials = solved
@@ -142,7 +142,7 @@ def polish_transport(
         history.append(record)
         if progress is not None:
             progress(number, rounds, record)
-        if last or relative <= NEGLIGIBLE or step < SHORTEST_STEP or number == rounds:
+        if last or relative <= NEGLIGIBLE_CURL or step < SHORTEST_STEP or number == rounds:
             break
         launch_parts(move_by_potentials, count, along_potentials, where)
         held = guard.limit(best, moved) if guarded else 0

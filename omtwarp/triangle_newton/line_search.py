@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 
-SUFFICIENT = 1e-4  # of the slope
+SUFFICIENT_DECREASE = 1e-4  # of the slope
 
 
 def search_patches(
@@ -35,7 +35,7 @@ def search_patches(
     length = longest.copy()
     for _ in range(halvings):
         moved = move(length)
-        worse = ~(energies_of(moved) <= energies + SUFFICIENT * length * slopes) & (length > 0.0)
+        worse = ~(energies_of(moved) <= energies + SUFFICIENT_DECREASE * length * slopes) & (length > 0.0)
         if not worse.any():
             return moved, length
         length[worse] *= 0.5
@@ -43,4 +43,4 @@ def search_patches(
     return move(length), length
 
 
-__all__ = ["SUFFICIENT", "search_patches"]
+__all__ = ["SUFFICIENT_DECREASE", "search_patches"]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.memory import Room
+from omtwarp.device.memory import Workspace
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
@@ -17,9 +17,9 @@ from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositi
 from omtwarp.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 
 REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
-PATCH_GROWTH = 1e-9  # of every entry of the diagonal of patches: the Hessian is only semidefinite
+PATCH_REGULARISATION = 1e-9  # of every entry of the diagonal of patches: the Hessian is only semidefinite
 # Where rounding still leaves a pivot that is not positive, the diagonal grows by these parts of itself.
-STIFFER = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
+DIAGONAL_SHIFTS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
 
 
 class NewtonMatrix:
@@ -36,7 +36,7 @@ class NewtonMatrix:
         dissection: the order of elimination.
         shift: what is added to the diagonal, relative to its mean.
         growth: what is added to every entry of the diagonal, relative to itself.
-        room: what fronts are eliminated in; the blocks of triangles may be there until then.
+        workspace: memory for the fronts; the blocks of triangles may be in it until the factorisation.
     """
 
     def __init__(
@@ -48,29 +48,31 @@ class NewtonMatrix:
         dissection: Dissection,
         shift: float = REGULARISATION,
         growth: float = 0.0,
-        room: Room | None = None,
+        workspace: Workspace | None = None,
     ):
         self._shift, self._growth = shift, growth
-        self._factor = MultifrontalCholesky(dissection, block=2, room=room or Room())
+        self._factor = MultifrontalCholesky(dissection, block=2, workspace=workspace or Workspace())
         self._rows, self._sides = vertex_corners, [edges, faces, edge_corners]
         self._diagonal = wp.empty((len(vertex_corners[0]) - 1, 4), dtype=wp.float64, device="cpu")
         self._off_diagonal = wp.empty((len(edges), 4), dtype=wp.float64, device="cpu")
 
     @classmethod
-    def of_surface(cls, surface: Surface, room: Room | None = None) -> NewtonMatrix:
+    def of_surface(cls, surface: Surface, workspace: Workspace | None = None) -> NewtonMatrix:
         """The matrix over all vertices of a surface."""
         mesh = surface.on("cpu")
         arrays = mesh.faces, mesh.edges, mesh.edge_corners, mesh.vertex_corners
-        return cls(*arrays, surface_dissection(surface), room=room)
+        return cls(*arrays, surface_dissection(surface), workspace=workspace)
 
     @classmethod
-    def of_patches(cls, patches: Patches, points: NDArray[np.float64], room: Room | None = None) -> NewtonMatrix:
+    def of_patches(
+        cls, patches: Patches, points: NDArray[np.float64], workspace: Workspace | None = None
+    ) -> NewtonMatrix:
         """The matrix over the freed vertices of patches.
 
         Args:
             patches: V of their vertices are freed.
             points: positions of those on the surface, shape [V, 3].
-            room: see :class:`NewtonMatrix`.
+            workspace: see :class:`NewtonMatrix`.
         """
         count = patches.free
         own = np.where(patches.faces < count, patches.faces, -1)
@@ -90,7 +92,7 @@ class NewtonMatrix:
 
         sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
         rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
-        return cls(*sides, rows, dissect(points, edges), 0.0, PATCH_GROWTH, room)
+        return cls(*sides, rows, dissect(points, edges), 0.0, PATCH_REGULARISATION, workspace)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""
@@ -158,7 +160,7 @@ def factorise_stiffened(
     """
     own = diagonal[:, [0, 1], [0, 1]]
     more = shift * own.mean()
-    for part in STIFFER:
+    for part in DIAGONAL_SHIFTS:
         diagonal[:, [0, 1], [0, 1]] = own * (1.0 + growth + part) + more
         try:
             factor.factorise(diagonal, off_diagonal)

@@ -66,10 +66,10 @@ SCHEDULES = (
 )
 SMALLEST_EPSILON = 1e-4
 # Of the sphere: a patch whose triangles cover nothing in sum is not taken for one that covers everything.
-ROUNDING = 1e-9
-HALVINGS = 20
-SETTLED = 0.01  # of its energy: a patch that expects to gain less than half of that waits for a smaller ε
-NARROWING = 0.7  # of the triangles: when fewer are left in tangled patches, the others are dropped
+SHARE_ROUND_OFF = 1e-9
+MAX_HALVINGS = 20
+SETTLED_GAIN = 0.01  # of a patch's energy: where a step is expected to gain less than half of it, ε is lowered
+MAX_ACTIVE_SHARE = 0.7  # of the triangles: where fewer are in tangled patches, the solved patches are dropped
 
 
 @dataclass
@@ -203,11 +203,11 @@ class _Untangling:
         covered = self._covered(vectors(sphere[self.whole.vertices], device), self.whole)
         # What lies around a patch says which part of the sphere it is to cover, up to whole spheres; all of it is one.
         alone = self.whole.free == len(self.whole.vertices)
-        self.share = np.ones(1) if alone else covered - np.floor(covered + ROUNDING)
+        self.share = np.ones(1) if alone else covered - np.floor(covered + SHARE_ROUND_OFF)
         self.whole_share, self.surplus = self.share, np.rint(covered - self.share)
 
     def _take(self, patches: Patches) -> None:
-        """Work on these patches: their matrix, where triangles enter their gradient, and room on the device."""
+        """Make the matrix, the gradient's index and the arrays on the device for these patches."""
         self.patches = patches
         points = self.surface.scaled_vertices[patches.vertices[: patches.free]]
         self.matrix = NewtonMatrix.of_patches(patches, points)
@@ -258,7 +258,7 @@ class _Untangling:
             if not active.any():
                 break
             epsilon[active] = np.maximum(epsilon[active] * self.schedule.factor, SMALLEST_EPSILON)
-            if active[self.patches.face_patch].mean() < NARROWING:
+            if active[self.patches.face_patch].mean() < MAX_ACTIVE_SHARE:
                 points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
                 epsilon, active = epsilon[active], active[active]
         self._keep(points.numpy())
@@ -307,7 +307,7 @@ class _Untangling:
             with np.errstate(all="ignore"):
                 direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
         slope = patches.sum_of_vertices((direction * gradient).sum(axis=1))
-        settled = bool((-slope <= SETTLED * energy)[active].all())
+        settled = bool((-slope <= SETTLED_GAIN * energy)[active].all())
         # No vertex moves farther than a radian: beyond that its tangent plane says nothing about the sphere.
         longest = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)
         moved, _ = search_patches(
@@ -316,7 +316,7 @@ class _Untangling:
             energy,
             slope,
             longest,
-            HALVINGS,
+            MAX_HALVINGS,
         )
         return moved, settled
 

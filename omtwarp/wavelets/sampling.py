@@ -90,7 +90,7 @@ class SphereSampler:
         self.points: Any = None
         self.point_faces = wp.zeros(self.point_count, dtype=wp.int32, device=self.device)
         self.coordinates = wp.empty(self.point_count, dtype=wp.vec3d, device=self.device)
-        # The radix sort of Warp wants room for twice the keys.
+        # The radix sort of Warp needs a workspace of twice the keys.
         self._keys = wp.empty(2 * self.point_count, dtype=wp.int32, device=self.device)
         self._order = wp.empty(2 * self.point_count, dtype=wp.int32, device=self.device)
         self._point_rows = wp.empty(self.face_count + 1, dtype=wp.int32, device=self.device)
@@ -211,13 +211,13 @@ class SphereSampler:
         counts = self.hierarchy.node_counts[: self.level + 1]
         self._level_sums = [wp.empty(count, dtype=wp.float64, device=self.device) for count in counts]
 
-    def _coarsen(self, finest: Any, room: list[Any]) -> list[Any]:
+    def _coarsen(self, finest: Any, workspace: list[Any]) -> list[Any]:
         assert self._edge_rows is not None
-        room[self.level] = finest
+        workspace[self.level] = finest
         for j in reversed(range(self.level)):
             count = self.hierarchy.node_counts[j]
-            self._launch(kernels.coarsen_sums, count, [count, *self._edge_rows[j], room[j + 1]], [room[j]])
-        return room
+            self._launch(kernels.coarsen_sums, count, [count, *self._edge_rows[j], workspace[j + 1]], [workspace[j]])
+        return workspace
 
     def gradient(self, values: Any, out: Any = None, *, smooth: bool = False) -> Any:
         """Gradient at the points of a function of the nodes, [N] -> [P, 3], in the sphere's tangent plane.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omtwarp.device.graphs import ROOM, Graph, GraphsByArray, step_by_step
+from omtwarp.device.graphs import MAX_GRAPHS, Graph, GraphsByArray, step_by_step
 from omtwarp.device.start import wp
 from omtwarp.wavelets.kernels import clear_from, scale_values
 
@@ -76,7 +76,7 @@ def test_graphs_belong_to_arrays(device):
         calls.append("clear")
         wp.launch(clear_from, dim=2, inputs=[1, values], device=device)
 
-    arrays = [wp.ones(3, dtype=wp.float64, device=device) for _ in range(ROOM + 2)]
+    arrays = [wp.ones(3, dtype=wp.float64, device=device) for _ in range(MAX_GRAPHS + 2)]
     for array in arrays:
         for _ in range(2):
             graphs(triple, array)
@@ -84,4 +84,4 @@ def test_graphs_belong_to_arrays(device):
     assert calls == ["triple", "clear"] * len(arrays)
     for array in arrays:
         np.testing.assert_array_equal(array.numpy(), [9.0, 0.0, 0.0])
-    assert len(graphs._graphs) <= ROOM
+    assert len(graphs._graphs) <= MAX_GRAPHS

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from omtwarp.device.memory import Room, give_back
+from omtwarp.device.memory import Workspace, give_back
 
 # In a process of its own: what other tests have freed, and what they keep, is no part of a map.
 MEASURE = """
@@ -27,16 +27,16 @@ def test_a_map_takes_two_kilobytes_per_vertex_beside_its_largest_factor():
 
 
 def test_room_is_shared_and_grows():
-    room = Room()
-    first = room.numbers(10)
+    workspace = Workspace()
+    first = workspace.numbers(10)
     first[:] = np.arange(10)
-    assert np.shares_memory(first, room.numbers(4))
-    np.testing.assert_array_equal(room.numbers(4), [0, 1, 2, 3])
-    larger = room.numbers(1000)
+    assert np.shares_memory(first, workspace.numbers(4))
+    np.testing.assert_array_equal(workspace.numbers(4), [0, 1, 2, 3])
+    larger = workspace.numbers(1000)
     assert larger.shape == (1000,) and larger.dtype == np.float64
     assert not np.shares_memory(first, larger)
     np.testing.assert_array_equal(first, np.arange(10))  # whoever still has it may read it
-    assert np.shares_memory(larger, room.numbers(10))
+    assert np.shares_memory(larger, workspace.numbers(10))
 
 
 def test_what_is_freed_is_given_back():

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from omtwarp.device.start import wp
-from omtwarp.device.sums import FEW, DeviceSum, HostSum, RowSums
+from omtwarp.device.sums import MAX_PARTIAL_ROWS, DeviceSum, HostSum, RowSums
 
 LENGTHS = [1, 64, 65, 4096, 4097, 20_000, 300_000]
 
@@ -15,7 +15,7 @@ LENGTHS = [1, 64, 65, 4096, 4097, 20_000, 300_000]
 def test_sums_of_rows(rows, columns, seed):
     values = np.random.default_rng(seed).normal(size=(rows, columns))
     parts = RowSums(rows, columns, "cpu")(wp.array(values, dtype=wp.float64, device="cpu")).numpy()
-    assert len(parts) <= FEW
+    assert len(parts) <= MAX_PARTIAL_ROWS
     np.testing.assert_allclose(parts.sum(axis=0), values.sum(axis=0), rtol=0, atol=1e-12 * np.sqrt(rows))
     whole = wp.array(np.arange(float(rows * columns)).reshape(rows, columns), dtype=wp.float64, device="cpu")
     total = RowSums(rows, columns, "cpu")(whole).numpy().sum(axis=0)

@@ -41,7 +41,7 @@ def test_maps_do_not_depend_on_where_steps_are_found(start, device, monkeypatch)
 def test_directions_and_corrections_agree(start, device, monkeypatch):
     """Over more pairs than are kept, among them one without curvature, which is not."""
     surface, sphere = start
-    monkeypatch.setattr(steps, "MEMORY", 3)
+    monkeypatch.setattr(steps, "MAX_PAIRS", 3)
     energy = DistortionEnergy(surface, wp.get_device(device))
     points = energy.upload(sphere)
     terms = energy.terms(points)
@@ -68,9 +68,9 @@ def test_directions_and_corrections_agree(start, device, monkeypatch):
         if k == 4:
             new_gradient = wp.array(2.0 * gradient.numpy() - new_gradient.numpy(), dtype=wp.vec3d, device=device)
         for finder in finders:
-            finder.learn(points, gradient, new_points, new_gradient)
+            finder.update(points, gradient, new_points, new_gradient)
         points, gradient = new_points, new_gradient
-    assert len(finders[0]._memory) == len(finders[1]._memory) == 3
+    assert len(finders[0]._pairs) == len(finders[1]._pairs) == 3
 
 
 def test_sums_of_distortion_agree_with_numpy(start, device):
@@ -109,7 +109,7 @@ def test_a_matrix_that_multigrid_gives_up_is_factorised(start, device, monkeypat
         finder.direction(points, gradient)
 
 
-def test_the_same_memory_as_numbers(device):
+def test_the_same_pairs_as_numbers(device):
     vectors = wp.array(np.arange(12.0).reshape(4, 3), dtype=wp.vec3d, device=device)
     numbers = flat(vectors)
     np.testing.assert_array_equal(numbers.numpy(), np.arange(12.0))

@@ -12,7 +12,7 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.patches import grow
 from omtwarp.mesh.shapes import blob, noisy
 from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.relaxation import MOST_CHOSEN, RINGS, relax, stiff_vertices
+from omtwarp.refine.relaxation import FREED_RINGS, MAX_CHOSEN_SHARE, relax, stiff_vertices
 from omtwarp.refine.solver import refine_map
 from omtwarp.refine.steps import HostSteps
 from omtwarp.start.tube import tube_map
@@ -54,7 +54,7 @@ def relaxed(surface, sphere, chosen=None, device="cpu"):
     result = relax(energy, points, terms, 20.0, 1.0, chosen)
     assert result is not None
     moved, after, count = result
-    assert count == grow(surface.faces, chosen, RINGS).sum()
+    assert count == grow(surface.faces, chosen, FREED_RINGS).sum()
     return terms.total(20.0), after.total(20.0), moved.numpy(), chosen
 
 
@@ -66,10 +66,10 @@ def test_a_disturbed_patch_is_found_and_put_right(refined, centre, seed):
     before, after, moved, chosen = relaxed(surface, start)
     energy = DistortionEnergy(surface, resolve_device("cpu"))
     best = energy.terms(energy.upload(sphere)).total(20.0)
-    assert near[chosen].mean() > 0.5 and chosen.mean() <= MOST_CHOSEN
+    assert near[chosen].mean() > 0.5 and chosen.mean() <= MAX_CHOSEN_SHARE
     assert after < before and after - best < 0.5 * (before - best)
     assert not flipped_faces(moved, surface.faces).any()
-    rest = ~grow(surface.faces, chosen, RINGS)
+    rest = ~grow(surface.faces, chosen, FREED_RINGS)
     np.testing.assert_array_equal(moved[rest], start[rest])
 
 
@@ -82,7 +82,7 @@ def test_what_is_moved_ends_where_nothing_pulls(refined, device):
     for _ in range(6):
         terms = energy.terms(energy.upload(start))
         pull = np.linalg.norm(energy.gradient(energy.upload(start), terms, 20.0).numpy(), axis=1)
-        pulls.append(pull[grow(surface.faces, near, RINGS)].max())
+        pulls.append(pull[grow(surface.faces, near, FREED_RINGS)].max())
         result = relax(energy, energy.upload(start), terms, 20.0, 0.1, near)
         if result is None:
             break
@@ -96,9 +96,9 @@ def test_two_patches_do_not_hold_each_other_back(refined):
     far = int(np.argmin(sphere @ sphere[5]))
     start, first = disturbed(surface, sphere, 5, 1)
     start, second = disturbed(surface, start, far, 2)
-    assert not (grow(surface.faces, first, RINGS + 1) & grow(surface.faces, second, RINGS + 1)).any()
+    assert not (grow(surface.faces, first, FREED_RINGS + 1) & grow(surface.faces, second, FREED_RINGS + 1)).any()
     alone, both = (relaxed(surface, start, chosen)[2] for chosen in (first, first | second))
-    inside = grow(surface.faces, first, RINGS)
+    inside = grow(surface.faces, first, FREED_RINGS)
     np.testing.assert_allclose(both[inside], alone[inside], atol=1e-9)
 
 

@@ -14,7 +14,7 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, noisy, plate, tube
 from omtwarp.metrics.distortion import distortion
 from omtwarp.pipeline import map_to_sphere
-from omtwarp.refine.solver import HARD, refine_map, refinement_weight
+from omtwarp.refine.solver import MAX_WEIGHT, refine_map, refinement_weight
 from omtwarp.start.tube import tube_map
 from omtwarp.triangle_newton.newton import NewtonMatrix
 from omtwarp.untangling.untangle import untangle
@@ -54,7 +54,7 @@ def test_a_map_that_nearly_keeps_area_is_pressed_harder():
     surface = plate(2.0, 2.0, 0.05, 1000)
     result = refine_map(surface, map_to_sphere(surface, until="omt", device="cpu").sphere, device="cpu")
     judged = distortion(surface.vertices, surface.faces, result.sphere)
-    assert result.weight > HARD
+    assert result.weight > MAX_WEIGHT
     assert judged.flips == 0
     assert judged.area["surface"] <= 2.002 and judged.area["p95"] <= 2.01
 
@@ -65,7 +65,7 @@ def test_angles_are_not_given_up_for_areas_that_stay_out_of_reach():
     result = refine_map(surface, map_to_sphere(surface, until="omt", device="cpu").sphere, device="cpu")
     judged = distortion(surface.vertices, surface.faces, result.sphere)
     assert judged.area["surface"] > 2.002
-    assert result.weight == HARD
+    assert result.weight == MAX_WEIGHT
     assert judged.angle["surface"] == pytest.approx(result.history[-1]["angle"], rel=1e-12)
 
 

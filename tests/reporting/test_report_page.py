@@ -109,7 +109,7 @@ def test_stages_are_the_maps_there_are(result, text_only):
     assert [stage.key for stage in stages_of(alone)] == ["conformal"]
     text = report_page(alone)
     assert "Cost of the transport" not in text and "carried to the surface by the map" in text
-    other = replace(result, report={**result.report, "start": {"road": "hierarchical", "reason": "too thin"}})
+    other = replace(result, report={**result.report, "start": {"route": "hierarchical", "reason": "too thin"}})
     assert stages_of(other)[0].label == "Coarse-to-fine"
 
 
@@ -129,7 +129,7 @@ def test_a_map_from_elsewhere_is_certified_here(result, text_only):
 
 def test_optimality_and_start_are_told_where_they_are_known(result, text_only):
     optimality = {"relative_curl": 0.0123, "lower_bound": 1.234, "gap": 0.00045, "cost": 1.2345}
-    start = {"road": "hierarchical", "reason": "the conformal map shrinks 3 triangles"}
+    start = {"route": "hierarchical", "reason": "the conformal map shrinks 3 triangles"}
     known = replace(result, report={**result.report, "optimality": optimality, "start": start})
     text = report_page(known)
     for words in ("1.23% of the displacement", "0.045% lower", "shrinks 3 triangles", "lower bound for any map"):

@@ -19,7 +19,7 @@ from omtwarp.start.tube import tube_map
 def test_a_sound_conformal_map_is_taken_as_it_is(device):
     surface = blob(seed=3, amplitude=0.25, sphere=1280)
     start = bijective_start(surface, device=device)
-    assert (start.road, start.reason, start.repaired_flips) == ("conformal", "", 0)
+    assert (start.route, start.reason, start.repaired_flips) == ("conformal", "", 0)
     assert start.is_conformal
     np.testing.assert_array_equal(start.sphere, conformal_map(surface, device=device).sphere)
 
@@ -30,7 +30,7 @@ def test_a_few_flips_are_repaired_and_the_rest_stays():
     flips = count_flips(conformal, surface.faces)
     assert 0 < flips < 0.02 * surface.face_count  # a case for repair
     start = bijective_start(surface)
-    assert start.road == "conformal, repaired"
+    assert start.route == "conformal, repaired"
     assert start.repaired_flips == flips
     assert certify(surface.faces, start.sphere).bijective
     moved = (start.sphere != conformal).any(axis=1)
@@ -44,9 +44,9 @@ def test_long_tubes_take_another_road(length):
     start = bijective_start(surface)
     assert certify(surface.faces, start.sphere).bijective
     if length < 20.0:
-        assert start.road == "conformal"
+        assert start.route == "conformal"
         return
-    assert start.road == "tube"
+    assert start.route == "tube"
     assert start.reason
     assert not start.is_conformal
     judged = distortion(surface.vertices, surface.faces, start.sphere)
@@ -58,7 +58,7 @@ def test_a_long_tube_of_obtuse_triangles_is_embedded_coarse_to_fine():
     surface = flip_edges(tube(length=30.0, girth=1.0, face_count=1500), rounds=8, seed=1)
     assert count_flips(tube_map(surface), surface.faces) > 0
     start = bijective_start(surface)
-    assert start.road == "hierarchical"
+    assert start.route == "hierarchical"
     assert certify(surface.faces, start.sphere).bijective
 
 
@@ -101,7 +101,7 @@ def test_a_conformal_map_that_cannot_be_made_has_a_substitute(monkeypatch):
     surface = blob(seed=0, sphere=320)
     told = []
     start = bijective_start(surface, progress=lambda *arguments: told.append(arguments))
-    assert (start.road, start.reason, start.conformal) == ("hierarchical", "the plane has a hole", None)
+    assert (start.route, start.reason, start.conformal) == ("hierarchical", "the plane has a hole", None)
     assert certify(surface.faces, start.sphere).bijective
     assert told and all(stage == "start" and 0 <= done <= total for stage, done, total, _ in told)
 

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from omtwarp.mesh.surface import Surface
 
-LEAF = 24  # vertices of a part that is cut no further: from here on dense elimination is as cheap
-WINDOW = 0.2  # how far from the middle of a part it may be cut
-POOR = 5.0  # times the root of a part's vertices: if more edges cross a cut, other directions are tried (scans: 2 to 4)
+MAX_LEAF_VERTICES = 24  # vertices of a part that is cut no further: from here on dense elimination is as cheap
+CUT_WINDOW = 0.2  # how far from the middle of a part it may be cut
+# Other directions are tried where a cut crosses more edges than this times √(vertices of the part); scans have 2 to 4.
+MAX_CUT_RATIO = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ class Dissection:
         return float((own**3 / 3 + own**2 * rest + own * rest**2).sum())
 
 
-def dissect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int = LEAF) -> Dissection:
+def dissect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int = MAX_LEAF_VERTICES) -> Dissection:
     """Order the vertices of a mesh for elimination.
 
     Args:
@@ -203,7 +204,7 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
         pairs = slot[edges]
         second, crossings = _halves(positions, axes[:, :, 2], part, sizes, pairs)
         # Where triangles are long, a part may be longest in the direction that its edges run in.
-        many = POOR * np.sqrt(sizes)
+        many = MAX_CUT_RATIO * np.sqrt(sizes)
         if (crossings > many)[sizes > leaf].any():
             coordinates = np.broadcast_to(np.eye(3), axes.shape)
             for tried in (axes[:, :, 1], axes[:, :, 0], *(coordinates[:, :, k] for k in range(3))):
@@ -242,11 +243,11 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
     return node
 
 
-def _distinct(vertices: NDArray[np.int64], room: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Every vertex once, ascending; ``room``, false everywhere, is left so."""
-    room[vertices] = True
-    found = np.flatnonzero(room)
-    room[found] = False
+def _distinct(vertices: NDArray[np.int64], workspace: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return every vertex once, ascending; ``workspace`` is a mask, false everywhere before and after."""
+    workspace[vertices] = True
+    found = np.flatnonzero(workspace)
+    workspace[found] = False
     return found
 
 
@@ -283,7 +284,7 @@ def _halves(
     crossed = np.cumsum(np.bincount(low, minlength=count) - np.bincount(high, minlength=count))
     owner = part[ranked]
     share = (np.arange(count) - starts[owner] + 1.0) / sizes[owner] - 0.5
-    score = np.where(np.abs(share) <= WINDOW, crossed * (1.0 + 4.0 * share**2), np.inf)
+    score = np.where(np.abs(share) <= CUT_WINDOW, crossed * (1.0 + 4.0 * share**2), np.inf)
     # The middle itself always lies in the window, whatever the size of the part.
     middle = starts + sizes // 2 - 1
     score[middle] = np.minimum(score[middle], crossed[middle])

@@ -15,7 +15,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 ASSEMBLE = """
     const int rows_count = starts.data[f + 1] - starts.data[f];
     const int size = block * rows_count, width = block * block;
-    double* __restrict__ front = room.data + offsets.data[f];
+    double* __restrict__ front = workspace.data + offsets.data[f];
     for (int j = 0; j < size; ++j)
         #pragma clang loop interleave(disable) unroll(disable)
         for (long long i = j; i < size; ++i) front[i + (long long)j * size] = 0.0;
@@ -41,7 +41,7 @@ ASSEMBLE = """
         const int c = families.data[k];
         const int child_rows = starts.data[c + 1] - starts.data[c], child_size = block * child_rows;
         const int* __restrict__ to = upward.data + starts.data[c];
-        const double* __restrict__ column = room.data + offsets.data[c];
+        const double* __restrict__ column = workspace.data + offsets.data[c];
         for (int j = block * owned.data[c]; j < child_size; ++j) {
             const int row = j / block;
             const double* source = column + (long long)j * child_size;
@@ -69,7 +69,7 @@ ELIMINATE = """
     const char lower = 'L', right = 'R', transposed = 'T', plain = 'N';
     const double one = 1.0, minus = -1.0;
     const int size = block * (starts.data[f + 1] - starts.data[f]), own = block * owned.data[f];
-    double* front = room.data + offsets.data[f];
+    double* front = workspace.data + offsets.data[f];
     int info = 0;
     // First the columns with positive pivots, then, with their sign turned, those with negative ones.
     for (int sign = 1; sign >= -1 && info == 0; sign -= 2) {
@@ -119,7 +119,7 @@ def assemble_front(
     offsets: wp.array[wp.int64],
     diagonal: wp.array[wp.float64],
     off_diagonal: wp.array[wp.float64],
-    room: wp.array[wp.float64],
+    workspace: wp.array[wp.float64],
 ): ...
 
 
@@ -133,7 +133,7 @@ def eliminate_front(  # type: ignore[empty-body]
     offsets: wp.array[wp.int64],
     factor_offsets: wp.array[wp.int64],
     routines: wp.array[wp.uint64],
-    room: wp.array[wp.float64],
+    workspace: wp.array[wp.float64],
     factor: wp.array[wp.float64],
 ) -> int: ...
 
@@ -162,7 +162,7 @@ def factorise_fronts(
     diagonal: wp.array[wp.float64],
     off_diagonal: wp.array[wp.float64],
     # Data in and out:
-    room: wp.array[wp.float64],
+    workspace: wp.array[wp.float64],
     # Data out:
     factor: wp.array[wp.float64],
     failed: wp.array[wp.int32],
@@ -179,10 +179,12 @@ def factorise_fronts(
         f = fronts[k]
         assemble_front(
             f, block, first, owned, starts, upward, family_starts, families, order, edge_starts, edges, edge_rows,
-            edge_columns, turned, offsets, diagonal, off_diagonal, room,
+            edge_columns, turned, offsets, diagonal, off_diagonal, workspace,
         )  # fmt: skip
         if eliminate == 1:
-            info = eliminate_front(f, block, owned, negative, starts, offsets, factor_offsets, routines, room, factor)
+            info = eliminate_front(
+                f, block, owned, negative, starts, offsets, factor_offsets, routines, workspace, factor
+            )
             if info != 0:
                 failed[0] = f
                 return
@@ -331,8 +333,8 @@ def solve_triangular(
 ):
     """The part of x <- L^-1 x, or x <- L^-T x where ``transposed`` is 1, that falls to some fronts, one after another.
 
-    Their children have to be done before, or their parents; ``carried`` has room for ``stride`` numbers, one for every
-    row of every front, for each right-hand side.
+    Their children have to be done before, or their parents; ``carried`` holds ``stride`` numbers for each right-hand
+    side, one for every row of every front.
     """
     r, _compiled_once = wp.tid()
     if transposed == 1:

@@ -62,8 +62,8 @@ def eliminate_together(own: int, size: int, corner: int, negative: int = 0) -> b
         return corner + 8 * (row + column * size)
 
     def numbers(*values: int) -> tuple[NDArray[np.int32], list[int]]:
-        room = np.array([*values, size], dtype=np.int32)
-        return room, [room.ctypes.data + 4 * k for k in range(len(room))]
+        workspace = np.array([*values, size], dtype=np.int32)
+        return workspace, [workspace.ctypes.data + 4 * k for k in range(len(workspace))]
 
     panels = [(k, min(k + PANEL, own - negative)) for k in range(0, own - negative, PANEL)]
     panels += [(k, min(k + PANEL, own)) for k in range(own - negative, own, PANEL)]

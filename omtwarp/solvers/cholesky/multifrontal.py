@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.memory import Room
+from omtwarp.device.memory import Workspace
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads, core_count, load, run_all
 from omtwarp.solvers.cholesky.dissection import Dissection
@@ -22,11 +22,11 @@ from omtwarp.solvers.cholesky.kernels import factorise_fronts, solve_triangular
 from omtwarp.solvers.cholesky.lapack import eliminate_together, routine
 
 # Below so many operations in all a second thread costs more than it saves.
-THREADED = 1e7
+MIN_PARALLEL_OPERATIONS = 1e7
 # Operations per thread from which on threads share a front, where there are fewer fronts than threads.
-TOGETHER = 5e7
+MIN_SHARED_OPERATIONS = 5e7
 # Branches of the tree for every thread: with several of them their work evens out.
-BRANCHES = 4
+BRANCHES_PER_THREAD = 4
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -41,7 +41,7 @@ class MultifrontalCholesky:
         block: unknowns per vertex, 1 or 2.
         threads: shares that independent fronts are cut into; one per core by default. On large meshes, where the last
             fronts are given to several threads together, results depend on it by rounding.
-        room: what fronts are eliminated in; by default it is made for each factorisation, and let go of after it.
+        workspace: memory for the fronts; by default it is allocated for each factorisation and freed after it.
         negative: how many of every front's own unknowns, the last ones, have negative pivots, shape [N]; none by
             default. With them the matrix is quasi-definite instead of positive definite.
     """
@@ -51,7 +51,7 @@ class MultifrontalCholesky:
         dissection: Dissection,
         block: int = 1,
         threads: int | None = None,
-        room: Room | None = None,
+        workspace: Workspace | None = None,
         negative: NDArray[np.int32] | None = None,
     ):
         self.dissection = dissection
@@ -68,23 +68,24 @@ class MultifrontalCholesky:
         self._operations = float(costs.sum())
         self._jobs, self._trunk = self._divide(costs)
         self._offsets, self._length = self._places()
-        self._room = room
-        if room is not None:
-            room.numbers(self._length)  # now: what is asked for sooner would leave a hole where it was
-        self._carried = room or Room()
+        self._workspace = workspace
+        if workspace is not None:
+            workspace.numbers(self._length)  # now: what is asked for sooner would leave a hole where it was
+        self._carried = workspace or Workspace()
         self._negative_places = self._find_negative() if negative is not None else None
         few = [fronts for fronts in self._trunk if len(fronts) < self.threads]
-        self._shared = {int(f) for fronts in few for f in fronts if costs[f] > TOGETHER * self.threads}
+        self._shared = {int(f) for fronts in few for f in fronts if costs[f] > MIN_SHARED_OPERATIONS * self.threads}
         self._upload()
 
     def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
         """Fronts of whole branches of the tree, one job for every thread, and the trunk above them, depth by depth."""
         d = self.dissection
         every = d.postorder.astype(np.int32)
-        if self.threads == 1 or self._operations < THREADED:
+        if self.threads == 1 or self._operations < MIN_PARALLEL_OPERATIONS:
             return [every], []
         depth_of = d.front_depths
-        enough = [k for k, depth in enumerate(d.depths) if depth.stop - depth.start >= BRANCHES * self.threads]
+        wanted = BRANCHES_PER_THREAD * self.threads
+        enough = [k for k, depth in enumerate(d.depths) if depth.stop - depth.start >= wanted]
         if not enough:
             return [every], []
         top = max(enough)  # depths are deepest first
@@ -108,7 +109,7 @@ class MultifrontalCholesky:
         return [job for job in jobs if len(job)], trunk
 
     def _places(self) -> tuple[NDArray[np.int64], int]:
-        """Where fronts begin in the room, and how large it is.
+        """Compute where fronts begin in the workspace, and how large it is.
 
         A job does branch after branch in postorder, so that little is there at a time and most of it in cache. Its
         fronts lie on two stacks, one for even depths and one for odd: on top of the one are a front's children when it
@@ -185,9 +186,9 @@ class MultifrontalCholesky:
         Raises:
             NotPositiveDefinite: it is not, to round-off.
         """
-        room = (self._room or Room()).numbers(self._length)
+        workspace = (self._workspace or Workspace()).numbers(self._length)
         values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in (diagonal, off_diagonal)]
-        data = [wp.array(array, device="cpu", copy=False) for array in (*values, room, self._factor)]
+        data = [wp.array(array, device="cpu", copy=False) for array in (*values, workspace, self._factor)]
 
         load(factorise_fronts, "cpu")
 
@@ -198,31 +199,31 @@ class MultifrontalCholesky:
             return int(failed.numpy()[0])
 
         # Small matrices are done before a library has been told how many threads to use.
-        with blas_threads(1) if self._operations > TOGETHER else contextlib.nullcontext():
+        with blas_threads(1) if self._operations > MIN_SHARED_OPERATIONS else contextlib.nullcontext():
             failed = max(run_all(run, self._jobs))
             for fronts in self._trunk:
                 if failed >= 0:
                     break
                 if self._shared.intersection(fronts.tolist()):
-                    failed = max(self._share(f, run, room) for f in fronts.tolist())
+                    failed = max(self._share(f, run, workspace) for f in fronts.tolist())
                 else:
                     failed = max(run_all(run, np.array_split(fronts, min(self.threads, len(fronts)))))
         if failed >= 0:
             raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
 
-    def _share(self, front: int, run: Any, room: NDArray[np.float64]) -> int:
+    def _share(self, front: int, run: Any, workspace: NDArray[np.float64]) -> int:
         """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
         run(np.array([front], dtype=np.int32), eliminate=0)
         own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
-        if not eliminate_together(own, size, room.ctypes.data + 8 * begin, int(self._negative[front])):
+        if not eliminate_together(own, size, workspace.ctypes.data + 8 * begin, int(self._negative[front])):
             return front
         target = int(self._factor_offsets[front])
-        self._factor[target : target + own * size] = room[begin : begin + own * size]
+        self._factor[target : target + own * size] = workspace[begin : begin + own * size]
         return -1
 
     @property
     def storage(self) -> int:
-        """Bytes of the factor and of the room that it is made in."""
+        """Bytes of the factor and of the workspace of its fronts."""
         return 8 * (len(self._factor) + self._length)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.memory import Room
+from omtwarp.device.memory import Workspace
 from omtwarp.solvers.cholesky.dissection import Dissection
 from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
 
@@ -25,14 +25,14 @@ class SaddleFactor:
 
     Args:
         dissection: the order of elimination of the mesh's V vertices; E edges.
-        room: see :class:`MultifrontalCholesky`.
+        workspace: see :class:`MultifrontalCholesky`.
     """
 
-    def __init__(self, dissection: Dissection, room: Room | None = None):
+    def __init__(self, dissection: Dissection, workspace: Workspace | None = None):
         self._count = dissection.vertex_count
         expanded = expand(dissection)
         negative = (expanded.owned // UNKNOWNS).astype(np.int32)
-        self._factor = MultifrontalCholesky(expanded, room=room, negative=negative)
+        self._factor = MultifrontalCholesky(expanded, workspace=workspace, negative=negative)
         edges = len(dissection.edges)
         self._diagonal = np.empty((self._count, UNKNOWNS))
         self._couplings = np.empty(8 * edges + self._count)

@@ -66,7 +66,7 @@ class MultigridSolver:
         self.matrix = self._cycle.matrices[0]
         count = hierarchy.levels[0].size
         self._ones: Any = wp.full(count, 1.0, dtype=wp.float64, device=device) if block == 1 else None
-        self._x, self._rest, self._direction, self._image = (
+        self._x, self._residual, self._direction, self._image = (
             wp.empty(count * block, dtype=wp.float64, device=device) for _ in range(4)
         )
         self._smoothed = self._image  # never needed at the same time
@@ -109,7 +109,7 @@ class MultigridSolver:
     def enqueue(self, right: wp.array, out: wp.array, tolerance: float) -> None:
         """The same without a word to the host; also inside of a graph that is being recorded."""
         self._tolerance.fill_(tolerance)
-        wp.copy(self._rest, right)
+        wp.copy(self._residual, right)
         self._loop()
         wp.copy(out, self._x)
 
@@ -125,7 +125,7 @@ class MultigridSolver:
         wp.launch(
             kernels.cg_start,
             dim=1,
-            inputs=[self._sum.products(self._rest, self._direction), self._tolerance],
+            inputs=[self._sum.products(self._residual, self._direction), self._tolerance],
             outputs=[self._scalars, self._counters],
             device=self.device,
         )
@@ -133,7 +133,7 @@ class MultigridSolver:
 
     def _smooth(self, out: wp.array) -> None:
         """One cycle for the residual."""
-        self._cycle.apply(self._rest, out)
+        self._cycle.apply(self._residual, out)
         if self._total is not None:
             # Constants cost nothing and grow from cycle to cycle, until the rest of a direction is lost beside them.
             self._sum.remove_mean(out, self._total)
@@ -145,10 +145,10 @@ class MultigridSolver:
         self.matrix.multiply(self._direction, self._image)
         inputs = [self._sum.products(self._direction, self._image)]
         wp.launch(kernels.cg_alpha, dim=1, inputs=inputs, outputs=state, device=device)
-        inputs, outputs = [self._scalars, self._direction, self._image], [self._x, self._rest]
+        inputs, outputs = [self._scalars, self._direction, self._image], [self._x, self._residual]
         wp.launch(kernels.cg_advance, dim=size, inputs=inputs, outputs=outputs, device=device)
         self._smooth(self._smoothed)
-        inputs = [self._sum.products(self._rest, self._smoothed), self.most]
+        inputs = [self._sum.products(self._residual, self._smoothed), self.most]
         wp.launch(kernels.cg_beta, dim=1, inputs=inputs, outputs=state, device=device)
         inputs = [self._scalars, self._smoothed]
         wp.launch(kernels.cg_direction, dim=size, inputs=inputs, outputs=[self._direction], device=device)

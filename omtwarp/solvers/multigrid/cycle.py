@@ -88,12 +88,12 @@ def coarsen(matrix: LevelMatrix, coarse: LevelMatrix, tentative: wp.array, dampi
         device=device,
     )
     # Only needed in between: as large as the matrix.
-    room = wp.empty(product.entries * b * c, dtype=wp.float64, device=device)
+    workspace = wp.empty(product.entries * b * c, dtype=wp.float64, device=device)
     wp.launch(
         kernels.multiply_by_prolongation,
         dim=product.entries * b * c,
         inputs=[product.rows, product.columns, *rows, p.offsets, p.columns, matrix.prolongation, b, c],
-        outputs=[room],
+        outputs=[workspace],
         device=device,
     )
     below = coarse.level.pattern
@@ -107,7 +107,7 @@ def coarsen(matrix: LevelMatrix, coarse: LevelMatrix, tentative: wp.array, dampi
             matrix.prolongation,
             product.offsets,
             product.columns,
-            room,
+            workspace,
             b,
             c,
         ],
@@ -137,7 +137,7 @@ class VCycle:
             wp.launch(kernels.identity_blocks, dim=one.size, inputs=[coarse_block], outputs=[one], device=device)
             self._tentative.append(one)
         sizes = [matrix.level.size * matrix.block for matrix in self.matrices]
-        self._rest: list[Any] = [wp.empty(size, dtype=wp.float64, device=device) for size in sizes[:-1]]
+        self._residual: list[Any] = [wp.empty(size, dtype=wp.float64, device=device) for size in sizes[:-1]]
         # Of all levels but the first.
         self._right, self._x = ([wp.empty(n, dtype=wp.float64, device=device) for n in sizes[1:]] for _ in range(2))
         self._dense, self._other = (wp.zeros((sizes[-1], sizes[-1]), dtype=wp.float64, device=device) for _ in range(2))
@@ -186,9 +186,9 @@ class VCycle:
         assert level.prolongation is not None and level.restriction is not None
         x.zero_()
         matrix.sweep(right, x, backwards=False)
-        matrix.residual(right, x, self._rest[k])
+        matrix.residual(right, x, self._residual[k])
         below, found = self._right[k], self._x[k]
-        inputs = [*level.restriction, matrix.prolongation, b, c, self._rest[k]]
+        inputs = [*level.restriction, matrix.prolongation, b, c, self._residual[k]]
         wp.launch(kernels.restrict_to_coarse, dim=below.size, inputs=inputs, outputs=[below], device=device)
         self._descend(k + 1, below, found)
         p = level.prolongation

@@ -7,8 +7,8 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 # Places of the scalars of an iteration.
 ENERGY = wp.constant(0)  # r · z
-STEP = wp.constant(1)
-TURN = wp.constant(2)
+ALPHA = wp.constant(1)
+BETA = wp.constant(2)
 TARGET = wp.constant(3)  # what r · z has to fall below
 # Places of its counters.
 ACTIVE = wp.constant(0)
@@ -46,10 +46,10 @@ def cg_alpha(
 ):
     """The step to the minimum along the direction, from p · A p; none where the matrix is not positive along it."""
     curvature = column_sum(products, 0)
-    scalars[STEP] = ZERO
+    scalars[ALPHA] = ZERO
     if counters[ACTIVE] > 0:
         if curvature > ZERO and curvature < wp.float64(1e300):
-            scalars[STEP] = scalars[ENERGY] / curvature
+            scalars[ALPHA] = scalars[ENERGY] / curvature
         else:
             counters[ACTIVE] = wp.int32(0)
             counters[BROKEN] = wp.int32(1)
@@ -62,11 +62,11 @@ def cg_advance(
     image: wp.array[wp.float64],
     # Data in and out:
     x: wp.array[wp.float64],
-    rest: wp.array[wp.float64],
+    residual: wp.array[wp.float64],
 ):
     i = wp.tid()
-    x[i] = x[i] + scalars[STEP] * direction[i]
-    rest[i] = rest[i] - scalars[STEP] * image[i]
+    x[i] = x[i] + scalars[ALPHA] * direction[i]
+    residual[i] = residual[i] - scalars[ALPHA] * image[i]
 
 
 @wp.kernel
@@ -79,9 +79,9 @@ def cg_beta(
 ):
     """How much of the last direction the next one keeps, from the new r · z; and whether there is a next one."""
     energy = column_sum(products, 0)
-    scalars[TURN] = ZERO
+    scalars[BETA] = ZERO
     if counters[ACTIVE] > 0:
-        scalars[TURN] = energy / scalars[ENERGY]
+        scalars[BETA] = energy / scalars[ENERGY]
         scalars[ENERGY] = energy
         counters[DONE] = counters[DONE] + 1
         # Written so that a NaN ends the iteration and counts as broken.
@@ -103,4 +103,4 @@ def cg_direction(
     direction: wp.array[wp.float64],
 ):
     i = wp.tid()
-    direction[i] = smoothed[i] + scalars[TURN] * direction[i]
+    direction[i] = smoothed[i] + scalars[BETA] * direction[i]

@@ -144,10 +144,10 @@ def gauss_seidel_b1(
 ):
     """Solve the equations of the nodes of one colour for their own unknown."""
     i = nodes[wp.tid()]
-    rest = right[i]
+    residual = right[i]
     for k in range(offsets[i], offsets[i + 1]):
-        rest -= values[k] * x[columns[k]]
-    x[i] = x[i] + inverse[i] * rest
+        residual -= values[k] * x[columns[k]]
+    x[i] = x[i] + inverse[i] * residual
 
 
 @wp.kernel

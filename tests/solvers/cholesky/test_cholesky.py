@@ -89,7 +89,7 @@ def test_pieces_that_do_not_touch(seed, counts, block, leaf, threads):
     union = SimpleNamespace(vertex_count=int(first[-1]), edges=edges)
     diagonal, off = dominant_blocks(union, block, seed)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(multifrontal, "THREADED", 1.0)
+        patch.setattr(multifrontal, "MIN_PARALLEL_OPERATIONS", 1.0)
         factor = MultifrontalCholesky(dissect(points, edges, leaf), block, threads)
         factor.factorise(diagonal, off)
     right = rng.normal(size=(union.vertex_count, block))
@@ -240,7 +240,7 @@ def test_threads_that_share_a_front_find_the_same_factor(monkeypatch):
     right = np.random.default_rng(0).normal(size=(surface.vertex_count, 2))
     alone = MultifrontalCholesky(surface_dissection(surface), 2, threads=1)
     alone.factorise(diagonal, off)
-    monkeypatch.setattr(multifrontal, "TOGETHER", 1.0)
+    monkeypatch.setattr(multifrontal, "MIN_SHARED_OPERATIONS", 1.0)
     shared = MultifrontalCholesky(surface_dissection(surface), 2, threads=8)
     assert len(shared._shared) >= 3
     shared.factorise(diagonal, off)

@@ -71,11 +71,11 @@ def solved(solver: MultigridSolver, right: np.ndarray, tolerance: float = 1e-12)
     return out.numpy().reshape(right.shape).copy(), outcome.iterations
 
 
-def newton(surface: Surface, sphere: np.ndarray, weight: float = 100.0, caution: float = 1.0):
+def newton(surface: Surface, sphere: np.ndarray, weight: float = 100.0, curvature_share: float = 1.0):
     """Blocks of the Newton matrix at a map, its gradient in tangent coordinates, and what rotations do there."""
     energy = DistortionEnergy(surface, wp.get_device("cpu"))
     points = energy.upload(sphere)
-    blocks = energy.hessian(points, energy.terms(points), weight, caution).numpy()
+    blocks = energy.hessian(points, energy.terms(points), weight, curvature_share).numpy()
     diagonal, off = NewtonMatrix.of_surface(surface).assemble(blocks)
     diagonal = diagonal + 1e-8 * np.einsum("vuu->v", diagonal).mean() / 2.0 * np.eye(2)
     # The bases of omtwarp.triangle_newton.triangle.first_tangent.
@@ -179,12 +179,12 @@ def test_an_indefinite_matrix_is_said_to_have_failed():
 
 
 @pytest.mark.parametrize("shape", ["blob", "uneven"])
-@pytest.mark.parametrize("caution", [1.0, 0.03])
-def test_newton_matrices_are_solved_as_by_scipy(shape, caution):
+@pytest.mark.parametrize("curvature_share", [1.0, 0.03])
+def test_newton_matrices_are_solved_as_by_scipy(shape, curvature_share):
     """Two unknowns per vertex, area a hundred times as heavy as angle, the rotations of the sphere nearly free."""
     surface = SHAPES[shape]()
     sphere = start_map(surface)
-    diagonal, off, rotations = newton(surface, sphere, 100.0, caution)
+    diagonal, off, rotations = newton(surface, sphere, 100.0, curvature_share)
     device = wp.get_device("cpu")
     weights = cotangent_edge_weights(surface, sphere)
     own = np.bincount(surface.edges.ravel(), np.repeat(weights, 2), surface.vertex_count)

@@ -6,7 +6,7 @@ import pytest
 from omtwarp.conformal import conformal_map
 from omtwarp.device import policy
 from omtwarp.device.start import wp
-from omtwarp.device.sums import FEW
+from omtwarp.device.sums import MAX_PARTIAL_ROWS
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.shapes import blob, needle
@@ -145,15 +145,17 @@ def test_only_numbers_leave_the_device_within_a_stage(device, monkeypatch, by_st
     monkeypatch.setattr(wp.array, "numpy", lambda self: (read.append(self.size), numpy(self))[1])
     conformal_map(surface, device=device)
     assert len(read) > 6  # sums for every step of centring
-    assert [size for size in read if size > 12 * FEW] == 3 * [surface.vertex_count]  # the plane, and the sphere
+    # The plane, and the sphere:
+    assert [size for size in read if size > 12 * MAX_PARTIAL_ROWS] == 3 * [surface.vertex_count]
     read.clear()
     moser_map(surface, start, device=device)
-    assert [size for size in read if size > FEW] == 3 * [surface.vertex_count]  # points, potential and steps
+    # Points, potential and steps:
+    assert [size for size in read if size > MAX_PARTIAL_ROWS] == 3 * [surface.vertex_count]
     read.clear()
     rounds = len(polish_transport(surface, start, transported, device=device).history)
     assert rounds > 3
     assert len(read) > 3 * rounds
-    assert [size for size in read if size > 3 * FEW] == [surface.vertex_count]
+    assert [size for size in read if size > 3 * MAX_PARTIAL_ROWS] == [surface.vertex_count]
 
 
 def test_a_whole_map_does_not_depend_on_where_it_is_solved(device, monkeypatch):
