@@ -38,6 +38,7 @@ _PUBLIC = {
     "read_mesh": "omtwarp.mesh.read",
     "refine_map": "omtwarp.refine.solver",
     "repair": "omtwarp.mesh.repair",
+    "resample": "omtwarp.resampling",
     "texture": "omtwarp.texturing",
     "transport_cost": "omtwarp.transport",
     "untangle": "omtwarp.untangling.untangle",
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
     from omtwarp.refine.solver import refine_map as refine_map
     from omtwarp.render import preview as preview
     from omtwarp.reporting import write_report as write_report
+    from omtwarp.resampling import resample as resample
     from omtwarp.result import MapResult as MapResult
     from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
     from omtwarp.surface_map import SurfaceMap as SurfaceMap
@@ -106,6 +108,7 @@ __all__ = [
     "read_mesh",
     "refine_map",
     "repair",
+    "resample",
     "shapes",
     "texture",
     "transport_cost",

@@ -109,7 +109,7 @@ def test_a_matrix_that_multigrid_gives_up_is_factorised(start, device, monkeypat
         finder.direction(points, gradient)
 
 
-def test_the_same_pairs_as_numbers(device):
+def test_the_same_memory_as_numbers(device):
     vectors = wp.array(np.arange(12.0).reshape(4, 3), dtype=wp.vec3d, device=device)
     numbers = flat(vectors)
     np.testing.assert_array_equal(numbers.numpy(), np.arange(12.0))

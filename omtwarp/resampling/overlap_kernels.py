@@ -1,0 +1,152 @@
+"""Exact areas in which convex polygons of great-circle arcs overlap."""
+
+# mypy: ignore-errors
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+# Two quadrilaterals overlap in a polygon of up to eight corners; while it is cut there may be one more.
+mat93d = wp.types.matrix(shape=(9, 3), dtype=wp.float64)
+
+BOX_MARGIN = wp.constant(wp.float64(1e-6))  # more than the unit of roundoff of the boxes' single precision
+
+
+@wp.func
+def single(v: wp.vec3d) -> wp.vec3:
+    return wp.vec3(wp.float32(v[0]), wp.float32(v[1]), wp.float32(v[2]))
+
+
+@wp.func
+def row(m: mat93d, k: int) -> wp.vec3d:
+    return wp.vec3d(m[k, 0], m[k, 1], m[k, 2])
+
+
+@wp.func
+def with_row(m: mat93d, k: int, v: wp.vec3d) -> mat93d:
+    out = m
+    out[k, 0] = v[0]
+    out[k, 1] = v[1]
+    out[k, 2] = v[2]
+    return out
+
+
+@wp.func
+def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
+    """Signed area of a spherical triangle; the differences keep the digits of small ones."""
+    triple = wp.dot(a, wp.cross(b - a, c - a))
+    return TWO * wp.atan2(triple, ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
+
+
+@wp.func
+def overlap_area(subject: wp.array2d[wp.vec3d], s: int, cutter: wp.array2d[wp.vec3d], t: int) -> wp.float64:
+    """Area that polygons s and t share: the first is cut by the sides of the other (Sutherland and Hodgman 1974)."""
+    polygon = mat93d()
+    count = int(4)
+    for k in range(4):
+        polygon = with_row(polygon, k, subject[s, k])
+    for k in range(4):
+        start = cutter[t, k]
+        following = k + 1
+        if following == 4:
+            following = int(0)
+        end = cutter[t, following]
+        side = wp.cross(start, end - start)
+        if count > 0 and wp.length_sq(side) > ZERO:  # a triangle has one side of no length
+            kept = mat93d()
+            kept_count = int(0)
+            previous = row(polygon, count - 1)
+            height_before = wp.dot(side, previous - start)
+            for m in range(count):
+                current = row(polygon, m)
+                height = wp.dot(side, current - start)
+                if (height >= ZERO) != (height_before >= ZERO) and kept_count < 9:
+                    where = height_before / (height_before - height)
+                    kept = with_row(kept, kept_count, wp.normalize(previous + where * (current - previous)))
+                    kept_count += 1
+                if height >= ZERO and kept_count < 9:
+                    kept = with_row(kept, kept_count, current)
+                    kept_count += 1
+                previous = current
+                height_before = height
+            polygon = kept
+            count = kept_count
+    area = wp.float64(0.0)
+    first = row(polygon, 0)
+    for m in range(1, count - 1):
+        area += solid_angle(first, row(polygon, m), row(polygon, m + 1))
+    return area
+
+
+@wp.kernel
+def box_polygons(
+    corners: wp.array2d[wp.vec3d],
+    # Data out:
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+):
+    """A box around every polygon of arcs.
+
+    No point of the flat polygon is further from a corner than half its diameter times √(4 / 3) (Jung 1901); by what
+    then is left to 1 its arcs may bulge out.
+    """
+    i = wp.tid()
+    low = corners[i, 0]
+    high = corners[i, 0]
+    diameter = wp.float64(0.0)
+    for k in range(4):
+        low = wp.min(low, corners[i, k])
+        high = wp.max(high, corners[i, k])
+        for m in range(4):
+            diameter = wp.max(diameter, wp.length_sq(corners[i, k] - corners[i, m]))
+    bulge = ONE - wp.sqrt(wp.max(ONE - diameter / wp.float64(3.0), ZERO)) + BOX_MARGIN
+    margin = wp.vec3d(bulge, bulge, bulge)
+    lower[i] = single(low - margin)
+    upper[i] = single(high + margin)
+
+
+@wp.kernel
+def count_overlaps(
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    targets: wp.array2d[wp.vec3d],
+    boxes: wp.uint64,
+    sources: wp.array2d[wp.vec3d],
+    smallest: wp.float64,
+    # Data out:
+    counts: wp.array[wp.int32],
+):
+    """Number of source polygons that share more than a smallest area with each target polygon."""
+    i, _compiled_once = wp.tid()
+    count = int(0)
+    query = wp.bvh_query_aabb(boxes, lower[i], upper[i])
+    s = int(0)
+    while wp.bvh_query_next(query, s):
+        if overlap_area(sources, s, targets, i) > smallest:
+            count += 1
+    counts[i] = count
+
+
+@wp.kernel
+def list_overlaps(
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    targets: wp.array2d[wp.vec3d],
+    first: wp.array[wp.int32],
+    boxes: wp.uint64,
+    sources: wp.array2d[wp.vec3d],
+    smallest: wp.float64,
+    # Data out:
+    partners: wp.array[wp.int32],
+    areas: wp.array[wp.float64],
+):
+    """The source polygons that :func:`count_overlaps` counts, and the areas."""
+    i, _compiled_once = wp.tid()
+    place = first[i]
+    query = wp.bvh_query_aabb(boxes, lower[i], upper[i])
+    s = int(0)
+    while wp.bvh_query_next(query, s):
+        area = overlap_area(sources, s, targets, i)
+        if area > smallest:
+            partners[place] = s
+            areas[place] = area
+            place += 1

@@ -1,0 +1,255 @@
+"""Resampling from one map or sphere to another: the matrix, what it was made between, and what to do with it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
+from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.surface import triangle_areas
+from omtwarp.options import Interpolation, choose
+from omtwarp.resampling import weights
+from omtwarp.result import MapResult
+from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SpherePoints:
+    """One end of a resampling: points on the sphere, and the surface they were mapped from where there is one.
+
+    Attributes:
+        grid: the points, their triangles or pixels.
+        vertices: the surface's vertices, float64, shape [N, 3]; None for a sphere alone.
+    """
+
+    grid: SphereGrid
+    vertices: Floats | None = None
+
+    def surface_areas(self) -> Floats:
+        """A third of the areas of the triangles around every vertex of the surface, or of the cells, shape [N]."""
+        if self.vertices is None or self.grid.faces is None:
+            return self.grid.areas
+        shares = np.repeat(triangle_areas(self.vertices, self.grid.faces) / 3.0, 3)
+        count = len(self.vertices)
+        return np.bincount(self.grid.faces.ravel(), weights=shares, minlength=count).astype(np.float64)
+
+
+def as_points(given: Any, name: str = "the sphere") -> SpherePoints:
+    """One end of a resampling, in any form.
+
+    Args:
+        given: a :class:`~omtwarp.MapResult`; the name of a grid (see :mod:`omtwarp.spheres`); a file: a map in
+            ``.npz``, or a mesh that is a sphere about the origin of any radius; ``(points, faces)``; anything with
+            ``vertices`` and ``faces``; or a grid.
+        name: how messages call it.
+
+    Raises:
+        OmtwarpError: none of these, or not a sphere.
+    """
+    if isinstance(given, SpherePoints):
+        return given
+    if isinstance(given, SphereGrid):
+        return SpherePoints(given)
+    if isinstance(given, MapResult):
+        return SpherePoints(mesh_grid(given.sphere, given.faces, name), given.vertices)
+    if isinstance(given, str) and is_named(given):
+        return SpherePoints(named_grid(given))
+    if isinstance(given, str | os.PathLike):
+        path = Path(given)
+        if path.suffix.lower() == ".npz" and _holds_map(path):
+            return as_points(MapResult.load(path), str(path))
+        mesh = read_mesh(path)
+        return SpherePoints(mesh_grid(mesh.vertices, mesh.faces, str(path)))
+    if isinstance(given, tuple | list) and len(given) == 2:
+        return SpherePoints(mesh_grid(given[0], given[1], name))
+    if hasattr(given, "vertices") and hasattr(given, "faces"):
+        return SpherePoints(mesh_grid(given.vertices, given.faces, name))
+    raise OmtwarpError(f"{name}: expected a map, a sphere, a file or a grid's name, got {type(given).__name__}")
+
+
+def _holds_map(path: Path) -> bool:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return "sphere" in arrays
+    except (OSError, ValueError, EOFError):
+        return False  # the reader says what is wrong
+
+
+@dataclass(frozen=True, eq=False)
+class Resampling:
+    """A way of carrying data from the points of one sphere to those of another.
+
+    Attributes:
+        matrix: sparse float64, shape [T, S]; rows sum to 1.
+        method: how its weights were chosen.
+        source, target: the two ends.
+    """
+
+    matrix: sparse.csr_matrix
+    method: Interpolation
+    source: SpherePoints
+    target: SpherePoints
+
+    def __repr__(self) -> str:
+        return f"Resampling({self.source.grid.name} -> {self.target.grid.name}, {self.method})"
+
+    def apply(self, values: ArrayLike) -> Floats:
+        """Carry numbers per source point over.
+
+        Args:
+            values: finite numbers, shape [S] or [S, K].
+
+        Returns:
+            float64, shape [T] or [T, K].
+
+        Raises:
+            OmtwarpError: another length, or numbers that are not finite.
+        """
+        array = np.asarray(values)
+        if array.dtype.kind not in "iufb":
+            raise OmtwarpError(f"the data are no numbers, but {array.dtype}")
+        array = array.astype(np.float64)
+        self._require_length(array)
+        if not np.isfinite(array).all():
+            bad = ~np.isfinite(array).reshape(len(array), -1).all(axis=1)
+            raise OmtwarpError(
+                f"the data are not finite at {int(bad.sum())} of {len(array)} points, first point "
+                f"{int(np.argmax(bad))}; put a number there, or resample a mask beside them"
+            )
+        return np.asarray(self.matrix @ array)
+
+    def labels(self, keys: ArrayLike) -> NDArray[np.int64]:
+        """Carry labels over: each target point takes the label that its weights give most to.
+
+        With conservative weights that is the label of largest overlap with its cell. Of equals, the smallest key wins.
+
+        Args:
+            keys: whole numbers, shape [S].
+
+        Returns:
+            int64, shape [T].
+
+        Raises:
+            OmtwarpError: another length, or numbers that are not whole.
+        """
+        array = np.asarray(keys)
+        if array.dtype.kind not in "iub" and not (array.dtype.kind == "f" and np.array_equal(array, np.round(array))):
+            raise OmtwarpError("labels have to be whole numbers")
+        array = array.astype(np.int64)
+        if array.ndim != 1:
+            raise OmtwarpError(f"labels have shape {array.shape}: expected one for every point")
+        self._require_length(array)
+        names, index = np.unique(array, return_inverse=True)
+        members = sparse.csr_matrix(
+            (np.ones(len(array)), (np.arange(len(array)), index)), shape=(len(array), len(names))
+        )
+        votes = sparse.csr_matrix(self.matrix @ members)
+        votes.sort_indices()
+        rows = np.repeat(np.arange(votes.shape[0]), np.diff(votes.indptr))
+        order = np.lexsort((votes.indices, -votes.data, rows))
+        first = order[np.searchsorted(rows[order], np.arange(votes.shape[0]))]
+        return np.asarray(names[votes.indices[first]])
+
+    def surface(self) -> Floats:
+        """The source's surface at the target's points, float64, shape [T, 3].
+
+        With the target's faces it is the same surface on another mesh: the same one for all subjects.
+
+        Raises:
+            OmtwarpError: the source is a sphere alone.
+        """
+        if self.source.vertices is None:
+            raise OmtwarpError("the source is a sphere without its surface: there is nothing to resample but data")
+        return self.apply(self.source.vertices)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the matrix as ``.npz``, to be read with :func:`scipy.sparse.load_npz`.
+
+        Raises:
+            OmtwarpError: the file cannot be written.
+        """
+        with staged(Path(path)) as file, open(file, "wb") as stream:
+            sparse.save_npz(stream, self.matrix)
+
+    def _require_length(self, array: NDArray[Any]) -> None:
+        count = self.matrix.shape[1]
+        if array.ndim == 0 or len(array) != count:
+            length = "one number" if array.ndim == 0 else str(len(array))
+            raise OmtwarpError(f"the data have {length} where {self.source.grid.name} has {count} points")
+
+
+def resample(
+    source: Any,
+    target: Any,
+    *,
+    method: str = Interpolation.BARYCENTRIC,
+    source_areas: ArrayLike | None = None,
+    target_areas: ArrayLike | None = None,
+    device: str | None = "auto",
+) -> Resampling:
+    """Prepare to carry data from one map or sphere to another.
+
+    Both spheres are taken as they are: bring them into the same position first (:func:`omtwarp.align`).
+
+    Args:
+        source: a map, a sphere, a file or the name of a grid (:func:`as_points`).
+        target: the same.
+        method: ``barycentric`` (linear in the nearest triangle, as Connectome Workbench has it), ``nearest``,
+            ``adaptive`` (barycentric weights corrected for areas: Workbench's ADAP_BARY_AREA) or ``conservative``
+            (exact areas of overlap of the cells: integrals, bounds and signs are kept).
+        source_areas: for ``adaptive``, area of the surface around every source point, shape [S]; the areas of the
+            source's surface by default, or of its sphere where it has none.
+        target_areas: the same at the target, shape [T]; by default those of the source's surface, resampled with
+            barycentric weights, where the source has one, and of the target's sphere otherwise.
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+
+    Raises:
+        OmtwarpError: an unknown method or grid, a file that cannot be read, or something that is not a sphere.
+
+    Example:
+        >>> import numpy as np
+        >>> from omtwarp import resample
+        >>> to_pixels = resample("ico4", "equiangular:32x64", method="conservative", device="cpu")
+        >>> to_pixels.apply(np.ones(2562)).reshape(32, 64).round(12).max()
+        np.float64(1.0)
+    """
+    chosen = choose(Interpolation, method)
+    here, there = as_points(source, "the source"), as_points(target, "the target")
+    if chosen is Interpolation.NEAREST:
+        matrix = weights.nearest(here.grid, there.grid)
+    elif chosen is Interpolation.CONSERVATIVE:
+        matrix = weights.conservative(here.grid, there.grid, device)
+    elif chosen is Interpolation.BARYCENTRIC:
+        matrix = weights.barycentric(here.grid, there.grid, device)
+    else:
+        given = here.surface_areas() if source_areas is None else _areas(source_areas, here, "source")
+        if target_areas is not None:
+            wanted = _areas(target_areas, there, "target")
+        elif here.vertices is not None and there.grid.faces is not None:
+            moved = weights.barycentric(here.grid, there.grid, device) @ here.vertices
+            wanted = SpherePoints(there.grid, np.asarray(moved)).surface_areas()
+        else:
+            wanted = there.grid.areas if here.vertices is None else there.surface_areas()
+        matrix = weights.adaptive(here.grid, there.grid, given, wanted, device)
+    return Resampling(matrix, chosen, here, there)
+
+
+def _areas(given: ArrayLike, points: SpherePoints, name: str) -> Floats:
+    areas = np.asarray(given, dtype=np.float64)
+    count = len(points.grid.points)
+    if areas.shape != (count,) or not (np.isfinite(areas) & (areas >= 0)).all():
+        raise OmtwarpError(f"the areas of the {name} are not {count} finite numbers of at least 0")
+    return areas
+
+
+__all__ = ["Resampling", "SpherePoints", "as_points", "resample"]

@@ -1,0 +1,85 @@
+"""Sparse matrices that carry data at the points of one sphere to those of another."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from omtwarp.location import Locator
+from omtwarp.resampling.overlap import overlap_areas
+from omtwarp.spheres import SphereGrid
+
+Floats = NDArray[np.float64]
+
+
+def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
+    """Linear interpolation in the flat triangle nearest to each target point, shape [T, S].
+
+    The weights are those of Connectome Workbench's BARYCENTRIC. Constants are kept, integrals are not.
+    """
+    faces = source.triangles
+    found = Locator(source.points, faces, device=device).find_closest(target.points)
+    return found.matrix(faces, len(source.points))
+
+
+def nearest(source: SphereGrid, target: SphereGrid) -> sparse.csr_matrix:
+    """The source point nearest to each target point, shape [T, S]."""
+    _, chosen = cKDTree(source.points).query(target.points)
+    count = len(target.points)
+    return sparse.csr_matrix((np.ones(count), chosen, np.arange(count + 1)), shape=(count, len(source.points)))
+
+
+def adaptive(
+    source: SphereGrid,
+    target: SphereGrid,
+    source_areas: Floats,
+    target_areas: Floats,
+    device: str | None = "auto",
+) -> sparse.csr_matrix:
+    """Barycentric weights that use every source point, corrected for areas, shape [T, S].
+
+    Connectome Workbench's ADAP_BARY_AREA: each target point takes its own barycentric weights, or those of the source
+    points that lie in the triangles around it where these are more. Weights are then scaled so that each source point
+    gives away its area, and rows are brought to a sum of 1.
+
+    Args:
+        source, target: grids.
+        source_areas, target_areas: area of the surface around every point, shapes [S] and [T].
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+    """
+    forward = barycentric(source, target, device)
+    backward = barycentric(target, source, device).T.tocsr()
+    # Where every source point that looks back is among those looked at, the forward weights see more.
+    looked_at = forward.copy()
+    looked_at.data[:] = 1.0
+    looking = backward.copy()
+    looking.data[:] = 1.0
+    missed = (looking - looking.multiply(looked_at)).tocsr()
+    use_backward = np.asarray(missed.sum(axis=1)).ravel() > 0
+    chosen = sparse.diags_array((~use_backward).astype(float)) @ forward
+    chosen = sparse.csr_matrix(chosen + sparse.diags_array(use_backward.astype(float)) @ backward)
+    chosen.eliminate_zeros()
+    by_area = sparse.diags_array(target_areas) @ chosen
+    given = np.asarray(by_area.sum(axis=0)).ravel()
+    scale = np.divide(source_areas, given, out=np.zeros_like(given), where=given > 0)
+    corrected = sparse.csr_matrix(by_area @ sparse.diags_array(scale))
+    return _rows_to_one(corrected)
+
+
+def conservative(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
+    """Means over each target cell of the function that is constant on source cells, shape [T, S].
+
+    Overlaps are exact (:func:`omtwarp.resampling.overlap.overlap_areas`), so that integrals with respect to the cells'
+    areas are kept up to round-off, as are constants, bounds and signs.
+    """
+    return _rows_to_one(overlap_areas(target, source, device=device))
+
+
+def _rows_to_one(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+    sums = np.asarray(matrix.sum(axis=1)).ravel()
+    return sparse.csr_matrix(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ matrix)
+
+
+__all__ = ["adaptive", "barycentric", "conservative", "nearest"]
