@@ -26,7 +26,7 @@ from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.metrics.certificate import certify
+from omtwarp.metrics.certificate import Certificate, certify
 from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import surface_optimality
 from omtwarp.moser import moser_map
@@ -217,10 +217,11 @@ class _Run:
         first = next(iter(self.maps.values()))
         transported = self.maps.get(Stage.OMT)
         face_density, vertex_density = density(surface, first)
-        report = self.report()
+        certificate = self.certificate()
+        report = self.report() | {"certificate": certificate.to_dict()}
         if optimality is not None:
             report["optimality"] = optimality
-        return MapResult(
+        result = MapResult(
             vertices=surface.vertices,
             faces=surface.faces,
             sphere=self.sphere,
@@ -234,6 +235,8 @@ class _Run:
             measure=surface.face_areas if surface.weighted else None,
             target=None if self.target is None else self.target.at(self.sphere),
         )
+        vars(result)["certificate"] = certificate  # established of these very arrays
+        return result
 
     def conformal(self) -> None:
         """The conformal map, or what stands in for it."""
@@ -422,10 +425,9 @@ class _Run:
             "seconds": time.perf_counter() - self.begun,
             "mass": mass_distortion(self.goal(self.sphere), self.sphere) | {"weighted": surface.weighted},
             "stages": [record.to_dict() for record in self.records],
-            "certificate": self.certificate(),
         }
 
-    def certificate(self) -> dict[str, Any]:
+    def certificate(self) -> Certificate:
         """What is certain about the map that is handed out.
 
         Raises:
@@ -436,7 +438,7 @@ class _Run:
             raise OmtwarpError(
                 f"no map that is one to one was found: {certificate}; repair or remesh the surface and try again"
             )
-        return certificate.to_dict()
+        return certificate
 
 
 def versions() -> dict[str, str]:

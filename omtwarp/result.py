@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.arrays import real_numbers, whole_numbers
+from omtwarp.metrics.certificate import Certificate, certify
 from omtwarp.metrics.distortion import Distortion, distortion
 
 Array = NDArray[np.float64]
@@ -40,6 +43,8 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "vertex_origin": (np.int64, ("V",)),
     "face_origin": (np.int64, ("F",)),
 }
+# A point's distance from the sphere: what single precision leaves, many times over.
+UNIT_LENGTH = 1e-5
 STAGES = ("sphere", "conformal", "moser", "transported")
 
 
@@ -116,16 +121,14 @@ class MapResult:
     report: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, (dtype, _) in LAYOUT.items():
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, _owned(value, dtype))
+        for name, value in _fitting(vars(self)).items():
+            object.__setattr__(self, name, _owned(value, LAYOUT[name][0]))
 
     def __repr__(self) -> str:
         known = [f"{len(self.vertices)} vertices", f"{len(self.faces)} faces"]
         if "method" in self.report:
             known.append(str(self.report["method"]))
-        if self.bijective:
+        if "certificate" in vars(self) and self.bijective:  # nothing is measured for a line of text
             known.append("bijective")
         return f"MapResult({', '.join(known)})"
 
@@ -140,10 +143,15 @@ class MapResult:
             raise OmtwarpError(f"this map has no stage '{stage}'")
         return distortion(self.vertices, self.faces, points)
 
+    @cached_property
+    def certificate(self) -> Certificate:
+        """What is certain about the final map, established from its arrays when first asked for."""
+        return certify(self.faces, self.sphere)
+
     @property
     def bijective(self) -> bool:
-        """Whether the map was certified free of flips and of degree 1."""
-        return bool(self.report.get("certificate", {}).get("bijective", False))
+        """Whether the final map is one to one and onto: see :attr:`certificate`."""
+        return self.certificate.bijective
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map as ``.npz``: arrays of the attributes' names, and the report as JSON text under ``report``.
@@ -167,9 +175,14 @@ class MapResult:
         """
         source = Path(path)
         arrays = _read_arrays(source)
-        fields = _checked_arrays(arrays, source)
         report, history = _read_report(arrays)
-        return cls(**fields, history=history, report=report)
+        try:
+            result = cls(**_fitting(arrays), history=history, report=report)
+        except OmtwarpError as error:
+            raise OmtwarpError(f"'{source}' is not a map: {error}") from None
+        # What a file says of its map proves nothing.
+        report["certificate"] = result.certificate.to_dict()
+        return result
 
 
 def _owned(values: Any, dtype: type[np.generic]) -> NDArray[Any]:
@@ -191,25 +204,39 @@ def _read_arrays(source: Path) -> dict[str, NDArray[Any]]:
             raise OmtwarpError(words) from None
 
 
-def _checked_arrays(arrays: Mapping[str, NDArray[Any]], source: Path) -> dict[str, Any]:
-    """The arrays of a map in their types, or an error that names the first that does not fit the others."""
-    missing = [name for name in REQUIRED if name not in arrays]
+def _fitting(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays of a map in their types, those that there are.
+
+    Raises:
+        OmtwarpError: the first that is missing, not of numbers, out of range, or does not fit the others.
+    """
+    missing = [name for name in REQUIRED if arrays.get(name) is None]
     if missing:
-        raise OmtwarpError(f"'{source}' is not a map: it has no '{missing[0]}'")
-    counts = {"V": len(np.atleast_1d(arrays["vertices"])), "F": len(np.atleast_1d(arrays["faces"]))}
-    fields: dict[str, Any] = {}
+        raise OmtwarpError(f"it has no '{missing[0]}'")
+    vertices = real_numbers(arrays["vertices"], "'vertices'", (None, 3))
+    faces = whole_numbers(arrays["faces"], "'faces'", (None, 3), below=len(vertices))
+    counts = {"V": len(vertices), "F": len(faces)}
+    fitting: dict[str, NDArray[Any]] = {}
     for name, (dtype, letters) in LAYOUT.items():
-        if name not in arrays:
+        values = arrays.get(name)
+        if values is None:
             continue
         shape = tuple(counts[letter] if isinstance(letter, str) else letter for letter in letters)
-        kinds = "iu" if issubclass(dtype, np.integer) else "iuf"
-        if arrays[name].dtype.kind not in kinds or arrays[name].shape != shape:
-            raise OmtwarpError(f"'{source}' is not a map: '{name}' is not an array of numbers, shape {shape}")
-        fields[name] = arrays[name].astype(dtype)
-    faces = arrays["faces"]
-    if faces.size and (faces.min() < 0 or faces.max() >= counts["V"]):
-        raise OmtwarpError(f"'{source}' is not a map: its faces name vertices that it does not have")
-    return fields
+        if issubclass(dtype, np.integer):
+            below = counts["V"] if name == "faces" else None
+            fitting[name] = whole_numbers(values, f"'{name}'", shape, below=below)
+        else:
+            fitting[name] = real_numbers(values, f"'{name}'", shape)
+        if name in STAGES:
+            lengths = np.linalg.norm(fitting[name], axis=1)
+            off = ~(np.abs(lengths - 1.0) <= UNIT_LENGTH)
+            if off.any():
+                first = int(np.argmax(off))
+                raise OmtwarpError(
+                    f"{int(off.sum())} points of '{name}' are not on the unit sphere, first vertex {first} "
+                    f"at a distance of {lengths[first]:g} from its centre"
+                )
+    return fitting
 
 
 def _read_report(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -45,6 +45,7 @@ from omtwarp.conformal.haker import most_regular_face
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
 
@@ -146,6 +147,7 @@ def solve_barycentric(
         raise OmtwarpError(f"unknown weights '{weights}': use tutte or mean-value")
     if balance not in ("centroid", "free"):
         raise OmtwarpError(f"unknown balance '{balance}': use centroid or free")
+    surface = as_surface(surface)
     matrix = barycentric_weights(surface, weights, device=device)
     springs = _Springs(matrix, device)
     start, masses = _planar_start(surface, springs, weights)

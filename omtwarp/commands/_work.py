@@ -134,6 +134,16 @@ def make_map(surface: Surface, *, quiet: bool, any_surface: dict[str, Any] | Non
         return map_to_sphere(surface, progress=progress, **options)
 
 
+def require_bijective(result: MapResult, path: Path | None = None) -> None:
+    """Go on with a map only where it is one to one.
+
+    Raises:
+        OmtwarpError: it is not: how many triangles are flipped, and where the first is.
+    """
+    if not result.bijective:
+        raise OmtwarpError(f"{path or 'the map'}: not one to one: {result.certificate}")
+
+
 def map_from(
     mesh: Path | None, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Any
 ) -> MapResult:
@@ -156,18 +166,3 @@ def map_from(
     sound = read_sound_mesh(mesh, repair)
     start_device(device)
     return make_map(sound.surface, quiet=quiet, device=device, **options)
-
-
-def require_no_flips(result: MapResult, saved: Path) -> None:
-    """Say so, after the map was saved, if triangles are turned over.
-
-    Raises:
-        OmtwarpError: how many, and where the first is.
-    """
-    certificate = result.report["certificate"]
-    flips = certificate["flips"]
-    if flips:
-        raise OmtwarpError(
-            f"the map has {flips} flipped triangle{'s' * (flips > 1)}, first face {certificate['first_flip']}; "
-            f"the best map there is was saved as '{saved}'"
-        )

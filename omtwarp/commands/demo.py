@@ -28,7 +28,7 @@ def demo(
     quiet: QuietOption = False,
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
-    from omtwarp.commands._work import make_map, report_text, require_no_flips, start_device
+    from omtwarp.commands._work import make_map, report_text, start_device
     from omtwarp.commands.map import save, summary
     from omtwarp.errors import OmtwarpError
     from omtwarp.mesh.shapes import demo_shape
@@ -70,7 +70,6 @@ def demo(
         notify(f"{file_to_be}")
     comparison(result, comparison_file, image=rasterize("circles", 2048, device=device), **POSE, device=device)
     notify(f"{comparison_file}: the conformal map beside the area-preserving one")
-    require_no_flips(result, map_file)
 
 
 def _refuse_other_files(files: list[Path]) -> None:

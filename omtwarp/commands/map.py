@@ -26,7 +26,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
-from omtwarp.options import Domain, FillArea, MapOptions, Method
+from omtwarp.options import Domain, FillArea, MapOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -89,7 +89,7 @@ def map_mesh(
     A surface with holes or of several parts is mapped with one of --hemisphere, --disk, --cap, --fill-area and
     --components; "omtwarp check" says what each would do with it.
     """
-    from omtwarp.commands._work import make_map, read_sound_mesh, report_text, require_no_flips, start_device
+    from omtwarp.commands._work import make_map, read_sound_mesh, report_text, require_bijective, start_device
     from omtwarp.mesh.write import SUFFIXES
     from omtwarp.texturing.density import as_target
 
@@ -114,6 +114,7 @@ def map_mesh(
         target=goal,
         device=device,
     )
+    require_bijective(result)
     if sound.origins:
         vertices, faces = sound.origins["vertex_origin"], sound.origins["face_origin"]
         result = replace(
@@ -129,8 +130,6 @@ def map_mesh(
             file.write_text(report_text({"input": source, **result.report, "history": result.history}), "utf-8")
     if not quiet:
         print(summary(result, output))
-    if method is Method.OMT:
-        require_no_flips(result, output)
 
 
 def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
@@ -201,7 +200,7 @@ def summary(result: MapResult, output: Path) -> str:
     last = result.report["stages"][-1]
     area, angle = last["area"]["surface"], last["angle"]["surface"]
     size = f"{len(result.vertices)} vertices, {len(result.faces)} faces"
-    flips = result.report["certificate"]["flips"]
+    flips = result.certificate.flips
     line = f"{output}: {size}; flips {flips}, degree {last['degree']:.6f}, area {area:.4f}, angle {angle:.4f}"
     gap = result.report.get("optimality", {}).get("gap")
     return line if gap is None else f"{line}, cost within {gap:.3%} of the least"

@@ -74,7 +74,7 @@ def texture_mesh(
     quiet: QuietOption = False,
 ) -> None:
     """Texture a surface through its map to the sphere, with a picture or a pattern."""
-    from omtwarp.commands._work import map_from, start_device
+    from omtwarp.commands._work import map_from, require_bijective, start_device
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.export import SUFFIXES
 
@@ -97,6 +97,7 @@ def texture_mesh(
         scheme=scheme,
         refine=refine,
     )
+    require_bijective(result, finished)
     textured = texture(
         result,
         picture,

@@ -17,6 +17,8 @@ from omtwarp.device.policy import on_device, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_numbers
+from omtwarp.mesh.checks import as_unit_vectors
 
 TOLERANCE = 1e-13
 MAXIMUM_STEPS = 100
@@ -36,8 +38,14 @@ def mobius_centring(
         The moved points, shape [V, 3], and the number of Newton steps.
 
     Raises:
-        OmtwarpError: the masses are so concentrated that the centre cannot be reached.
+        OmtwarpError: the arrays do not fit together or are not of numbers, or the masses are so concentrated that the
+            centre cannot be reached.
     """
+    if not isinstance(sphere, wp.array):
+        sphere = as_unit_vectors(sphere, name="sphere")
+    masses = real_numbers(masses, "masses", (len(sphere),))
+    if masses.min(initial=0.0) < 0.0 or not masses.sum() > 0.0:
+        raise OmtwarpError("masses must not be negative, and not all be zero")
     where = resolve_device(device)
     points = wp.clone(vectors(sphere, where))
     moved = wp.empty_like(points)

@@ -18,6 +18,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
@@ -56,8 +57,9 @@ def conformal_map(surface: Surface, *, device: str | None = "auto") -> Conformal
         The map. Obtuse triangles can flip, and the tips of long limbs can shrink below what float64 resolves.
 
     Raises:
-        OmtwarpError: the linear systems cannot be solved, or the map cannot be centred.
+        OmtwarpError: the surface cannot be mapped, the linear systems cannot be solved, or the map cannot be centred.
     """
+    surface = as_surface(surface)
     points = surface.scaled_vertices
     face = most_regular_face(points, surface.faces)
     solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]), device=device)

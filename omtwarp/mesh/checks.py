@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import require_valid
 
@@ -59,26 +60,56 @@ def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map")
         OmtwarpError: another shape, coordinates that are not finite, or a point at the centre of the sphere.
     """
     if isinstance(sphere, wp.array):
+        if sphere.shape != (surface.vertex_count,):
+            raise OmtwarpError(f"the {name} has {sphere.shape} points: the surface has {surface.vertex_count} vertices")
         return sphere
-    wanted = (surface.vertex_count, 3)
-    try:
-        points = np.ascontiguousarray(sphere, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise OmtwarpError(f"the {name} is no array of numbers of shape {wanted}") from None
-    if points.shape != wanted:
-        raise OmtwarpError(f"the {name} has shape {points.shape}: the surface's is {wanted}, a point for every vertex")
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
-        bad = int(np.argmin(finite))
-        raise OmtwarpError(f"the {name} has {int((~finite).sum())} points that are not finite, first vertex {bad}")
-    lengths = np.linalg.norm(points, axis=1)
-    if not lengths.all():
+    return as_unit_vectors(sphere, surface.vertex_count, name)
+
+
+def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "map") -> NDArray[np.float64]:
+    """Take points of the unit sphere, normalised where they are not quite on it.
+
+    Args:
+        points: shape [N, 3].
+        count: how many there must be; any number where left out.
+        name: what to call them in a message.
+
+    Returns:
+        float64, shape [N, 3]: the array given where it holds unit vectors to round-off, normalised otherwise.
+
+    Raises:
+        OmtwarpError: another shape or type, coordinates that are not finite, or a point at the centre of the sphere.
+    """
+    given = real_numbers(points, f"the {name}", (count, 3))
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(given, axis=1)
+    largest = np.abs(given).max(axis=1, initial=0.0)
+    if not largest.all():
         raise OmtwarpError(
-            f"the {name} has a point at the centre of the sphere, first vertex {int(np.argmin(lengths))}"
+            f"the {name} has a point at the centre of the sphere, first vertex {int(np.argmin(largest))}"
         )
     if np.abs(lengths - 1.0).max(initial=0.0) > UNIT_LENGTH:
-        points = points / lengths[:, None]
-    return points
+        # Once more after scaling, so that squares of the largest and smallest numbers stay in range.
+        scaled = given / largest[:, None]
+        given = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    return given
 
 
-__all__ = ["as_sphere", "as_surface"]
+def as_faces(faces: ArrayLike, count: int, name: str = "faces") -> NDArray[np.int32]:
+    """Take triangles whose corners are among so many vertices.
+
+    Args:
+        faces: shape [F, 3], at least one.
+        count: how many vertices there are.
+        name: what to call them in a message.
+
+    Raises:
+        OmtwarpError: another shape or type, none at all, or a corner that is out of range.
+    """
+    corners = whole_numbers(faces, name, (None, 3), below=count)
+    if len(corners) == 0:
+        raise OmtwarpError(f"{name}: there are none")
+    return corners.astype(np.int32)
+
+
+__all__ = ["as_faces", "as_sphere", "as_surface", "as_unit_vectors"]

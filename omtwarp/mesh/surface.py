@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import in_range, real_numbers, whole_numbers
 
 Kind = TypeVar("Kind")
 SPHERE_AREA = 4.0 * np.pi
@@ -37,12 +38,14 @@ class Surface:
         checked: whether the mesh was examined and can be mapped.
 
     Raises:
-        OmtwarpError: ``areas`` is not one positive, finite number per triangle.
+        OmtwarpError: the arrays are not of numbers, a corner is not among the vertices, or ``areas`` is not one
+            positive, finite number per triangle.
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, areas: ArrayLike | None = None):
-        self.vertices: NDArray[np.float64] = np.array(vertices, dtype=np.float64, order="C")
-        self.faces: NDArray[np.int32] = np.array(faces, dtype=np.int32, order="C")
+        self.vertices: NDArray[np.float64] = np.array(real_numbers(vertices, "vertices", (None, 3), finite=False))
+        corners = whole_numbers(faces, "faces", (None, 3), below=len(self.vertices))
+        self.faces: NDArray[np.int32] = corners.astype(np.int32)
         self.vertices.flags.writeable = self.faces.flags.writeable = False
         self.checked = False
         self._given_areas = None if areas is None else scaled_areas(areas, len(self.faces))
@@ -87,6 +90,11 @@ class Surface:
     @property
     def face_count(self) -> int:
         return len(self.faces)
+
+    @property
+    def moderate_vertices(self) -> NDArray[np.float64]:
+        """The vertices, times a power of two where squares of their coordinates would overflow or vanish, [V, 3]."""
+        return in_range(self.vertices)
 
     @cached_property
     def scaled_vertices(self) -> NDArray[np.float64]:
@@ -268,8 +276,8 @@ class SurfaceArrays:
 
     @property
     def vertices(self) -> wp.array:
-        """Positions, vec3d, shape [V], in the units of the input."""
-        return self._array("vertices", wp.vec3d)
+        """Positions, vec3d, shape [V], in the units of the input; times a power of two where those are extreme."""
+        return self._array("moderate_vertices", wp.vec3d)
 
     @property
     def faces(self) -> wp.array:

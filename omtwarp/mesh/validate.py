@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_numbers, whole_numbers
 
 REPAIR = "--repair (omtwarp.mesh.repair in Python)"
 """How the remedies name the package's own repair."""
@@ -114,21 +115,14 @@ def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64
         OmtwarpError: other shapes, faces with more than three corners, or indices that are not whole numbers.
     """
     try:
-        points = np.ascontiguousarray(vertices, dtype=np.float64)
-        given = np.asarray(faces)
-        indices = given.astype(np.float64) if given.size else np.zeros((0, 3))
-    except (TypeError, ValueError):
-        raise OmtwarpError("not a triangle mesh: vertices and faces must be numbers in rows of equal length") from None
-    if points.size == 0:
-        points = points.reshape(0, 3)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise OmtwarpError(f"not a triangle mesh: vertices have shape {list(points.shape)}, not [V, 3]")
-    if indices.ndim != 2 or indices.shape[1] != 3:
-        corners = f": {len(given)} faces with {given.shape[1]} corners, triangulate them" if given.ndim == 2 else ""
-        raise OmtwarpError(f"not a triangle mesh: faces have shape {list(given.shape)}, not [F, 3]{corners}")
-    if not (np.isfinite(indices) & (indices == np.floor(indices)) & (np.abs(indices) < 2**62)).all():
-        raise OmtwarpError("not a triangle mesh: faces must be whole numbers")
-    return points, given.astype(np.int64).reshape(-1, 3)
+        points = real_numbers(vertices, "vertices", (None, 3), finite=False)
+        triangles = whole_numbers(faces, "faces", (None, None))
+        if triangles.size and triangles.shape[1] != 3:
+            advice = ", triangulate them" if triangles.shape[1] > 3 else ""
+            raise OmtwarpError(f"{len(triangles)} faces with {triangles.shape[1]} corners{advice}")
+        return points, triangles.reshape(-1, 3)
+    except OmtwarpError as error:
+        raise OmtwarpError(f"not a triangle mesh: {error}") from None
 
 
 def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,6 +13,8 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.predicates import orientation_signs
 from omtwarp.flips.rings import ring_turns
+from omtwarp.mesh.arrays import real_numbers
+from omtwarp.mesh.checks import as_faces
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
 
@@ -74,9 +76,14 @@ def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: st
 
     Args:
         faces: shape [F, 3].
-        sphere: unit vectors, float64, shape [V, 3].
+        sphere: points of any length, float64, shape [V, 3]; triangles with one that is not finite count as flipped.
         device: where floating point is tried, and rays are cast.
+
+    Raises:
+        OmtwarpError: the arrays are not of numbers, or a corner is not among the points.
     """
+    sphere = real_numbers(sphere, "the map", (None, 3), finite=False)
+    faces = as_faces(faces, len(sphere))
     signs = orientation_signs(sphere, faces, device=device)
     bad = np.flatnonzero(signs <= 0)
     turns = ring_turns(sphere, faces, signs=signs, device=device)

@@ -21,6 +21,8 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device, shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum, RowSums
+from omtwarp.mesh.arrays import in_range, real_numbers
+from omtwarp.mesh.checks import as_faces
 from omtwarp.metrics.kernels import not_finite, pick_values, triangle_distortion, weighted_distortions
 
 WEIGHTINGS = ("mean", "surface", "sphere")
@@ -83,7 +85,16 @@ def distortion(
 
     Returns:
         The distortion, section 6 of the paper, in all three weightings.
+
+    Raises:
+        OmtwarpError: the arrays are not of numbers, do not fit together, or a corner is not among the vertices.
     """
+    if not isinstance(vertices, wp.array):
+        vertices = in_range(real_numbers(vertices, "vertices", (None, 3)))
+    if not isinstance(sphere, wp.array):
+        sphere = real_numbers(sphere, "the map", (len(vertices), 3), finite=False)
+    if not isinstance(faces, wp.array):
+        faces = as_faces(faces, len(vertices))
     arrays = (array.numpy() for array in triangle_quantities(vertices, faces, sphere, resolve_device(device)))
     surface_area, sphere_area, determinant, angle, triple, solid = arrays
     finite = bool(np.isfinite(sphere.numpy() if isinstance(sphere, wp.array) else sphere).all())

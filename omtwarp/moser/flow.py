@@ -14,6 +14,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import sums_for
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.checks import as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, target_masses, vertex_field
 from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve_arrays
@@ -65,7 +66,12 @@ def moser_map(
 
     Returns:
         The map at t = 1, which preserves area up to the discretisation of Θ and can flip triangles where μ is steep.
+
+    Raises:
+        OmtwarpError: the surface cannot be mapped, or the start is no map of it to the sphere.
     """
+    surface = as_surface(surface)
+    start = as_sphere(start, surface, "start")
     where = resolve_device(device)
     vertices, triangles = surface.vertex_count, surface.face_count
     points = vectors(start, where)

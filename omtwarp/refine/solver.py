@@ -20,6 +20,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.checks import as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Refinement, parse_refinement
 from omtwarp.refine.energy import DistortionEnergy, Terms
@@ -129,8 +130,8 @@ def refine_map(
         OmtwarpError: the map given has flipped triangles, or the weight is unknown.
     """
     value = refinement_weight(weight)
-    start = np.array(sphere, dtype=np.float64)
-    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    surface = as_surface(surface)
+    start = np.array(as_sphere(sphere, surface))
     flipped = flipped_faces(start, surface.faces)
     if flipped.any():
         raise OmtwarpError(

@@ -24,6 +24,7 @@ from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.checks import as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Cost, Scheme, choose
 from omtwarp.transport.area import LARGEST_ERROR
@@ -114,7 +115,12 @@ def transport_cost(
         sphere: their images g(x), in the same way.
         cost: ``squared`` or ``geodesic`` distance.
         device: where distances are taken.
+
+    Raises:
+        OmtwarpError: the surface cannot be mapped, or the points are no maps of it to the sphere.
     """
+    surface = as_surface(surface)
+    start, sphere = as_sphere(start, surface, "start"), as_sphere(sphere, surface)
     where = resolve_device(device)
     distance = wp.empty(surface.face_count, dtype=wp.float64, device=where)
     inputs = [vectors(start, where), vectors(sphere, where), surface.on(where).faces]
@@ -157,9 +163,11 @@ def optimal_transport(
         The map and its history.
 
     Raises:
-        OmtwarpError: an unknown cost or scheme.
+        OmtwarpError: an unknown cost or scheme, a surface that cannot be mapped, or points that are no maps of it.
     """
     cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))
+    surface = as_surface(surface)
+    start, initial = as_sphere(start, surface, "start"), as_sphere(initial, surface, "initial map")
     flow = _Flow(surface, start, initial, cost, scheme, resolve_device(device), target)
     most = MAXIMUM_ITERATIONS[scheme] if iterations is None else iterations
     converged = flow.run(flow.iterations(), most, tolerance, progress)

@@ -25,6 +25,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips, flipped_faces
 from omtwarp.flips.rings import tangled_faces
+from omtwarp.mesh.checks import as_sphere, as_surface
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.triangle_newton.frames import triangle_frames
@@ -115,10 +116,13 @@ def untangle(
 
     Returns:
         The map and what was done. ``bijective`` is True unless every attempt failed.
+
+    Raises:
+        OmtwarpError: the surface cannot be mapped, or the points are no map of it to the sphere.
     """
     where = resolve_device(device)
-    start = np.array(sphere, dtype=np.float64)
-    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    surface = as_surface(surface)
+    start = np.array(as_sphere(sphere, surface))
     points, faces = start.copy(), surface.faces
     tangled = tangled_faces(points, faces)
     before = count_flips(points, faces)

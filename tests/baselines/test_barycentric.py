@@ -117,5 +117,5 @@ def test_progress_and_errors():
         solve_barycentric(surface, balance="area")
     flat = surface.vertices.copy()
     flat[surface.faces[0]] = flat[surface.faces[0, 0]]
-    with pytest.raises(OmtwarpError, match="triangles with area"):
+    with pytest.raises(OmtwarpError, match="of zero area"):
         solve_barycentric(Surface(flat, surface.faces), "mean-value")

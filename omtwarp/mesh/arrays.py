@@ -1,0 +1,131 @@
+"""Arrays that callers hand over: of numbers, of the shape wanted, nothing hidden in their type."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+
+# Coordinates to the fourth power, as in squared areas, stay within float64.
+SMALLEST, LARGEST = 1e-75, 1e75
+
+Shape = tuple[int | None, ...]
+
+
+def real_numbers(values: Any, name: str, shape: Shape, *, finite: bool = True) -> NDArray[np.float64]:
+    """Take an array of real numbers as float64, without changing a number.
+
+    Args:
+        values: anything that NumPy makes an array of.
+        name: what to call it in a message, such as ``vertices``.
+        shape: the shape that it must have; None where any length will do.
+        finite: whether NaN and infinite numbers are refused.
+
+    Returns:
+        float64, contiguous; the array itself where it is that already.
+
+    Raises:
+        OmtwarpError: complex numbers, text, objects, masked entries, another shape, or numbers that are not finite.
+
+    Example:
+        >>> real_numbers([[0, 1, 2]], "points", (None, 3))
+        array([[0., 1., 2.]])
+    """
+    array = _of_kind(values, name, "iuf", shape)
+    _require_shape(array, name, shape)
+    out = np.ascontiguousarray(array, dtype=np.float64)
+    if finite:
+        good = np.isfinite(out)
+        if not good.all():
+            first = int(np.argmin(good.reshape(len(out), -1).all(axis=1))) if out.ndim else 0
+            count = int((~good).sum())
+            raise OmtwarpError(
+                f"{name}: {count} number{'s' if count > 1 else ''} that {'are' if count > 1 else 'is'} not finite, "
+                f"first in row {first}"
+            )
+    return out
+
+
+def whole_numbers(values: Any, name: str, shape: Shape, *, below: int | None = None) -> NDArray[np.int64]:
+    """Take an array of whole numbers as int64; floating point numbers will do where they are whole.
+
+    Args:
+        values: anything that NumPy makes an array of.
+        name: what to call it in a message, such as ``faces``.
+        shape: the shape that it must have; None where any length will do.
+        below: numbers must be at least 0 and below this; any will do where left out.
+
+    Returns:
+        int64, contiguous.
+
+    Raises:
+        OmtwarpError: no whole numbers, masked entries, another shape, or a number out of range.
+
+    Example:
+        >>> whole_numbers([[0.0, 1.0, 2.0]], "faces", (None, 3), below=3)
+        array([[0, 1, 2]])
+    """
+    array = _of_kind(values, name, "iuf", shape)
+    _require_shape(array, name, shape)
+    if array.dtype.kind == "f":
+        with np.errstate(invalid="ignore", over="ignore"):
+            whole = np.isfinite(array) & (array == np.floor(array)) & (np.abs(array) < 2**62)
+        if not whole.all():
+            raise OmtwarpError(f"{name}: must be whole numbers, not {array.reshape(-1)[int(np.argmin(whole))]}")
+    if array.dtype.kind == "u" and array.size and array.max() > np.iinfo(np.int64).max:
+        raise OmtwarpError(f"{name}: numbers up to {array.max()} are out of range")
+    out = np.ascontiguousarray(array, dtype=np.int64)
+    if below is not None and out.size and (out.min() < 0 or out.max() >= below):
+        outside = (out < 0) | (out >= below)
+        first = int(np.argmax(outside.reshape(len(out), -1).any(axis=1)))
+        raise OmtwarpError(f"{name}: {out[outside][0]} in row {first} is out of range, 0 to {below - 1}")
+    return out
+
+
+def in_range(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scale points so that squares and products of their coordinates neither overflow nor vanish.
+
+    Args:
+        points: finite, float64, shape [N, 3].
+
+    Returns:
+        The points times a power of two, which changes no digit; the array itself where the largest coordinate is
+        between 1e-75 and 1e75 anyway.
+    """
+    largest = float(np.abs(points).max(initial=0.0))
+    if largest == 0.0 or SMALLEST <= largest <= LARGEST:
+        return points
+    return np.ldexp(points, -int(np.frexp(largest)[1]))
+
+
+def _of_kind(values: Any, name: str, kinds: str, shape: Shape) -> NDArray[Any]:
+    """The values as an array of a kind of numbers."""
+    if isinstance(values, np.ma.MaskedArray):
+        if np.ma.is_masked(values):
+            raise OmtwarpError(f"{name}: {int(np.ma.getmaskarray(values).sum())} entries are masked; fill them first")
+        values = values.data
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError):  # rows of unequal length, among others
+        raise OmtwarpError(f"{name}: must be numbers in rows of equal length") from None
+    if array.size == 0:  # an empty list has the type and shape of nothing in particular
+        return np.zeros([length or 0 for length in shape])
+    if array.dtype.kind not in kinds:
+        what = {"c": "complex numbers", "b": "truth values", "O": "objects", "U": "text", "S": "text"}
+        raise OmtwarpError(f"{name}: must be real numbers, not {what.get(array.dtype.kind, str(array.dtype))}")
+    return array
+
+
+def _require_shape(array: NDArray[Any], name: str, shape: Shape) -> None:
+    fits = len(array.shape) == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("any" if length is None else str(length) for length in shape)
+        raise OmtwarpError(f"{name}: shape {list(array.shape)}, not [{wanted}]")
+
+
+__all__ = ["in_range", "real_numbers", "whole_numbers"]
