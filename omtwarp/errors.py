@@ -1,4 +1,4 @@
-"""The one exception a user of omtwarp has to know, and the form in which a terminal shows its text."""
+"""The one exception a user of omtwarp has to know."""
 
 
 class OmtwarpError(ValueError):
@@ -7,15 +7,3 @@ class OmtwarpError(ValueError):
     The text names the defect, how many there are, where the first one is and what mends it; the command line prints
     exactly this text and exits with a status other than 0.
     """
-
-
-def one_line(text: str) -> str:
-    """A text on one line, with characters that would steer a terminal as their escapes, since it may quote a file.
-
-    >>> one_line("no such\\nfile '\\x1b[31m'")
-    "no such file '\\\\x1b[31m'"
-    """
-    return "".join(
-        character if character.isprintable() else character.encode("unicode_escape", "backslashreplace").decode()
-        for character in " ".join(text.split())
-    )

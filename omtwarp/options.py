@@ -167,7 +167,7 @@ class MapOptions:
     until: Stage = Stage.REFINE
     cost: Cost = Cost.SQUARED
     scheme: Scheme = Scheme.DEFAULT
-    refine: Refinement | float | None = Refinement.AREA
+    refine: Refinement | float | None = None
     optimality: bool = True
     device: str = "auto"
 

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 # What an .npz of a map holds. The first five are always there; the others where their stage was run.
 REQUIRED = ("vertices", "faces", "sphere", "conformal", "density")
-OPTIONAL = ("face_density", "moser", "transported")
+OPTIONAL = ("face_density", "source", "moser", "transported")
 GOALS = ("measure", "target")  # where weights or a target density were given
 ORIGINS = ("vertex_origin", "face_origin")  # where the mesh was repaired before it was mapped
 # Type and shape of every array, with V vertices and F faces.
@@ -36,6 +36,7 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "conformal": (np.float64, ("V", 3)),
     "density": (np.float64, ("V",)),
     "face_density": (np.float64, ("F",)),
+    "source": (np.float64, ("V", 3)),
     "moser": (np.float64, ("V", 3)),
     "transported": (np.float64, ("V", 3)),
     "measure": (np.float64, ("F",)),
@@ -95,6 +96,8 @@ class MapResult:
         conformal: the map transport started from (conformal, or its substitute: see ``report``), shape [V, 3].
         density: μ at the vertices, area on the surface over area on the sphere under ``conformal``, shape [V].
         face_density: μ of the triangles, shape [F].
+        source: the points that transport starts from: where the conformal map puts the vertices, even where it flips
+            triangles or shrinks them to nothing; shape [V, 3].
         moser: the initial mass-preserving map, shape [V, 3], where it was made.
         transported: the optimal map before refinement, shape [V, 3], where it was made.
         measure: the area that every triangle was to have, total 4π, where weights were given, shape [F].
@@ -111,6 +114,7 @@ class MapResult:
     conformal: Array
     density: Array
     face_density: Array | None = None
+    source: Array | None = None
     moser: Array | None = None
     transported: Array | None = None
     measure: Array | None = None

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omtwarp.errors import OmtwarpError, one_line
+from omtwarp.errors import OmtwarpError
 from omtwarp.options import parse_device
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class Input:
 
 def say(text: str) -> None:
     """One line about what goes on, apart from what a command gives out."""
-    print(f"omtwarp: {one_line(text)}", file=sys.stderr)
+    print(f"omtwarp: {text}", file=sys.stderr)
 
 
 def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = False) -> Input:

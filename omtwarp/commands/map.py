@@ -26,7 +26,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
-from omtwarp.options import Domain, FillArea, MapOptions
+from omtwarp.options import Domain, FillArea, MapOptions, Refinement
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,7 +48,7 @@ def map_mesh(
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,
     scheme: SchemeOption = MapOptions.scheme,
-    refine: RefineOption = str(MapOptions.refine),
+    refine: RefineOption = str(Refinement.NONE),
     hemisphere: HemisphereOption = False,
     disk: DiskOption = False,
     cap: CapOption = False,

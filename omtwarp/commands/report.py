@@ -22,7 +22,7 @@ from omtwarp.commands._options import (
 from omtwarp.commands.texture import PatternName
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
-from omtwarp.options import MapOptions
+from omtwarp.options import MapOptions, Refinement
 
 
 def report_on_map(
@@ -39,7 +39,7 @@ def report_on_map(
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,
     scheme: SchemeOption = MapOptions.scheme,
-    refine: RefineOption = str(MapOptions.refine),
+    refine: RefineOption = str(Refinement.NONE),
     device: DeviceOption = MapOptions.device,
     repair: RepairOption = False,
     quiet: QuietOption = False,

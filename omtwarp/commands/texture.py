@@ -22,7 +22,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
-from omtwarp.options import MapOptions
+from omtwarp.options import MapOptions, Refinement
 
 
 class PatternName(StrEnum):
@@ -68,7 +68,7 @@ def texture_mesh(
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,
     scheme: SchemeOption = MapOptions.scheme,
-    refine: RefineOption = str(MapOptions.refine),
+    refine: RefineOption = str(Refinement.NONE),
     device: DeviceOption = MapOptions.device,
     repair: RepairOption = False,
     quiet: QuietOption = False,

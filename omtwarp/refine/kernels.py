@@ -17,10 +17,6 @@ from omtwarp.triangle_newton.triangle import (
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# A triangle may lose this share of its volume in one step before its corners are held back.
-MIN_VOLUME_SHARE = wp.constant(wp.float64(0.1))
-# Volumes below this have no certain sign in floating point: none may shrink to it.
-ROUND_OFF = wp.constant(wp.float64(1e-14))
 # Below this cosine between a triangle's plane and the sphere's the needle barrier sets in.
 STEEP_COSINE = wp.constant(wp.float64(0.5))
 
@@ -149,61 +145,6 @@ def gather_tangent(
 
 
 @wp.kernel
-def retract_to_sphere(
-    sphere: wp.array[wp.vec3d],
-    direction: wp.array[wp.vec3d],
-    share: wp.array[wp.float64],
-    length: wp.float64,
-    # Data out:
-    moved: wp.array[wp.vec3d],
-):
-    """Every vertex moved by its share of a step and put back on the sphere."""
-    i = wp.tid()
-    moved[i] = wp.normalize(sphere[i] + length * share[i] * direction[i])
-
-
-@wp.kernel
-def triangle_trouble(
-    moved: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    volume: wp.array[wp.float64],
-    # Data out:
-    trouble: wp.array[wp.int32],
-    count: wp.array[wp.int32],
-):
-    """1 where a step flips a triangle or takes nearly all its volume, shape [F], and how many there are."""
-    t = wp.tid()
-    face = faces[t]
-    after = triple(moved[face[0]], moved[face[1]], moved[face[2]])
-    # Written so that a NaN counts as trouble.
-    if after > MIN_VOLUME_SHARE * volume[t] and (after > ROUND_OFF or after >= volume[t]):
-        trouble[t] = wp.int32(0)
-    else:
-        trouble[t] = wp.int32(1)
-        wp.atomic_add(count, 0, wp.int32(1))  # of integers: the same in any order
-
-
-@wp.kernel
-def hold_back(
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    trouble: wp.array[wp.int32],
-    share: wp.array[wp.float64],
-    # Data out:
-    held: wp.array[wp.float64],
-):
-    """Halve the share of every vertex of a triangle in trouble."""
-    i = wp.tid()
-    any_trouble = int(0)
-    for k in range(offsets[i], offsets[i + 1]):
-        any_trouble = wp.max(any_trouble, trouble[corners[k] // 3])
-    if any_trouble > 0:
-        held[i] = HALF * share[i]
-    else:
-        held[i] = share[i]
-
-
-@wp.kernel
 def triangle_hessian(
     sphere: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
@@ -299,35 +240,6 @@ def triangle_hessian(
             for k in range(5):
                 entry += modes[i, k] * modes[j, k]
             hessian[t, packed(i, j)] = areas[t] * entry / divisor
-
-
-@wp.kernel
-def to_tangent(
-    sphere: wp.array[wp.vec3d],
-    vectors: wp.array[wp.vec3d],
-    # Data out:
-    coordinates: wp.array2d[wp.float64],
-):
-    """Coordinates of vectors in the tangent bases that the Hessian is written in, shape [V, 2]."""
-    i = wp.tid()
-    y = sphere[i]
-    t = first_tangent(y)
-    coordinates[i, 0] = wp.dot(t, vectors[i])
-    coordinates[i, 1] = wp.dot(wp.cross(y, t), vectors[i])
-
-
-@wp.kernel
-def from_tangent(
-    sphere: wp.array[wp.vec3d],
-    coordinates: wp.array2d[wp.float64],
-    # Data out:
-    vectors: wp.array[wp.vec3d],
-):
-    """Vectors with these coordinates in the tangent bases, shape [V]."""
-    i = wp.tid()
-    y = sphere[i]
-    t = first_tangent(y)
-    vectors[i] = coordinates[i, 0] * t + coordinates[i, 1] * wp.cross(y, t)
 
 
 @wp.kernel

@@ -16,15 +16,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.energy import DistortionEnergy, Terms, TriangleKernels
-from omtwarp.refine.kernels import (
-    from_tangent,
-    put_vectors,
-    retract_to_sphere,
-    take_vectors,
-    to_tangent,
-    triangle_trouble,
-)
+from omtwarp.refine.kernels import put_vectors, take_vectors
 from omtwarp.triangle_newton.line_search import search_patches
+from omtwarp.triangle_newton.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
 from omtwarp.triangle_newton.newton import NewtonMatrix
 
 # A vertex is relaxed if it alone gains this many times what a step of all vertices gains on average for each.

@@ -24,10 +24,10 @@ from omtwarp.mesh.checks import as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Refinement, parse_refinement
 from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.refine.kernels import hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
+from omtwarp.triangle_newton.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.untangling.untangle import Schedule, untangle_patches
 
 # λ: how much area counts against angle

@@ -18,7 +18,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.device_newton import DeviceNewtonMatrix
 from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.refine.kernels import from_tangent, newton_decrements, to_tangent
+from omtwarp.refine.kernels import newton_decrements
 from omtwarp.refine.step_kernels import (
     add_share,
     descent_direction,
@@ -26,6 +26,7 @@ from omtwarp.refine.step_kernels import (
     largest_of_strides,
     subtract_share,
 )
+from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
 from omtwarp.triangle_newton.newton import NewtonMatrix
 
 MAX_PAIRS = 8  # (s, y) that limited-memory BFGS keeps

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -43,8 +42,7 @@ def read_image(source: Any) -> NDArray[Any]:
         path = Path(source)
         with open_input(path, LARGEST_PICTURE_FILE, "picture") as stream:
             try:
-                # Pillow warns of damage that it got over.
-                with warnings.catch_warnings(action="ignore"), _open(stream) as opened:
+                with _open(stream) as opened:
                     return _from_pil(opened, str(path))
             except (OmtwarpError, MemoryError):
                 raise

@@ -47,7 +47,7 @@ def test_the_map_covers_the_sphere_once_in_the_order_of_the_input(folder):
 
 def test_the_report_lists_the_stages(folder):
     report = json.loads((folder / "report.json").read_text())
-    assert [stage["name"] for stage in report["stages"]] == ["conformal", "moser", "omt"]
+    assert [stage["name"] for stage in report["stages"]] == ["conformal", "moser", "omt", "optimality"]
     for stage in report["stages"]:
         assert {"seconds", "iterations", "flips", "degree", "area", "angle", "transport_cost"} <= set(stage)
         assert {"mean", "surface", "sphere"} <= set(stage["area"])

@@ -129,7 +129,7 @@ def test_gradient_of_the_needle_barrier():
 def tangent_bases(sphere):
     """The bases that the kernels use, read off the kernel that leads back from them."""
     from omtwarp.device.start import wp
-    from omtwarp.refine.kernels import from_tangent
+    from omtwarp.triangle_newton.motion_kernels import from_tangent
 
     device, count = resolve_device("cpu"), len(sphere)
     bases = []

@@ -1,0 +1,5 @@
+"""The discrete optimal map: least transport cost among maps that keep the areas around vertices (section 4.3)."""
+
+from omtwarp.optimal.solver import OptimalMap, optimal_map
+
+__all__ = ["OptimalMap", "optimal_map"]

@@ -1,0 +1,171 @@
+"""What the discrete optimal map minimises, and its derivatives.
+
+Vertex v of the surface has mass m_v (a third of the area of the triangles around it, 4π in all), lies at x_v on the
+conformal sphere and is mapped to y_v. With a_v(y) the solid angle of the triangles around v, the discrete problem is
+
+    minimise  C(y) + β S(y)   subject to   a_v(y) = 3 m_v for every vertex,    C = Σ m_v d(x_v, y_v)² / 4π,
+
+where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. Keeping the areas
+of all triangles instead would leave a map no freedom: 2V - 5 conditions on 2V - 3 coordinates. Keeping the areas around
+vertices, the cells on which the paper's density lives, leaves half of it, as in the smooth problem. C and the areas do
+not see every mode of a mesh; S holds the rest.
+
+The cost is written with the cells of the image in place of the masses, C' = Σ a_v d(x_v, y_v)² / 12π. On maps that keep
+the areas C' = C, so that the problem is the same; but the multipliers p_v of C' belong to the points x_v, and do not
+change when y moves. They are -1/6π times Kantorovich's potential at x_v, while P_v = p_v + d(x_v, y_v)² / 12π is the
+one at y_v. With the multipliers of C, which belong to y_v, the second derivative of the Lagrangian has large indefinite
+terms of first order; with those of C' they cancel up to the error of the mesh, and what is left is, vertex by vertex,
+
+    H_v = a_v / 6π · (second derivative of d²/2 - ψ) = a_v / 6π · (derivative of the inverse map y -> x),
+
+symmetric and positive at the optimum (Ma, Trudinger and Wang 2005): :func:`omtwarp.optimal.kernels.cost_metric`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.start import wp
+from omtwarp.device.threads import launch_parts
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, transport_gradient
+from omtwarp.refine.energy import DistortionEnergy, Terms
+from omtwarp.triangle_newton.newton import NewtonMatrix
+from omtwarp.untangling.kernels import solid_angles
+
+Numbers = NDArray[np.float64]
+
+# λ of the shape term: how much area distortion of triangles counts against angle distortion. Enough against slivers.
+AREA_WEIGHT = 10.0
+
+
+@dataclass(frozen=True)
+class MapTerms:
+    """What a map is made of.
+
+    Attributes:
+        ring: a_v, shape [V].
+        square: d(x_v, y_v)², shape [V].
+        shape: distortion of the triangles.
+    """
+
+    ring: Numbers
+    square: Numbers
+    shape: Terms
+
+
+class TransportEnergy:
+    """Evaluates maps of one surface.
+
+    Args:
+        surface: the surface, V vertices, F faces and E edges.
+        start: x, unit vectors, vec3d, shape [V], on the device.
+        device: a Warp device.
+        shape_weight: β.
+        cost_weight: factor of the cost; 0 leaves the shape under the constraints alone.
+    """
+
+    def __init__(
+        self, surface: Surface, start: wp.array, device: wp.Device, shape_weight: float, cost_weight: float = 1.0
+    ):
+        self.surface, self.device, self.shape_weight, self.cost_weight = surface, device, shape_weight, cost_weight
+        self.shape = DistortionEnergy(surface, device)
+        self.wanted = 3.0 * surface.vertex_areas
+        mesh = surface.on(device)
+        self._start, self._mesh, self._rows = start, mesh, mesh.vertex_corners
+        count, faces, edges = surface.vertex_count, surface.face_count, len(surface.edges)
+        self._solid = wp.empty(faces, dtype=wp.float64, device=device)
+        self._forward, self._backward = (wp.empty(edges, dtype=wp.vec2d, device=device) for _ in range(2))
+        self._metric = wp.empty((count, 4), dtype=wp.float64, device=device)
+        self._newton = NewtonMatrix.of_surface(surface, self.shape.workspace)
+
+    def terms(self, points: wp.array) -> MapTerms:
+        """Areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""
+        count, faces = self.surface.vertex_count, self._mesh.faces
+        ring, square = (wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(2))
+
+        def of_triangles(part: slice) -> tuple[list[Any], list[Any]]:
+            return [points, faces[part]], [self._solid[part]]
+
+        def of_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+            return [self._start, points, self._solid, *self._rows, part.start], [ring, square]
+
+        launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
+        launch_parts(ring_terms, count, of_vertices, self.device)
+        return MapTerms(ring.numpy(), square.numpy(), self.shape.terms(points))
+
+    def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
+        """P_v, the potential of the target at the vertices, shape [V], from p_v."""
+        return multipliers + self.cost_weight / (3.0 * SPHERE_AREA) * terms.square
+
+    def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
+        """C' + Σ p_v (a_v - 3 m_v) + β S."""
+        cost = self.cost_weight * float(terms.ring @ terms.square) / (3.0 * SPHERE_AREA)
+        return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(AREA_WEIGHT)
+
+    def missing(self, terms: MapTerms) -> Numbers:
+        """a_v - 3 m_v, shape [V]."""
+        return terms.ring - self.wanted
+
+    def ring_errors(self, terms: MapTerms) -> tuple[float, float]:
+        """Root mean square, weighted by area, and largest of a_v / 3 m_v - 1."""
+        relative = self.missing(terms) / self.wanted
+        return float(np.sqrt((self.wanted * relative**2).sum() / self.wanted.sum())), float(np.abs(relative).max())
+
+    def cost(self, terms: MapTerms) -> float:
+        """Σ m_v d(x_v, y_v)², with masses 4π in all."""
+        return float(self.surface.vertex_areas @ terms.square)
+
+    def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
+        """Gradient of the Lagrangian by the vertices, tangent to the sphere, shape [V, 3]."""
+        count, device = self.surface.vertex_count, self.device
+        ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
+        potential = wp.array(self.potential(terms, multipliers), dtype=wp.float64, device=device, copy=False)
+        gradient = wp.empty(count, dtype=wp.vec3d, device=device)
+        factor = wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA))
+
+        def around(part: slice) -> tuple[list[Any], list[Any]]:
+            inputs = [self._start, points, self._mesh.faces, ring, potential, *self._rows, factor, part.start]
+            return inputs, [gradient]
+
+        launch_parts(transport_gradient, count, around, device)
+        shape = self.shape.gradient(points, terms.shape, AREA_WEIGHT)
+        return gradient.numpy() + self.shape_weight * shape.numpy()
+
+    def blocks(
+        self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
+    ) -> tuple[Numbers, Numbers, Numbers]:
+        """Second derivative of the Lagrangian and first derivatives of the areas, in the vertices' tangent bases.
+
+        Args:
+            points: the map, vec3d, shape [V].
+            terms: of the map.
+            curvature_share: see :func:`omtwarp.refine.kernels.triangle_hessian`.
+            least: see :func:`omtwarp.optimal.kernels.cost_metric`.
+
+        Returns:
+            Blocks of the vertices, shape [V, 2, 2], and of the edges, shape [E, 2, 2], positive semidefinite as a
+            matrix; and the derivatives as :meth:`omtwarp.solvers.cholesky.SaddleFactor.factorise` takes them.
+        """
+        count, device = self.surface.vertex_count, self.device
+        hessians = self.shape.hessian(points, terms.shape, AREA_WEIGHT, curvature_share)
+        diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
+        ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
+        numbers = [wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA)), wp.float64(least)]
+
+        def around(part: slice) -> tuple[list[Any], list[Any]]:
+            inputs = [self._start, points, self._mesh.faces, ring, *self._rows, *numbers, part.start]
+            return inputs, [self._metric]
+
+        def across(part: slice) -> tuple[list[Any], list[Any]]:
+            inputs = [points, self._mesh.faces, self._mesh.edges[part], self._mesh.edge_corners[part]]
+            return inputs, [self._forward[part], self._backward[part]]
+
+        launch_parts(cost_metric, count, around, device)
+        launch_parts(ring_couplings, len(off_diagonal), across, device)
+        diagonal += self._metric.numpy().reshape(-1, 2, 2)
+        return diagonal, off_diagonal, np.stack([self._forward.numpy(), self._backward.numpy()])

@@ -1,0 +1,185 @@
+"""Kernels of the discrete optimal map: cost, areas around vertices, their derivatives, and the metric of the cost.
+
+Vertex v carries x_v on the conformal sphere to y_v; a_v is the solid angle of the triangles around v, its ring, which
+has to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optimal.energy`.
+"""
+
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
+from omtwarp.transport.kernels import TINY, logarithm
+from omtwarp.triangle_newton.triangle import first_tangent, triple
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+# Added to the normal equations of a vertex's neighbours, relative to their number: they stay solvable where all
+# neighbours lie on one line.
+LINE = wp.constant(wp.float64(1e-9))
+
+
+@wp.func
+def area_gradient(own: wp.vec3d, p: wp.vec3d, q: wp.vec3d) -> wp.vec3d:
+    """Gradient of the solid angle of the triangle (own, p, q) by its first corner, tangent to the sphere there."""
+    normal = wp.cross(p, q)
+    towards = p + q
+    # Six times the volume from differences: the sines of small triangles keep their digits.
+    volume = triple(own, p, q)
+    dots = ONE + wp.dot(own, p) + wp.dot(own, q) + wp.dot(p, q)
+    gradient = TWO / (volume * volume + dots * dots) * (dots * normal - volume * towards)
+    return gradient - wp.dot(gradient, own) * own
+
+
+@wp.kernel
+def ring_terms(
+    start: wp.array[wp.vec3d],
+    points: wp.array[wp.vec3d],
+    solid: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    first: int,
+    # Data out:
+    ring: wp.array[wp.float64],
+    square: wp.array[wp.float64],
+):
+    """Solid angle of the triangles around every vertex, and the square of its distance to its start, shape [V]."""
+    v = first + wp.tid()
+    total = wp.float64(0.0)
+    for k in range(offsets[v], offsets[v + 1]):
+        total += solid[corners[k] // 3]
+    ring[v] = total
+    _pull, distance = logarithm(points[v], start[v])
+    square[v] = distance * distance
+
+
+@wp.kernel
+def transport_gradient(
+    start: wp.array[wp.vec3d],
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    ring: wp.array[wp.float64],
+    potential: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    pull_factor: wp.float64,
+    first: int,
+    # Data out:
+    gradient: wp.array[wp.vec3d],
+):
+    """Gradient of the cost and of Σ P_v a_v, P_v fixed, by the vertices, tangent to the sphere, shape [V]."""
+    v, _compiled_once = wp.tid()
+    v += first
+    y = points[v]
+    pull, _distance = logarithm(y, start[v])
+    total = -(pull_factor * ring[v]) * pull
+    for k in range(offsets[v], offsets[v + 1]):
+        corner = corners[k]
+        face = faces[corner // 3]
+        i, j = face[(corner + 1) % 3], face[(corner + 2) % 3]
+        total += (potential[v] + potential[i] + potential[j]) * area_gradient(y, points[i], points[j])
+    gradient[v] = total
+
+
+@wp.kernel
+def ring_couplings(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    edges: wp.array[wp.vec2i],
+    edge_corners: wp.array[wp.vec2i],
+    # Data out:
+    forward: wp.array[wp.vec2d],
+    backward: wp.array[wp.vec2d],
+):
+    """Derivatives of areas around vertices in tangent bases, shape [E] each.
+
+    ``forward`` holds that of the first end's area by the second end's coordinates, ``backward`` that of the second
+    end's area by the first end's. Both are sums over the two triangles of the edge.
+    """
+    e = wp.tid()
+    i, j = edges[e][0], edges[e][1]
+    by_i, by_j = wp.vec3d(), wp.vec3d()
+    for k in range(2):
+        corner = edge_corners[e][k]
+        face = faces[corner // 3]
+        apex = points[face[corner % 3]]
+        # The corner after the apex is an end of the edge, and the next one the other.
+        if face[(corner + 1) % 3] == i:
+            by_i += area_gradient(points[i], points[j], apex)
+            by_j += area_gradient(points[j], apex, points[i])
+        else:
+            by_i += area_gradient(points[i], apex, points[j])
+            by_j += area_gradient(points[j], points[i], apex)
+    t = first_tangent(points[j])
+    forward[e] = wp.vec2d(wp.dot(by_j, t), wp.dot(by_j, wp.cross(points[j], t)))
+    t = first_tangent(points[i])
+    backward[e] = wp.vec2d(wp.dot(by_i, t), wp.dot(by_i, wp.cross(points[i], t)))
+
+
+@wp.func
+def turned_back(vector: wp.vec3d, y: wp.vec3d, x: wp.vec3d) -> wp.vec3d:
+    """Turn a vector by the rotation that takes x to y along their geodesic."""
+    axis = wp.cross(x, y)
+    cosine = wp.dot(x, y)
+    return cosine * vector + wp.cross(axis, vector) + wp.dot(axis, vector) / wp.max(ONE + cosine, TINY) * axis
+
+
+@wp.kernel
+def cost_metric(
+    start: wp.array[wp.vec3d],
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    ring: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    factor: wp.float64,
+    least: wp.float64,
+    first: int,
+    # Data out:
+    metric: wp.array2d[wp.float64],
+):
+    """Second derivative of cost plus potential at every vertex, a 2x2 matrix in its tangent basis, shape [V, 4].
+
+    At the optimum it is a_v times the derivative of the inverse map y -> x, which is symmetric and positive there. That
+    derivative is fitted to the neighbours of the vertex, made symmetric, and its eigenvalues raised to ``least``.
+    """
+    v, _compiled_once = wp.tid()
+    v += first
+    y, x = points[v], start[v]
+    t = first_tangent(y)
+    s = wp.cross(y, t)
+    # Normal equations of dx = J dy over the neighbours, each weighted by one over its squared distance.
+    a11, a12, a22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    b11, b12, b21, b22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    count = wp.float64(0.0)
+    for k in range(offsets[v], offsets[v + 1]):
+        corner = corners[k]
+        w = faces[corner // 3][(corner + 1) % 3]
+        d = points[w] - y
+        e = turned_back(start[w] - x, y, x)
+        d1, d2 = wp.dot(d, t), wp.dot(d, s)
+        weight = ONE / wp.max(d1 * d1 + d2 * d2, TINY)
+        e1, e2 = weight * wp.dot(e, t), weight * wp.dot(e, s)
+        a11 += weight * d1 * d1
+        a12 += weight * d1 * d2
+        a22 += weight * d2 * d2
+        b11 += e1 * d1
+        b12 += e1 * d2
+        b21 += e2 * d1
+        b22 += e2 * d2
+        count += ONE
+    a11 += LINE * count
+    a22 += LINE * count
+    det = a11 * a22 - a12 * a12
+    j11 = (b11 * a22 - b12 * a12) / det
+    j12 = (b12 * a11 - b11 * a12) / det
+    j21 = (b21 * a22 - b22 * a12) / det
+    j22 = (b22 * a11 - b21 * a12) / det
+    mean, gap, off = HALF * (j11 + j22), HALF * (j11 - j22), HALF * (j12 + j21)
+    radius = wp.sqrt(gap * gap + off * off)
+    high, low = wp.max(mean + radius, least), wp.max(mean - radius, least)
+    cosine, sine = wp.float64(1.0), wp.float64(0.0)
+    if radius > TINY:
+        cosine, sine = gap / radius, off / radius
+    scale = factor * ring[v]
+    centre, spread = HALF * (high + low), HALF * (high - low)
+    metric[v, 0] = scale * (centre + spread * cosine)
+    metric[v, 1] = scale * spread * sine
+    metric[v, 2] = metric[v, 1]
+    metric[v, 3] = scale * (centre - spread * cosine)

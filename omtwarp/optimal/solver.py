@@ -1,0 +1,293 @@
+"""The discrete optimal map by Newton's method, with the areas around vertices as constraints.
+
+Every step solves the saddle-point system of :mod:`omtwarp.optimal.energy`,
+
+    [H, Bᵀ; B, -C] [u; q] = -[∂L/∂y; a - 3m],      B = ∂a/∂y,  C = diag(12π · 3m_v / μ),
+
+whose last block makes it a step of the augmented Lagrangian method with penalty μ (Nocedal and Wright, "Numerical
+Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A
+factorisation serves as long as the steps made with it gain enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
+from omtwarp.device.threads import blas_threads
+from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.solvers.cholesky import NotPositiveDefinite, SaddleFactor, surface_dissection
+from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
+from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
+from omtwarp.untangling.steps import FlipFreeSteps
+
+Numbers = NDArray[np.float64]
+
+SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
+PENALTY = 1000.0  # μ: how heavily areas that are still wrong count beside cost
+REACH = 0.5  # radians: the farthest that a vertex goes in one step
+MAX_HALVINGS = 20  # of a step with a fresh matrix
+MAX_HALVINGS_OLD = 1  # of a step with an older one: where that is not enough a fresh one is worth more
+UNTANGLED = 3  # of the halvings that are tried with untangling of what they flip
+MAX_MENDED = 0.002  # of the vertices: with so few untangled or held back the matrix still serves
+MIN_GAIN_SHARE = 0.2  # a step with an older matrix has to take this share off what a step is expected to gain
+# Relative to the diagonal: what holds the three rotations and makes H definite; and what it grows by where rounding
+# still leaves a pivot of the wrong sign.
+REGULARISATION = 1e-8
+STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
+# Eigenvalues of the inverse map's derivative are raised to the damping. Where the conformal map has shrunk a limb the
+# cost hardly depends on the image, and a step would go farther than its second derivative is good for: the damping
+# grows after short steps and shrinks after full ones.
+LEAST_DAMPING, MOST_DAMPING = 1e-3, 1.0
+DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
+MIN_CURVATURE_SHARE = 0.03  # see refine.kernels.triangle_hessian
+
+# Optimal: a further step would gain this share of the cost, and areas around vertices are right to these.
+GAIN = 1e-4
+MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 5e-3
+
+
+@dataclass(frozen=True)
+class OptimalMap:
+    """A discrete optimal map.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3]; no triangle is flipped.
+        multipliers: p_v of :mod:`omtwarp.optimal.energy`, -1/6π times Kantorovich's potential at the points x_v, [V].
+        history: one record per step: ``cost`` (Σ m d², masses 4π in all), ``ring_rms`` and ``ring_largest`` (errors of
+            the areas around vertices), ``decrement`` (what the step was expected to gain), ``length`` of the step,
+            ``factorised``, ``mended`` (vertices untangled or held back). The first record is the start.
+        converged: whether gain and areas reached their tolerances.
+        ended: how it ended, in words.
+        factorisations: how many sparse matrices were factorised.
+    """
+
+    sphere: Numbers
+    multipliers: Numbers
+    history: tuple[dict[str, Any], ...]
+    converged: bool
+    ended: str
+    factorisations: int
+
+
+@blas_threads(1)
+def optimal_map(
+    surface: Surface,
+    start: ArrayLike,
+    sphere: ArrayLike,
+    *,
+    shape_weight: float = SHAPE_WEIGHT,
+    cost_weight: float = 1.0,
+    iterations: int = 60,
+    gain: float = GAIN,
+    device: str | None = "auto",
+    progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+) -> OptimalMap:
+    """Minimise transport cost over the maps that keep the areas around vertices.
+
+    Args:
+        surface: the surface, V vertices; its vertex areas, total 4π, are the masses.
+        start: the points x that are transported, unit vectors, shape [V, 3].
+        sphere: a map of them without flips to begin with, unit vectors, shape [V, 3].
+        shape_weight: β, the weight of angle and area distortion of triangles beside the mean squared distance.
+        cost_weight: weight of the cost; 0 minimises the distortion of triangles under the same constraints.
+        iterations: most steps.
+        gain: end where the expected gain of a step falls below this share of the cost.
+        device: where the kernels run.
+        progress: called after every step with its number, the most there can be, and its record.
+
+    Returns:
+        The map, never worse than the one given, and how it ended.
+
+    Raises:
+        OmtwarpError: the map given has flipped triangles.
+    """
+    where = resolve_device(device)
+    given = np.array(sphere, dtype=np.float64)
+    given /= np.linalg.norm(given, axis=1, keepdims=True)
+    flipped = flipped_faces(given, surface.faces)
+    if flipped.any():
+        raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
+    x = np.array(start, dtype=np.float64)
+    energy = TransportEnergy(surface, vectors(x, where), where, shape_weight, cost_weight)
+    return _Newton(energy, gain).run(given, iterations, progress)
+
+
+class _Newton:
+    """One minimisation: the map, its multipliers, and the matrix of some earlier map."""
+
+    def __init__(self, energy: TransportEnergy, gain: float):
+        self.energy, self.device, self.gain = energy, energy.device, gain
+        self.surface = energy.surface
+        self.steps = FlipFreeSteps(self.surface, self.device)
+        self.factor = SaddleFactor(surface_dissection(self.surface))
+        # Of the augmented Lagrangian: μ / 12π over 3 m_v.
+        self.stiffness = PENALTY / (3.0 * SPHERE_AREA) / energy.wanted
+        self.multipliers = np.zeros(self.surface.vertex_count)
+        self.curvature_share, self.damping = 1.0, LEAST_DAMPING
+        self.factorisations = 0
+
+    def run(
+        self, sphere: Numbers, iterations: int, progress: Callable[[int, int, dict[str, Any]], None] | None
+    ) -> OptimalMap:
+        energy = self.energy
+        points = vectors(sphere, self.device)
+        terms = energy.terms(points)
+        self.multipliers = -energy.potential(terms, self.multipliers)  # a potential of zero
+        first = self._worth(terms)
+        history = [self._record(terms, 0.0, 0.0, False, 0)]
+        ended, converged = "most steps taken", False
+        renew, last = True, np.inf
+        for number in range(iterations):
+            fresh = renew
+            if renew:
+                self._factorise(points, terms)
+                if number == 0:
+                    self._estimate(points, terms)
+            direction, q, decrement = self._direction(points, terms)
+            scale = max(energy.cost(terms) / SPHERE_AREA, 1e-6)
+            rms, largest = energy.ring_errors(terms)
+            if decrement <= self.gain * scale and rms <= MAX_RING_RMS and largest <= MAX_RING_ERROR:
+                ended, converged = "optimal", True
+                break
+            if not fresh and decrement > (1.0 - MIN_GAIN_SHARE) * last:
+                renew = True
+                continue
+            moved = None
+            if decrement > 0.0:
+                moved = self._search(points, terms, direction, decrement, MAX_HALVINGS if fresh else MAX_HALVINGS_OLD)
+            if moved is None:
+                if fresh and self.curvature_share == 1.0:
+                    ended = "no step lowers the cost"
+                    break
+                self.curvature_share = 1.0 if fresh else self.curvature_share
+                renew = True
+                continue
+            points, after, length, mended, before, value = moved
+            self.multipliers = self.multipliers + length * q
+            trust = (before - value) / (length * decrement)
+            terms, last = after, decrement
+            history.append(self._record(terms, decrement, length, fresh, mended))
+            if progress is not None:
+                progress(number + 1, iterations, history[-1])
+            if fresh and length == 1.0 and mended == 0 and trust > 0.4:
+                self.curvature_share = max(self.curvature_share / 3.0, MIN_CURVATURE_SHARE)
+            elif fresh and (length < 1.0 or trust < 0.2):
+                self.curvature_share = min(1.0, 3.0 * self.curvature_share)
+            if fresh:
+                change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
+                self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
+            renew = length < 1.0 or mended > MAX_MENDED * self.surface.vertex_count or trust < 0.3
+        if not self._worth(terms) <= first:
+            return OptimalMap(
+                sphere,
+                self.multipliers,
+                tuple(history),
+                False,
+                f"{ended}; the map given was better",
+                self.factorisations,
+            )
+        return OptimalMap(
+            points.numpy().copy(), self.multipliers, tuple(history), converged, ended, self.factorisations
+        )
+
+    def _worth(self, terms: MapTerms) -> float:
+        """Cost, shape and area errors of a map in one number that does not depend on multipliers."""
+        energy, missing = self.energy, self.energy.missing(terms)
+        cost = energy.cost_weight * energy.cost(terms) / SPHERE_AREA
+        penalty = 0.5 * float(self.stiffness @ missing**2)
+        return cost + energy.shape_weight * terms.shape.total(AREA_WEIGHT) + penalty
+
+    def _merit(self, terms: MapTerms) -> float:
+        missing = self.energy.missing(terms)
+        return self.energy.lagrangian(terms, self.multipliers) + 0.5 * float(self.stiffness @ missing**2)
+
+    def _factorise(self, points: wp.array, terms: MapTerms) -> None:
+        diagonal, off_diagonal, gradients = self.energy.blocks(points, terms, self.curvature_share, self.damping)
+        own = diagonal[:, [0, 1], [0, 1]]
+        self.base = points
+        for part in STIFFER:
+            diagonal[:, [0, 1], [0, 1]] = own * (1.0 + part) + REGULARISATION * own.mean()
+            try:
+                self.factor.factorise(diagonal, off_diagonal, gradients, 1.0 / self.stiffness)
+            except NotPositiveDefinite:
+                continue
+            self.factorisations += 1
+            return
+        raise OmtwarpError("the second derivative of the transport cost is not finite")
+
+    def _estimate(self, points: wp.array, terms: MapTerms) -> None:
+        """Multipliers with which the Lagrangian is least steep, in the metric of the matrix."""
+        gradient = self.energy.gradient(points, terms, self.multipliers)
+        _, q = self.factor.solve(-self._coordinates(gradient), np.zeros(len(self.multipliers)))
+        self.multipliers = self.multipliers + q
+
+    def _direction(self, points: wp.array, terms: MapTerms) -> tuple[Any, Numbers, float]:
+        """Tangent vectors on the device, change of the multipliers, and what they promise to gain."""
+        missing = self.energy.missing(terms)
+        gradient = self.energy.gradient(points, terms, self.multipliers)
+        u, q = self.factor.solve(-self._coordinates(gradient), -missing)
+        vectors_ = wp.empty(len(u), dtype=wp.vec3d, device=self.device)
+        coordinates = wp.array(u, dtype=wp.float64, device=self.device)
+        wp.launch(from_tangent, dim=len(u), inputs=[self.base, coordinates], outputs=[vectors_], device=self.device)
+        here, step = points.numpy(), vectors_.numpy()
+        step = step - (step * here).sum(axis=1, keepdims=True) * here
+        # The slope of the penalty along u is that of B u = C q - missing.
+        slope = float((gradient * step).sum()) + float(missing @ q) - float(self.stiffness @ missing**2)
+        return wp.array(step, dtype=wp.vec3d, device=self.device), q, -slope
+
+    def _coordinates(self, tangent: Numbers) -> Numbers:
+        """Tangent vectors, shape [V, 3], in the bases that the matrix was made in, shape [V, 2]."""
+        count = len(tangent)
+        coordinates = wp.empty((count, 2), dtype=wp.float64, device=self.device)
+        inputs = [self.base, wp.array(np.ascontiguousarray(tangent), dtype=wp.vec3d, device=self.device)]
+        wp.launch(to_tangent, dim=count, inputs=inputs, outputs=[coordinates], device=self.device)
+        return coordinates.numpy()
+
+    def _search(self, points: wp.array, terms: MapTerms, direction: Any, decrement: float, halvings: int) -> Any:
+        """A step along the direction that lowers the merit and flips nothing: map, terms, length, vertices mended."""
+        before = self._merit(terms)
+        reach = float(np.sqrt((direction.numpy() ** 2).sum(axis=1).max()))
+        length = min(1.0, REACH / max(reach, 1e-300))
+        volume = terms.shape.d_volume
+        for attempt in range(halvings + 1):
+            tried = []
+            if attempt < UNTANGLED:
+                found = self.steps.untangled(points, direction, volume, length, AREA_WEIGHT)
+                if found is not None:
+                    tried.append(found)
+            if not tried or tried[0][1] > 0:
+                held = self.steps.held_back(points, direction, volume, length)
+                if held is not None:
+                    tried.append((held[0], int((held[1] < 1.0).sum())))
+            for moved, mended in tried:
+                after = self.energy.terms(moved)
+                value = self._merit(after)
+                if value <= before - SUFFICIENT_DECREASE * length * decrement:
+                    return moved, after, length, mended, before, value
+            length *= 0.5
+        return None
+
+    def _record(
+        self, terms: MapTerms, decrement: float, length: float, factorised: bool, mended: int
+    ) -> dict[str, Any]:
+        rms, largest = self.energy.ring_errors(terms)
+        return {
+            "cost": self.energy.cost(terms),
+            "ring_rms": rms,
+            "ring_largest": largest,
+            "decrement": decrement,
+            "length": length,
+            "factorised": factorised,
+            "mended": mended,
+        }

@@ -1,0 +1,109 @@
+"""Steps of a whole map that flip no triangle: what a step flips is untangled where it has moved to, or held back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import wp
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.surface import Surface
+from omtwarp.triangle_newton.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
+from omtwarp.untangling.untangle import Schedule, untangle_patches
+
+HOLDS = 30  # halvings of the shares of corners of triangles in trouble
+MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
+REPAIRS = (
+    Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
+    Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02, largest=0.5),
+)  # how the few triangles that a step flips are untangled, before the step is shortened
+
+
+class FlipFreeSteps:
+    """Moves maps of one surface along directions.
+
+    Args:
+        surface: the surface, V vertices and F faces.
+        device: a Warp device.
+    """
+
+    def __init__(self, surface: Surface, device: wp.Device):
+        self._surface, self._device = surface, device
+        mesh = surface.on(device)
+        self._faces, self._rows = mesh.faces, mesh.vertex_corners
+
+    def untangled(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, weight: float
+    ) -> tuple[wp.array, int] | None:
+        """Points moved by the whole step, with the patches around triangles that it flips untangled where they are.
+
+        Holding a few vertices back while all around them move on would tangle them more.
+
+        Args:
+            points: a map without flips, vec3d, shape [V].
+            direction: tangent to the sphere, vec3d, shape [V].
+            volume: det[s0, s1, s2] of the triangles of the map, shape [F].
+            length: of the step.
+            weight: λ of the energy that untangling minimises.
+
+        Returns:
+            The map and how many vertices were untangled; None where that fails.
+        """
+        moved = self._moved(points, direction, None, length)
+        seeds = self._trouble(moved, volume)
+        if seeds is None:
+            return moved, 0
+        count = 0
+        for schedule in REPAIRS:
+            if not seeds.any():
+                break
+            if seeds.mean() > MOST_TROUBLE:
+                return None
+            schedule = replace(schedule, weight=weight)
+            sphere, patch = untangle_patches(self._surface, moved.numpy(), seeds, schedule, self._device)
+            count += patch
+            moved = vectors(sphere, self._device)
+            seeds = flipped_faces(sphere, self._surface.faces)
+        return None if seeds.any() else (moved, count)
+
+    def held_back(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float
+    ) -> tuple[wp.array, NDArray[np.float64]] | None:
+        """Points moved with the largest shares of the step, halved corner by corner, that keep every triangle.
+
+        Returns:
+            The map and the shares, shape [V]; None where no shares were found. Arguments as of :meth:`untangled`.
+        """
+        count = self._surface.vertex_count
+        share = wp.full(count, 1.0, dtype=wp.float64, device=self._device)
+        other = wp.empty(count, dtype=wp.float64, device=self._device)
+        for _ in range(HOLDS):
+            moved = self._moved(points, direction, share, length)
+            trouble = self._trouble(moved, volume)
+            if trouble is None:
+                return moved, share.numpy()
+            marks = wp.array(trouble.astype(np.int32), dtype=wp.int32, device=self._device)
+            wp.launch(hold_back, dim=count, inputs=[*self._rows, marks, share], outputs=[other], device=self._device)
+            share, other = other, share
+        return None
+
+    def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
+        count = self._surface.vertex_count
+        if share is None:
+            share = wp.full(count, 1.0, dtype=wp.float64, device=self._device)
+        moved = wp.empty(count, dtype=wp.vec3d, device=self._device)
+        inputs = [points, direction, share, wp.float64(length)]
+        wp.launch(retract_to_sphere, dim=count, inputs=inputs, outputs=[moved], device=self._device)
+        return moved
+
+    def _trouble(self, moved: wp.array, volume: wp.array) -> NDArray[np.bool_] | None:
+        """The triangles that a step must not leave as they are, shape [F]; None where there are none."""
+        faces = self._surface.face_count
+        trouble = wp.empty(faces, dtype=wp.int32, device=self._device)
+        count = wp.zeros(1, dtype=wp.int32, device=self._device)
+        inputs, outputs = [moved, self._faces, volume], [trouble, count]
+        wp.launch(triangle_trouble, dim=faces, inputs=inputs, outputs=outputs, device=self._device)
+        return trouble.numpy() > 0 if int(count.numpy()[0]) else None

@@ -1,0 +1,167 @@
+"""The discrete optimal map: derivatives, closed forms, one optimum from every start, and what it promises."""
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+
+from omtwarp import OmtwarpError
+from omtwarp.conformal import conformal_map
+from omtwarp.device.arrays import vectors
+from omtwarp.device.policy import resolve_device
+from omtwarp.flips.rings import is_bijective
+from omtwarp.mesh.shapes import blob, ellipsoid, icosphere, noisy
+from omtwarp.mesh.surface import Surface
+from omtwarp.metrics.optimality import optimality
+from omtwarp.moser import moser_map
+from omtwarp.optimal import optimal_map
+from omtwarp.optimal.energy import TransportEnergy
+
+CPU = resolve_device("cpu")
+
+
+def stretched(level: int, factor: float = 1.6) -> Surface:
+    """A spheroid, its axis no axis of the icosphere it is made from."""
+    ball = icosphere(level)
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    return Surface((ball.vertices @ turn) * [1.0, 1.0, factor], ball.faces)
+
+
+def tangent_step(points, size, seed):
+    step = np.random.default_rng(seed).normal(size=points.shape) * size
+    return step - (step * points).sum(1, keepdims=True) * points
+
+
+def moved(points, step):
+    out = points + step
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def energy_and_map():
+    surface = blob(seed=3, amplitude=0.25, degree=4, sphere=320)
+    x = conformal_map(surface, device="cpu").sphere
+    y = moser_map(surface, x, device="cpu").sphere
+    return TransportEnergy(surface, vectors(x, CPU), CPU, shape_weight=0.02), y
+
+
+def test_gradient_is_the_derivative(energy_and_map):
+    energy, y = energy_and_map
+    multipliers = np.random.default_rng(0).normal(size=len(y)) * 0.1
+
+    def value(points):
+        return energy.lagrangian(energy.terms(vectors(points, CPU)), multipliers)
+
+    gradient = energy.gradient(vectors(y, CPU), energy.terms(vectors(y, CPU)), multipliers)
+    assert np.abs((gradient * y).sum(axis=1)).max() < 1e-12  # tangent
+    for seed in range(3):
+        step = tangent_step(y, 1e-5, seed)
+        difference = (value(moved(y, step)) - value(moved(y, -step))) / 2
+        assert difference == pytest.approx(float((gradient * step).sum()), rel=1e-6, abs=1e-12)
+
+
+def test_couplings_are_derivatives_of_the_areas(energy_and_map):
+    energy, y = energy_and_map
+    surface = energy.surface
+    points = vectors(y, CPU)
+    _, _, couplings = energy.blocks(points, energy.terms(points), 1.0, 1e-3)
+    axis = np.zeros_like(y)
+    axis[np.arange(len(y)), np.abs(y).argmin(axis=1)] = 1.0
+    first = np.cross(y, axis) / np.linalg.norm(np.cross(y, axis), axis=1)[:, None]
+    step = tangent_step(y, 1e-5, 1)
+    coordinates = np.stack([(step * first).sum(1), (step * np.cross(y, first)).sum(1)], axis=1)
+    i, j = surface.edges.T
+    change = np.bincount(i, (couplings[0] * coordinates[j]).sum(1), len(y))
+    change += np.bincount(j, (couplings[1] * coordinates[i]).sum(1), len(y))
+    ahead, behind = (energy.terms(vectors(moved(y, s * step), CPU)).ring.copy() for s in (1, -1))
+    np.testing.assert_allclose((ahead - behind) / 2, change, atol=1e-10)
+
+
+def spheroid_maps(surface: Surface, a: float = 1.0, c: float = 1.6):
+    """The conformal and the optimal map of a spheroid: latitudes by quadrature and by area, longitude as it is."""
+    z, longitude = surface.vertices[:, 2], np.arctan2(surface.vertices[:, 1], surface.vertices[:, 0])
+    e = np.sqrt(1.0 - (a / c) ** 2)
+
+    def area_below(height):  # from the equator, up to a factor
+        s = e * height / c
+        return s * np.sqrt(1.0 - s**2) + np.arcsin(s)
+
+    # Isometric latitude: the integral of arc length over distance to the axis along a meridian (a cos t, c sin t).
+    grid = 0.5 * np.pi * (1.0 - (1.0 - np.linspace(0.0, 1.0, 200001)) ** 2) * (1.0 - 1e-9)
+    slope = np.hypot(a * np.sin(grid), c * np.cos(grid)) / (a * np.cos(grid))
+    isometric = cumulative_trapezoid(slope, grid, initial=0.0)
+    t = np.arcsin(np.clip(z / c, -1.0, 1.0))
+    conformal = np.tanh(np.sign(t) * np.interp(np.abs(t), grid, isometric))
+
+    def at(height):
+        width = np.sqrt(1.0 - height**2)
+        return np.stack([width * np.cos(longitude), width * np.sin(longitude), height], axis=1)
+
+    return at(conformal), at(area_below(z) / area_below(c))
+
+
+def spheroid_error(level: int) -> tuple[float, float]:
+    """Errors of map (root mean square, radians) and of the mean squared distance on a spheroid."""
+    surface = stretched(level)
+    x, exact = spheroid_maps(surface)
+    found = optimal_map(surface, x, moser_map(surface, x, device="cpu").sphere, gain=1e-6, device="cpu")
+    assert found.converged
+    weights = surface.vertex_areas / surface.vertex_areas.sum()
+    error = np.sqrt((weights * ((found.sphere - exact) ** 2).sum(axis=1)).sum())
+    cost = (weights * np.arccos(np.clip((x * exact).sum(axis=1), -1.0, 1.0)) ** 2).sum()
+    return float(error), float(abs(found.history[-1]["cost"] / (4.0 * np.pi) - cost))
+
+
+def test_spheroids_converge_at_second_order():
+    coarse, fine = spheroid_error(8), spheroid_error(16)
+    assert fine[0] < coarse[0] / 3.5 and fine[0] < 1e-4
+    assert fine[1] < coarse[1] / 3.5 and fine[1] < 2e-5
+
+
+def test_keeps_areas_cost_and_orientation_at_once():
+    shape = blob(seed=7, amplitude=0.3, degree=6, sphere=5120)
+    x = conformal_map(shape, device="cpu").sphere
+    start = moser_map(shape, x, device="cpu").sphere
+    found = optimal_map(shape, x, start, shape_weight=0.001, device="cpu")
+    assert found.converged and found.ended == "optimal"
+    assert is_bijective(found.sphere, shape.faces)
+    assert found.history[-1]["ring_rms"] < 2e-4 and found.history[-1]["ring_largest"] < 5e-3
+    # The same bits again.
+    again = optimal_map(shape, x, start, shape_weight=0.001, device="cpu")
+    np.testing.assert_array_equal(again.sphere, found.sphere)
+    measured = optimality(x, found.sphere, shape.vertex_areas, shape.faces, device="cpu")
+    assert measured.gap < 1e-3 and measured.relative_curl < 0.03
+
+
+def test_one_optimum_from_two_starts():
+    surface = blob(seed=11, amplitude=0.3, degree=5, sphere=1280)
+    x = conformal_map(surface, device="cpu").sphere
+    one = optimal_map(surface, x, moser_map(surface, x, device="cpu").sphere, device="cpu")
+    # The conformal map itself is no area-preserving map at all.
+    other = optimal_map(surface, x, x, device="cpu")
+    assert one.converged and other.converged
+    distance = np.linalg.norm(one.sphere - other.sphere, axis=1)
+    weights = surface.vertex_areas / surface.vertex_areas.sum()
+    assert np.sqrt((weights * distance**2).sum()) < 2e-3
+    assert one.history[-1]["cost"] == pytest.approx(other.history[-1]["cost"], rel=1e-4)
+
+
+def test_a_sphere_stays_where_it_is():
+    ball = icosphere(8)
+    found = optimal_map(ball, ball.vertices, ball.vertices, device="cpu")
+    # Its vertex areas are those of flat triangles: the same up to the error of the mesh.
+    assert np.abs(found.sphere - ball.vertices).max() < 0.01
+
+
+def test_stopped_early_says_so_and_is_no_worse():
+    surface = noisy(ellipsoid((1.0, 0.6, 0.5), 1280), 0.15)
+    x = conformal_map(surface, device="cpu").sphere
+    found = optimal_map(surface, x, x, iterations=1, device="cpu")
+    assert not found.converged and found.ended == "most steps taken"
+    assert is_bijective(found.sphere, surface.faces)
+    assert found.history[-1]["ring_rms"] < found.history[0]["ring_rms"]
+
+
+def test_flipped_map_is_refused():
+    surface = icosphere(4)
+    with pytest.raises(OmtwarpError, match="flipped"):
+        optimal_map(surface, surface.vertices, -surface.vertices, device="cpu")
