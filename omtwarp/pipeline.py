@@ -301,6 +301,7 @@ class _Run:
             device=self.device,
             progress=notify,
         )
+        last = moved
         sphere, repaired = self.mend(initial, moved.sphere)
         self.history = moved.history
         if self.options.scheme is Scheme.DEFAULT and self.options.cost is Cost.SQUARED:
@@ -315,13 +316,15 @@ class _Run:
                     device=self.device,
                     progress=notify,
                 )
+                last = polished
                 sphere, more = self.mend(sphere, polished.sphere)
                 repaired += more
                 first = len(self.history)
                 self.history = self.history + [
                     record | {"iteration": first + k} for k, record in enumerate(polished.history[1:])
                 ]
-        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=moved.converged)
+        ended: dict[str, str | float | None] = {"converged": last.converged, "ended": last.ended}
+        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **ended)
 
     def transport_by_newton(self) -> None:
         """The discrete optimal map: areas around vertices kept, cost at its minimum."""

@@ -313,6 +313,19 @@ def relative_curl(conformal: ArrayLike, sphere: ArrayLike, faces: ArrayLike, *, 
     return _curl_part(Surface(y, triangles), y, _log_maps(y, x, device), device)[0]
 
 
+def displacement_curl(surface: Surface, conformal: Array | wp.array, sphere: Array | wp.array) -> float:
+    """Measure :func:`relative_curl` in the order of elimination that a surface keeps.
+
+    Args:
+        surface: the surface, V vertices.
+        conformal: the x_i, unit vectors, shape [V, 3], or a Warp array of vec3d, whose device is then used.
+        sphere: the y_i, in the same way.
+    """
+    device = str(sphere.device) if isinstance(sphere, wp.array) else "cpu"
+    x, y = (p.numpy() if isinstance(p, wp.array) else p for p in (conformal, sphere))
+    return _curl_part(surface, y, _log_maps(y, x, device), device)[0]
+
+
 def exact_transport(
     sources: ArrayLike, source_masses: ArrayLike, targets: ArrayLike, target_masses: ArrayLike
 ) -> tuple[float, float]:

@@ -13,6 +13,14 @@ ROUND_OFF = wp.constant(wp.float64(1e-14))
 TINY = wp.constant(wp.float64(1e-300))
 
 
+# Why a descent ended, in the order of ENDINGS in the file of the flow; 0 while it goes on.
+SMALL_CURL = wp.constant(1)
+SETTLED = wp.constant(2)
+NO_STEP = wp.constant(3)
+AREAS = wp.constant(4)
+ITERATIONS = wp.constant(5)
+
+
 @wp.struct
 class FlowState:
     """Where a descent stands, and what it goes by; one of them, on the device."""
@@ -43,7 +51,7 @@ class FlowState:
     shortened: wp.int32  # trials refused for their areas
     accepted: wp.int32
     finished: wp.int32
-    converged: wp.int32
+    ended: wp.int32  # why, one of the numbers below
 
 
 @wp.kernel
@@ -106,11 +114,15 @@ def begin_iteration(
     s.accepted = 0
     s.trials = 0
     s.shortened = 0
-    if curl <= s.tolerance or s.cost <= ROUND_OFF or size <= ZERO or s.gains <= s.cost_tolerance * s.cost:
+    if curl <= s.tolerance or s.cost <= ROUND_OFF or size <= ZERO:
         s.finished = 1
-        s.converged = 1
+        s.ended = SMALL_CURL
+    elif s.gains <= s.cost_tolerance * s.cost:
+        s.finished = 1
+        s.ended = SETTLED
     elif s.iteration == s.most:
         s.finished = 1
+        s.ended = ITERATIONS
     searching[0] = 1 - s.finished
 
     s.factor = ZERO
@@ -192,11 +204,12 @@ def judge_step(
             s.cost = cost
             s.step = wp.min(wp.min(wp.max(best, HALF * s.step), TWO * s.step), s.longest)
         else:
-            # Either area will not have it, or no step along the best direction lowers the cost: at round-off.
+            # Either area will not have it, or no step along the best direction lowers the cost.
             s.finished = 1
             running[0] = 0
+            s.ended = AREAS
             if s.shortened == 0:
-                s.converged = 1
+                s.ended = NO_STEP
     state[0] = s
 
 

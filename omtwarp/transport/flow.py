@@ -26,6 +26,7 @@ from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.checks import as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.metrics.optimality import displacement_curl
 from omtwarp.options import Cost, Scheme, choose
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
@@ -71,6 +72,20 @@ LONGEST_STEP = 4.0
 GUARD_ROUNDS = 100
 # Where iterations are a graph on the device, so many are made before the host is told of them.
 ITERATIONS_AT_ONCE = 10
+# Why the flow ended, in the order of the kernels; after the first three the map may be optimal.
+ENDINGS = (
+    "",
+    "the curl that the grid resolves is below the tolerance",
+    "three steps together gained next to nothing",
+    "no step lowers the cost",
+    "areas would suffer",
+    "most iterations made",
+)
+SETTLED_ENDINGS = ENDINGS[1:4]
+# Relative curl, of the whole displacement, up to which a map counts as optimal: what its cost is above the least goes
+# with the square. The flow's own curl leaves out what is too fine for the mesh where it is badly stretched, and is zero
+# where no wavelet is resolved.
+OPTIMAL_CURL = 0.025
 # What an iteration leaves behind, in the order of the kernels.
 RECORD = ("cost", "curl", "step", "held", "area_error")
 
@@ -84,12 +99,15 @@ class TransportMap:
         history: one record per iteration, the start first: ``iteration``, ``cost`` (the paper's M, total mass 4π),
             ``curl`` (relative size of the removable part), ``step``, ``held`` (vertices held back from a flip) and
             ``area_error``.
-        converged: whether a tolerance was met before the iterations ran out or area began to suffer.
+        converged: whether the map is optimal as far as its curl tells: steps no longer gain, and no more than
+            ``OPTIMAL_CURL`` of the displacement is curl, of which no scale is left out.
+        ended: why there were no more steps, in words.
     """
 
     sphere: NDArray[np.float64]
     history: list[dict[str, Any]] = field(default_factory=list)
     converged: bool = False
+    ended: str = ""
 
     @property
     def iterations(self) -> int:
@@ -170,8 +188,15 @@ def optimal_transport(
     start, initial = as_sphere(start, surface, "start"), as_sphere(initial, surface, "initial map")
     flow = _Flow(surface, start, initial, cost, scheme, resolve_device(device), target)
     most = MAXIMUM_ITERATIONS[scheme] if iterations is None else iterations
-    converged = flow.run(flow.iterations(), most, tolerance, progress)
-    return TransportMap(flow.points.numpy().copy(), flow.history, converged)
+    ended = flow.run(flow.iterations(), most, tolerance, progress)
+    sphere = flow.points.numpy().copy()
+    converged = ended in SETTLED_ENDINGS
+    if converged and cost is Cost.SQUARED:
+        left = displacement_curl(surface, vectors(start, flow.device), flow.points)
+        converged = left <= OPTIMAL_CURL
+        if not converged:
+            ended += f", and {left:.3f} of the displacement is curl that it cannot remove"
+    return TransportMap(sphere, flow.history, converged, ended)
 
 
 class _Flow:
@@ -344,7 +369,8 @@ class _Flow:
         most: int,
         tolerance: float,
         progress: Callable[[int, int, dict[str, Any]], None] | None = None,
-    ) -> bool:
+    ) -> str:
+        """Iterate until the end, and say in words which it was."""
         self.prepare(most, tolerance)
         while True:
             self.running.fill_(1)
@@ -357,7 +383,7 @@ class _Flow:
                 if progress is not None:
                     progress(iteration, most, record)
             if state["finished"]:
-                return bool(state["converged"])
+                return ENDINGS[int(state["ended"])]
 
 
 def resolution_damping(

@@ -28,7 +28,7 @@ from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 from omtwarp.transport.area import LARGEST_ERROR
-from omtwarp.transport.flow import AREA_PRICE, TransportMap
+from omtwarp.transport.flow import AREA_PRICE, OPTIMAL_CURL, TransportMap
 from omtwarp.transport.polish_kernels import (
     cost_and_area_errors,
     displacements_to_start,
@@ -115,7 +115,7 @@ def polish_transport(
     first_cost, *largest = measure()
     potentials: list[Any] = []
     kept: dict[str, float] = {}
-    least, held, step, last = np.inf, 0, STEP, False
+    least, held, step, last, ended = np.inf, 0, STEP, False, ""
     for number in range(rounds + 1):
         wp.launch(displacements_to_start, dim=count, inputs=[origin, points], outputs=[pull], device=where)
         launch_parts(weak_curl_and_area, count, around_vertices, where)
@@ -142,9 +142,17 @@ def polish_transport(
         history.append(record)
         if progress is not None:
             progress(number, rounds, record)
-        if last or relative <= NEGLIGIBLE_CURL or step < SHORTEST_STEP or number == rounds:
+        if relative <= NEGLIGIBLE_CURL:
+            ended = "the curl is negligible"
+        elif last:
+            ended = "a round took next to nothing off the curl"
+        elif step < SHORTEST_STEP:
+            ended = "no step lowers the curl without harm to areas"
+        elif number == rounds:
+            ended = "most rounds made"
+        if ended:
             break
         launch_parts(move_by_potentials, count, along_potentials, where)
         held = guard.limit(best, moved) if guarded else 0
         points, moved = moved, points
-    return TransportMap(best.numpy().copy(), history, True)
+    return TransportMap(best.numpy().copy(), history, kept["curl"] <= OPTIMAL_CURL, ended)

@@ -10,8 +10,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.metrics import distortion
+from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost
-from omtwarp.transport.flow import optimal_transport, transport_cost
+from omtwarp.transport.flow import OPTIMAL_CURL, SETTLED_ENDINGS, optimal_transport, transport_cost
 
 
 def away(points: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -174,3 +175,21 @@ def test_unknown_options_are_refused():
         optimal_transport(surface, surface.vertices, surface.vertices, cost="cubed")
     with pytest.raises(OmtwarpError, match="unknown scheme 'fancy': use default, plain"):
         optimal_transport(surface, surface.vertices, surface.vertices, scheme="fancy")
+
+
+def test_converged_is_said_of_optimal_maps_alone():
+    """After the same flow: on a map that it can better to the end, and on one whose image no wavelet can follow."""
+    ball = icosphere(12)
+    start, initial = pushed_north(ball.vertices, 0.5), twisted(ball.vertices, 0.4)
+    flowed = optimal_transport(ball, start, initial, device="cpu")
+    assert flowed.converged == (relative_curl(start, flowed.sphere, ball.faces, device="cpu") <= OPTIMAL_CURL)
+    assert flowed.converged and flowed.ended in SETTLED_ENDINGS
+    stopped = optimal_transport(ball, start, initial, iterations=1, device="cpu")
+    assert not stopped.converged and stopped.ended == "most iterations made"
+    # Most of the mesh in a small part of the sphere: the flow's grid can move next to nothing.
+    z, longitude = height_and_longitude(ball.vertices)
+    crowded = at_height(np.tanh(np.arctanh(np.clip(z, -1 + 1e-12, 1 - 1e-12)) + 4.0), longitude)
+    stuck = optimal_transport(ball, crowded, twisted(crowded, 0.5), device="cpu")
+    assert relative_curl(crowded, stuck.sphere, ball.faces, device="cpu") > 0.9
+    assert not stuck.converged
+    assert "curl that it cannot remove" in stuck.ended
