@@ -20,6 +20,7 @@ _PUBLIC = {
     "OmtwarpError": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
     "TargetDensity": "omtwarp.measures",
+    "align": "omtwarp.alignment",
     "barycentric_map": "omtwarp.baselines",
     "certify": "omtwarp.metrics.certificate",
     "check": "omtwarp.mesh.validate",
@@ -50,6 +51,7 @@ _MODULES = {"benchmark": "omtwarp.benchmark", "shapes": "omtwarp.mesh.shapes"}
 
 if TYPE_CHECKING:
     from omtwarp import benchmark as benchmark
+    from omtwarp.alignment import align as align
     from omtwarp.any_surface import map_surface as map_surface
     from omtwarp.baselines import barycentric_map as barycentric_map
     from omtwarp.conformal import conformal_map as conformal_map
@@ -90,6 +92,7 @@ __all__ = [
     "SurfaceMap",
     "TargetDensity",
     "__version__",
+    "align",
     "barycentric_map",
     "certify",
     "check",

@@ -1,0 +1,8 @@
+"""Rotations that bring spheres into the same position: by a shape's own axes, to another map, to a group's mean."""
+
+from __future__ import annotations
+
+from omtwarp.alignment.align import Alignment, align, align_to_axes
+from omtwarp.alignment.group import GroupAlignment, procrustes_mean
+
+__all__ = ["Alignment", "GroupAlignment", "align", "align_to_axes", "procrustes_mean"]

@@ -1,0 +1,213 @@
+"""Alignment of one sphere: by its shape's axes, or to another map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.alignment.features import checked_features, feature_coefficients, own_features, sphere_weights
+from omtwarp.alignment.rotation_search import best_rotation, complex_coefficients
+from omtwarp.errors import OmtwarpError
+from omtwarp.harmonics import check_degree
+from omtwarp.resampling import SpherePoints, as_points
+from omtwarp.spheres import SphereGrid
+
+Floats = NDArray[np.float64]
+
+DEGREE = 16
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A sphere in its new position.
+
+    Attributes:
+        rotation: what was done to the sphere, shape [3, 3]; its determinant is -1 if the shape was mirrored.
+        sphere: the sphere's points after it, float64, shape [V, 3].
+        method: ``axes``, ``vertices`` (the two meshes have the same faces) or ``features``.
+        score: how well it fits: for features their correlation, for vertices 1 less half the mean squared distance, for
+            axes the smaller of the two skewnesses that settled the signs (near 0 the shape does not settle them).
+        runner_up: the score of the next best position that is at least 5 degrees away; -1 if there is none.
+        mirrored: whether the shape's mirror image was aligned; then the surface has to be mirrored in x and its faces
+            turned round as well.
+        frame: for ``axes``, rows are the shape's main axes from the longest to the shortest, shape [3, 3]; else None.
+    """
+
+    rotation: Floats
+    sphere: Floats
+    method: str
+    score: float
+    runner_up: float
+    mirrored: bool
+    frame: Floats | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the sphere, ready for JSON."""
+        plain = {name: value for name, value in vars(self).items() if name not in ("sphere", "rotation", "frame")}
+        frame = None if self.frame is None else self.frame.tolist()
+        return plain | {"rotation": self.rotation.tolist(), "frame": frame}
+
+
+def mirror_image(points: SpherePoints) -> SpherePoints:
+    """A map of the mirror image of the surface: surface and sphere mirrored in x, faces turned round."""
+    faces = np.ascontiguousarray(points.grid.triangles[:, ::-1])
+    grid = SphereGrid(f"{points.grid.name}, mirrored", points.grid.points @ MIRROR, faces, points.grid.shape)
+    return SpherePoints(grid, None if points.vertices is None else points.vertices @ MIRROR)
+
+
+def align_to_axes(given: Any) -> Alignment:
+    """Turn a map's sphere by the main axes of its shape, as SPHARM has it.
+
+    The part of degree 1 of the surface's coordinates, x ≈ c + A u, maps the sphere to the first-order ellipsoid. The
+    sphere is turned so that the end of the ellipsoid's longest axis lies at longitude 0 on the equator (+x), that of
+    the middle one at +y and that of the shortest at the north pole (+z) [1]_.
+
+    An ellipsoid leaves the ends open: of each axis that end is positive towards which the surface has its longer tail
+    (positive third moment of area). Three signs may make a mirror image; then the least certain one is turned round.
+
+    Args:
+        given: a map with its surface (see :func:`omtwarp.resampling.as_points`).
+
+    Raises:
+        OmtwarpError: a sphere alone.
+
+    .. [1] C. Brechbühler, G. Gerig, O. Kübler, "Parametrization of closed surfaces for 3-D shape description",
+       Comput. Vis. Image Underst. 61 (1995), section 4.4.
+    """
+    points = as_points(given, "the map")
+    if points.vertices is None:
+        raise OmtwarpError(f"{points.grid.name}: a sphere without its surface has no axes: give a map")
+    weights = sphere_weights(points)
+    first_order = 3.0 / weights.sum() * (points.vertices * weights[:, None]).T @ points.grid.points
+    axes, _, parameters = np.linalg.svd(first_order)
+    masses = points.surface_areas()
+    along = (points.vertices - masses @ points.vertices / masses.sum()) @ axes
+    moments = [masses @ along**power / masses.sum() for power in (2, 3)]
+    skewness = moments[1] / np.maximum(moments[0], 1e-300) ** 1.5
+    signs = np.where(skewness < 0, -1.0, 1.0)
+    certain = np.sort(np.abs(skewness))
+    if np.linalg.det(signs[:, None] * parameters) < 0:
+        signs[np.argmin(np.abs(skewness))] *= -1.0
+    rotation = signs[:, None] * parameters
+    frame = (axes * signs).T
+    return Alignment(rotation, points.grid.points @ rotation.T, "axes", float(certain[1]), -1.0, False, frame)
+
+
+def align(
+    given: Any,
+    to: Any = "axes",
+    *,
+    features: Mapping[str, ArrayLike] | None = None,
+    to_features: Mapping[str, ArrayLike] | None = None,
+    by: str = "auto",
+    mirror: bool = False,
+    degree: int = DEGREE,
+) -> Alignment:
+    """Turn a map's sphere into the position of another's, or into that of its shape's own axes.
+
+    Two maps are brought together where the features of their surfaces agree best: distance from the surface's centre,
+    area over area on the sphere where a map does not preserve it; or what is given. Their spherical harmonics are
+    correlated over all rotations at once, and Newton's method ends at the maximum. Where both have the same faces, and
+    no features are given, vertices are brought to their namesakes by least squares instead [1]_.
+
+    Args:
+        given: a map, with its surface where that is needed (:func:`omtwarp.resampling.as_points` lists the forms).
+        to: ``axes`` (:func:`align_to_axes`), or another map or sphere in any of the same forms.
+        features: numbers per vertex of the map, by name; with ``to_features`` of the same names they take the place of
+            the surface's own.
+        to_features: the same for the other map.
+        by: ``auto``, ``features`` or ``vertices``.
+        mirror: try the mirror image of the shape too, and take it where it fits better.
+        degree: the highest degree of the harmonics, 1 to 64.
+
+    Raises:
+        OmtwarpError: something that is not a map or sphere, features that do not belong together, or too little to go
+            by.
+
+    Example:
+        >>> from omtwarp import align, shapes
+        >>> blob = shapes.blob(sphere=shapes.icosphere(8))
+        >>> turned = align((shapes.icosphere(8).vertices, blob.faces), shapes.icosphere(8))
+        >>> round(turned.score, 6), turned.method
+        (1.0, 'vertices')
+
+    .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976).
+    """
+    if isinstance(to, str) and to == "axes":
+        if features or to_features or mirror:
+            raise OmtwarpError("aligning by the shape's own axes takes neither features nor mirror images")
+        return align_to_axes(given)
+    if by not in ("auto", "features", "vertices"):
+        raise OmtwarpError(f"cannot align by '{by}': use auto, features or vertices")
+    if not 1 <= check_degree(degree) <= 64:
+        raise OmtwarpError(f"the degree is {degree}: give a whole number from 1 to 64")
+    moving, fixed = as_points(given, "the map"), as_points(to, "the template")
+    if set(features or {}) != set(to_features or {}):
+        raise OmtwarpError("features have to be given for both sides, with the same names")
+    same = moving.grid.triangles.shape == fixed.grid.triangles.shape and np.array_equal(
+        moving.grid.triangles, fixed.grid.triangles
+    )
+    if by == "vertices" and not same:
+        raise OmtwarpError("the two meshes have different faces: align them by features")
+    by_vertices = by == "vertices" or (by == "auto" and same and not features)
+    candidates = [
+        _by_vertices(moving, fixed) if by_vertices else _by_features(moving, fixed, features, to_features, degree)
+    ]
+    if mirror:
+        image = mirror_image(moving)
+        if by_vertices:
+            other = _by_vertices(image, fixed)
+        else:
+            other = _by_features(image, fixed, features, to_features, degree)
+        rotation = other.rotation @ MIRROR
+        candidates.append(Alignment(rotation, other.sphere, other.method, other.score, other.runner_up, mirrored=True))
+    return max(candidates, key=lambda one: one.score)
+
+
+def _by_vertices(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
+    weights = sphere_weights(fixed)
+    left, values, right = np.linalg.svd((moving.grid.points * weights[:, None]).T @ fixed.grid.points)
+    sign = np.sign(np.linalg.det(left @ right))
+    rotation = (left @ np.diag([1.0, 1.0, sign]) @ right).T
+    score = float((values[0] + values[1] + sign * values[2]) / weights.sum())
+    return Alignment(rotation, moving.grid.points @ rotation.T, "vertices", score, -1.0, False)
+
+
+def _by_features(
+    moving: SpherePoints,
+    fixed: SpherePoints,
+    features: Mapping[str, ArrayLike] | None,
+    to_features: Mapping[str, ArrayLike] | None,
+    degree: int,
+) -> Alignment:
+    ours, theirs = common_features(moving, fixed, features, to_features)
+    a = complex_coefficients(feature_coefficients(ours, moving, degree))
+    b = complex_coefficients(feature_coefficients(theirs, fixed, degree))
+    best = best_rotation(a, b)
+    return Alignment(best.rotation, moving.grid.points @ best.rotation.T, "features", best.score, best.runner_up, False)
+
+
+def common_features(
+    moving: SpherePoints,
+    fixed: SpherePoints,
+    features: Mapping[str, ArrayLike] | None,
+    to_features: Mapping[str, ArrayLike] | None,
+) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Features that both sides have, in the same order: those given, or else the surfaces' own."""
+    if features and to_features:
+        ours, theirs = (
+            checked_features(features, moving, "the map"),
+            checked_features(to_features, fixed, "the template"),
+        )
+    else:
+        ours, theirs = own_features(moving), own_features(fixed)
+    names = [name for name in ours if name in theirs]
+    return {name: ours[name] for name in names}, {name: theirs[name] for name in names}
+
+
+__all__ = ["Alignment", "align", "align_to_axes", "mirror_image"]

@@ -1,0 +1,97 @@
+"""Functions on the sphere that say where on a shape a point lies, as coefficients of spherical harmonics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.harmonics import real_harmonics
+from omtwarp.resampling import SpherePoints
+from omtwarp.spheres import triangle_solid_angles
+
+Floats = NDArray[np.float64]
+
+# Standard deviation of the logarithm of area below which areas tell nothing: what area-preserving maps leave.
+LEAST_AREA_SPREAD = 0.1
+_AT_ONCE = 16384
+
+
+def sphere_weights(points: SpherePoints) -> Floats:
+    """A third of the spherical triangles' areas around every vertex, shape [V]; the sum is 4π."""
+    faces = points.grid.triangles
+    angles = triangle_solid_angles(*(points.grid.points[faces[:, k]] for k in range(3)))
+    return np.bincount(faces.ravel(), np.repeat(angles / 3.0, 3), minlength=len(points.grid.points)).astype(np.float64)
+
+
+def own_features(points: SpherePoints) -> dict[str, Floats]:
+    """What a surface says by itself: distance from its centre, and area of the surface over area on the sphere.
+
+    Neither depends on how the surface is turned or scaled. Areas are left out where the map preserves them.
+
+    Raises:
+        OmtwarpError: there is a sphere alone.
+    """
+    if points.vertices is None:
+        raise OmtwarpError(
+            f"{points.grid.name}: a sphere without its surface has no features of its own: give the surface, or data"
+        )
+    masses = points.surface_areas()
+    centre = masses @ points.vertices / masses.sum()
+    features = {"radius": np.linalg.norm(points.vertices - centre, axis=1)}
+    weights = sphere_weights(points)
+    ratio = np.log(np.maximum(masses / masses.sum(), 1e-12) / np.maximum(weights / weights.sum(), 1e-12))
+    if spread(ratio, weights) > LEAST_AREA_SPREAD:
+        features["areas"] = ratio
+    return features
+
+
+def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose: str) -> dict[str, Floats]:
+    """Features as float64 arrays of one number per vertex.
+
+    Raises:
+        OmtwarpError: another length, or numbers that are not finite.
+    """
+    count = len(points.grid.points)
+    out = {}
+    for name, values in given.items():
+        array = np.asarray(values, dtype=np.float64)
+        if array.shape != (count,):
+            raise OmtwarpError(f"feature '{name}' of {whose} has shape {array.shape}: it has {count} vertices")
+        if not np.isfinite(array).all():
+            raise OmtwarpError(
+                f"feature '{name}' of {whose} is not finite, first vertex {np.argmin(np.isfinite(array))}"
+            )
+        out[name] = array
+    return out
+
+
+def spread(values: Floats, weights: Floats) -> float:
+    """Standard deviation over the sphere."""
+    mean = weights @ values / weights.sum()
+    return float(np.sqrt(max(weights @ (values - mean) ** 2 / weights.sum(), 0.0)))
+
+
+def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, degree: int) -> Floats:
+    """Real coefficients of features of mean 0 and standard deviation 1, shape [(L + 1)², K].
+
+    By quadrature with the vertices' areas on the sphere, which turns with the sphere: no position is preferred.
+    """
+    weights = sphere_weights(points)
+    columns = []
+    for name, values in features.items():
+        deviation = spread(values, weights)
+        if not deviation > 1e-9 * np.abs(values).max():
+            raise OmtwarpError(f"feature '{name}' is constant: it says nothing about rotations")
+        columns.append(weights * (values - weights @ values / weights.sum()) / deviation)
+    weighted = np.stack(columns, axis=1)
+    total = np.zeros(((degree + 1) ** 2, len(columns)))
+    for first in range(0, len(weighted), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        total += real_harmonics(points.grid.points[part], degree).T @ weighted[part]
+    return total
+
+
+__all__ = ["checked_features", "feature_coefficients", "own_features", "sphere_weights", "spread"]

@@ -1,0 +1,142 @@
+"""A group of maps in one position, and the mean of their surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.alignment.align import DEGREE
+from omtwarp.alignment.features import feature_coefficients, own_features
+from omtwarp.alignment.rotation_search import best_rotation, complex_coefficients, rotated
+from omtwarp.errors import OmtwarpError
+from omtwarp.options import Progress
+from omtwarp.resampling import SpherePoints, as_points, resample
+from omtwarp.spheres import SphereGrid
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 20
+# Radians, or parts of the mean's size: what no figure of a group shows.
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class GroupAlignment:
+    """Maps in one position, and their surfaces' mean.
+
+    Attributes:
+        rotations: what was done to each sphere, shape [N, 3, 3].
+        surfaces: each surface at the grid's points, moved and turned (and scaled, if asked for) onto the mean, float64,
+            shape [N, V, 3].
+        mean: their mean, float64, shape [V, 3].
+        faces: the same for all, int32, shape [F, 3].
+        scales: what each surface was multiplied by, shape [N].
+        rounds: rounds of the rotations of spheres, and of the pose of surfaces.
+    """
+
+    rotations: Floats
+    surfaces: Floats
+    mean: Floats
+    faces: NDArray[np.int32]
+    scales: Floats
+    rounds: tuple[int, int]
+
+
+def procrustes_mean(
+    maps: Sequence[Any],
+    *,
+    grid: Any = "ico4",
+    scale: bool = False,
+    degree: int = DEGREE,
+    device: str | None = "auto",
+    progress: Progress | None = None,
+) -> GroupAlignment:
+    """Align the spheres of a group to their mean, resample the surfaces there and average them.
+
+    Spheres are turned to the mean of the surfaces' features (:func:`omtwarp.align`), which is made anew from the turned
+    ones until no sphere moves. The surfaces at the grid's points then are superposed on their mean by translations and
+    rotations, in the same manner [1]_.
+
+    Args:
+        maps: at least two maps with their surfaces, in any form that :func:`omtwarp.align` takes.
+        grid: a triangulated sphere, or its name.
+        scale: let surfaces grow or shrink to the mean's size.
+        degree: the highest degree of the harmonics.
+        device: where the resampling runs.
+        progress: called as ``progress("align", done, total, {})``.
+
+    Raises:
+        OmtwarpError: fewer than two maps, or one without its surface.
+
+    .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40 (1975).
+    """
+    if len(maps) < 2:
+        raise OmtwarpError("a group needs at least two maps")
+    common = as_points(grid, "the grid")
+    if common.grid.faces is None:
+        raise OmtwarpError(f"{common.grid.name}: a mean surface needs a grid with triangles")
+    members = [as_points(one, f"map {k + 1}") for k, one in enumerate(maps)]
+    own = [own_features(one) for one in members]
+    names = [name for name in own[0] if all(name in each for each in own)]
+    coefficients = []
+    for k, (one, each) in enumerate(zip(members, own, strict=True)):
+        chosen = {name: each[name] for name in names}
+        coefficients.append(complex_coefficients(feature_coefficients(chosen, one, degree)))
+        if progress is not None:
+            progress("align", k + 1, len(members), {})
+    rotations = np.tile(np.eye(3), (len(members), 1, 1))
+    mean, rounds = coefficients[0], 0
+    for rounds in range(1, ROUNDS + 1):  # noqa: B007
+        before = rotations
+        rotations = np.stack([best_rotation(each, mean).rotation for each in coefficients])
+        mean = np.mean([rotated(each, turn) for each, turn in zip(coefficients, rotations, strict=True)], axis=0)
+        if np.abs(rotations - before).max() < TOLERANCE:
+            break
+    surfaces = []
+    for k, (one, turn) in enumerate(zip(members, rotations, strict=True)):
+        turned = SphereGrid(one.grid.name, one.grid.points @ turn.T, one.grid.faces, one.grid.shape)
+        surfaces.append(resample(SpherePoints(turned, one.vertices), common, device=device).surface())
+        if progress is not None:
+            progress("resample", k + 1, len(members), {})
+    posed, average, scales, poses = superpose(np.stack(surfaces), common.grid.areas, scale)
+    return GroupAlignment(rotations, posed, average, common.grid.faces, scales, (rounds, poses))
+
+
+def superpose(surfaces: Floats, weights: Floats, scale: bool = False) -> tuple[Floats, Floats, Floats, int]:
+    """Bring corresponding points onto their mean by translations and rotations, and scaling if asked for.
+
+    Args:
+        surfaces: shape [N, V, 3].
+        weights: of the points, shape [V].
+        scale: whether sizes may change; their mean square stays.
+
+    Returns:
+        The surfaces and their mean about the origin, the factors [N], and the rounds.
+    """
+    shares = weights / weights.sum()
+    posed = surfaces - np.einsum("v,nvd->nd", shares, surfaces)[:, None]
+    sizes = np.sqrt(np.einsum("v,nvd->n", shares, posed**2))
+    size = float(np.sqrt(np.mean(sizes**2)))
+    scales = np.full(len(posed), 1.0)
+    if scale:
+        scales = size / sizes
+        posed = posed * scales[:, None, None]
+    mean, rounds = posed[0], 0
+    for rounds in range(1, ROUNDS + 1):  # noqa: B007
+        turned = []
+        for one in posed:
+            left, _, right = np.linalg.svd((one * shares[:, None]).T @ mean)
+            fix = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+            turned.append(one @ (left @ fix @ right))
+        posed = np.stack(turned)
+        before, mean = mean, posed.mean(axis=0)
+        if np.sqrt(shares @ ((mean - before) ** 2).sum(axis=1)) < TOLERANCE * size:
+            break
+    return posed, mean, scales, rounds
+
+
+__all__ = ["GroupAlignment", "procrustes_mean", "superpose"]

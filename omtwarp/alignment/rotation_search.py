@@ -1,0 +1,207 @@
+"""The rotation under which two sets of functions on the sphere agree best.
+
+With complex coefficients a and b of degree l up to L, f turned by R = Rz(α) Ry(β) Rz(γ) has the correlation
+
+    C(R) = Σ conj(b_lm) D^l_mm'(R) a_lm',    D^l = exp(-iα J_z) exp(-iβ J_y) exp(-iγ J_z)
+
+with g. In the eigenvectors of J_y it is a trigonometric polynomial in all three angles, so that one fast Fourier
+transform in three dimensions gives it on a grid of all rotations [1]_ [2]_. From the best places of the grid Newton's
+method climbs to the maximum; the derivatives are products with the matrices J.
+
+.. [1] T. Risbo, "Fourier transform summation of Legendre series and D-functions", J. Geodesy 70 (1996).
+.. [2] P. J. Kostelec, D. N. Rockmore, "FFTs on the rotation group", J. Fourier Anal. Appl. 14 (2008).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+from scipy.spatial.transform import Rotation
+
+from omtwarp.harmonics import degree_of
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+# Newton starts from so many of the grid's local maxima, at least START_APART degrees from one another.
+STARTS = 8
+START_APART = 15.0
+STEPS = 40
+# Radians: where steps end. The correlation is flat to round-off 1e-8 away from its maximum; Newton's step is finer.
+SMALLEST_STEP = 1e-12
+LONGEST_STEP = 0.2  # radians; half the shortest wave of degree 16
+DISTINCT = 5.0  # degrees: maxima further apart than this are two
+
+
+@dataclass(frozen=True)
+class Best:
+    """The best rotation that was found.
+
+    Attributes:
+        rotation: takes points of the first sphere to the second, shape [3, 3].
+        score: correlation there, 1 for functions that agree up to a factor.
+        runner_up: correlation at the next maximum that is at least 5 degrees away; -1 where there is none.
+        steps: Newton steps from the start that led there.
+    """
+
+    rotation: Floats
+    score: float
+    runner_up: float
+    steps: int
+
+
+def complex_coefficients(real: Floats) -> Complex:
+    """Coefficients with respect to complex harmonics with the Condon-Shortley phase, shape [(L + 1)², K]."""
+    out = np.zeros(real.shape, dtype=np.complex128)
+    for degree in range(degree_of(len(real)) + 1):
+        middle = degree * degree + degree
+        out[middle] = real[middle]
+        for m in range(1, degree + 1):
+            cosine, sine = real[middle + m], real[middle - m]
+            out[middle + m] = (-1) ** m * (cosine - 1j * sine) / np.sqrt(2.0)
+            out[middle - m] = (cosine + 1j * sine) / np.sqrt(2.0)
+    return out
+
+
+@lru_cache(maxsize=64)
+def momentum(degree: int) -> tuple[Complex, Complex, Complex]:
+    """The matrices J_x, J_y, J_z of a degree, order from -l to l."""
+    m = np.arange(-degree, degree)
+    raising = np.diag(np.sqrt(degree * (degree + 1) - m * (m + 1.0)), -1).astype(np.complex128)
+    lowering = raising.conj().T
+    diagonal = np.diag(np.arange(-degree, degree + 1)).astype(np.complex128)
+    return (raising + lowering) / 2.0, (raising - lowering) / 2.0j, diagonal
+
+
+@lru_cache(maxsize=64)
+def _eigenvectors(degree: int) -> Complex:
+    """Eigenvectors of J_y, by columns from eigenvalue -l to l."""
+    return np.asarray(np.linalg.eigh(momentum(degree)[1])[1])
+
+
+def rotation_blocks(rotation: Floats, degree: int) -> list[Complex]:
+    """D^l of every degree up to the highest."""
+    alpha, beta, gamma = _zyz_angles(rotation)
+    blocks = []
+    for n in range(degree + 1):
+        orders, vectors = np.arange(-n, n + 1), _eigenvectors(n)
+        middle = (vectors * np.exp(-1j * beta * orders)) @ vectors.conj().T
+        blocks.append(np.exp(-1j * alpha * orders)[:, None] * middle * np.exp(-1j * gamma * orders))
+    return blocks
+
+
+def _zyz_angles(rotation: Floats) -> tuple[float, float, float]:
+    """α, β and γ of Rz(α) Ry(β) Rz(γ); γ is 0 where only its sum or difference with α counts."""
+    across = float(np.hypot(rotation[0, 2], rotation[1, 2]))
+    beta = float(np.arctan2(across, rotation[2, 2]))
+    if across < 1e-12:
+        return float(np.arctan2(-rotation[0, 1], rotation[1, 1])), beta, 0.0
+    alpha = float(np.arctan2(rotation[1, 2], rotation[0, 2]))
+    return alpha, beta, float(np.arctan2(rotation[2, 1], -rotation[2, 0]))
+
+
+def rotated(coefficients: Complex, rotation: Floats) -> Complex:
+    """Coefficients of the function carried along by a rotation, shape [(L + 1)², K]."""
+    blocks = rotation_blocks(rotation, degree_of(len(coefficients)))
+    return np.concatenate([block @ coefficients[n * n : (n + 1) ** 2] for n, block in enumerate(blocks)])
+
+
+def correlation_grid(a: Complex, b: Complex, size: int) -> Floats:
+    """C at α = 2π p / size, β = 2π q / size, γ = 2π r / size, shape [size, size // 2 + 1, size]."""
+    degree = degree_of(len(a))
+    waves = np.zeros((size, size, size), dtype=np.complex128)
+    for n in range(degree + 1):
+        part, vectors = slice(n * n, (n + 1) ** 2), _eigenvectors(n)
+        products = b[part].conj() @ a[part].T  # summed over features, [m, m']
+        places = np.arange(-n, n + 1) % size
+        waves[np.ix_(places, places, places)] += np.einsum("mp,mk,pk->mkp", products, vectors, vectors.conj())
+    return np.asarray(np.fft.fftn(waves).real[:, : size // 2 + 1])
+
+
+def best_rotation(a: Complex, b: Complex) -> Best:
+    """The rotation that takes a function nearest to another, the mean left out of both.
+
+    Args:
+        a, b: complex coefficients, shape [(L + 1)², K], weighted as features are to count.
+    """
+    a, b = a.copy(), b.copy()
+    a[0] = b[0] = 0.0
+    size = 4 * (degree_of(len(a)) + 1)
+    norm = float(np.linalg.norm(a) * np.linalg.norm(b))
+    if norm == 0.0:
+        return Best(np.eye(3), 0.0, -1.0, 0)
+    grid = correlation_grid(a, b, size)
+    found = [_climb(a, b, start) for start in _starts(grid, size)]
+    found.sort(key=lambda entry: -entry[1])
+    rotation, value, steps = found[0]
+    others = [v for r, v, _ in found[1:] if _apart(r, rotation) > DISTINCT]
+    return Best(rotation, value / norm, max(others) / norm if others else -1.0, steps)
+
+
+def _starts(grid: Floats, size: int) -> list[Floats]:
+    """The highest of the grid's local maxima."""
+    around = maximum_filter(grid, size=3, mode=("wrap", "nearest", "wrap"))
+    peaks = np.flatnonzero(grid == around)
+    order = peaks[np.argsort(-grid.ravel()[peaks], kind="stable")]
+    chosen: list[Floats] = []
+    smallest = 1.0 + 2.0 * np.cos(np.radians(START_APART))
+    for place in order:
+        angles = 2.0 * np.pi / size * np.array(np.unravel_index(place, grid.shape))
+        rotation = Rotation.from_euler("ZYZ", angles).as_matrix()
+        if all(np.einsum("ij,ij->", rotation, other) < smallest for other in chosen):
+            chosen.append(rotation)
+            if len(chosen) == STARTS:
+                break
+    return chosen
+
+
+def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int]:
+    """Newton's method on the rotation group, with steps that are halved until they climb."""
+    turned = rotated(a, rotation)
+    value = float(np.vdot(b, turned).real)
+    for step in range(STEPS):
+        gradient, hessian = derivatives(turned, b)
+        bends, axes = np.linalg.eigh(hessian)
+        # Where the function is not concave, climb along the slope instead of to a saddle.
+        move = axes @ (axes.T @ gradient / np.maximum(np.abs(bends), 1e-12 * np.abs(bends).max() + 1e-300))
+        length = float(np.linalg.norm(move))
+        if length < SMALLEST_STEP:
+            return rotation, value, step
+        move *= min(1.0, LONGEST_STEP / length)
+        for _ in range(30):
+            candidate = Rotation.from_rotvec(move).as_matrix() @ rotation
+            ahead = rotated(a, candidate)
+            reached = float(np.vdot(b, ahead).real)
+            if reached > value:
+                break
+            move = move / 2.0
+        else:
+            return rotation, value, step
+        rotation, turned, value = candidate, ahead, reached
+    return rotation, value, STEPS
+
+
+def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:
+    """First and second derivatives of the correlation with respect to a further small rotation, [3] and [3, 3]."""
+    gradient, hessian = np.zeros(3), np.zeros((3, 3))
+    for n in range(1, degree_of(len(b)) + 1):
+        part = slice(n * n, (n + 1) ** 2)
+        moved = [j @ turned[part] for j in momentum(n)]
+        left = [j @ b[part] for j in momentum(n)]  # J is Hermitian
+        for k in range(3):
+            gradient[k] += np.vdot(b[part], moved[k]).imag  # the real part of -i times it
+            for m in range(3):
+                hessian[k, m] -= np.vdot(left[k], moved[m]).real
+    return gradient, (hessian + hessian.T) / 2.0
+
+
+def _apart(one: Floats, other: Floats) -> float:
+    """Angle of the rotation between two, in degrees."""
+    return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))
+
+
+__all__ = ["Best", "best_rotation", "complex_coefficients", "correlation_grid", "derivatives", "rotated"]

@@ -1,0 +1,236 @@
+"""Alignment of spheres: rotations found again, own axes of known shapes, group means."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sphere_truths import SHARED, pushed_north, random_rotation
+
+import omtwarp
+from omtwarp.alignment import align, align_to_axes, procrustes_mean
+from omtwarp.alignment.group import superpose
+from omtwarp.alignment.rotation_search import (
+    best_rotation,
+    complex_coefficients,
+    correlation_grid,
+    derivatives,
+    rotated,
+)
+from omtwarp.errors import OmtwarpError
+from omtwarp.harmonics import real_harmonics
+from omtwarp.mesh import shapes
+from omtwarp.resampling import SpherePoints
+from omtwarp.spheres import mesh_grid
+
+SPHERE = shapes.icosphere(20)
+
+
+def blob_map(seed: int = 3) -> SpherePoints:
+    blob = shapes.blob(seed=seed, sphere=SPHERE)
+    return SpherePoints(mesh_grid(SPHERE.vertices, SPHERE.faces, "blob"), blob.vertices)
+
+
+def turned(
+    points: SpherePoints, rotation: np.ndarray, pose: np.ndarray | None = None, noise: float = 0.0, seed: int = 0
+):
+    """The same map with its sphere turned, its surface in another pose, and noise as a part of the surface's size."""
+    grid = mesh_grid(points.grid.points @ rotation.T, points.grid.triangles, "turned")
+    vertices = points.vertices if pose is None else points.vertices @ pose.T + [1.0, -2.0, 0.5]
+    size = np.ptp(points.vertices, axis=0).max()
+    return SpherePoints(grid, vertices + noise * size * np.random.default_rng(seed).normal(size=vertices.shape))
+
+
+def degrees_apart(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))
+
+
+def test_rotated_coefficients_are_those_of_the_rotated_function():
+    rng = np.random.default_rng(0)
+    coefficients, rotation = rng.normal(size=(36, 2)), random_rotation(1)
+    points = rng.normal(size=(80, 3))
+    moved = real_harmonics(points @ rotation, 5) @ coefficients  # f(R⁻¹ u)
+    expected = np.linalg.lstsq(real_harmonics(points, 5), moved, rcond=None)[0]
+    found = rotated(complex_coefficients(coefficients), rotation)
+    np.testing.assert_allclose(found, complex_coefficients(expected), atol=1e-12)
+
+
+def test_grid_of_correlations_is_that_of_integrals():
+    rng = np.random.default_rng(2)
+    a, b = rng.normal(size=(16, 1)), rng.normal(size=(16, 1))
+    grid = correlation_grid(complex_coefficients(a), complex_coefficients(b), 16)
+    for place in ((0, 0, 0), (3, 5, 7), (15, 8, 1)):
+        rotation = Rotation.from_euler("ZYZ", 2 * np.pi / 16 * np.array(place)).as_matrix()
+        expected = np.vdot(complex_coefficients(b), rotated(complex_coefficients(a), rotation)).real
+        assert abs(grid[place] - expected) < 1e-12 * np.abs(grid).max()
+
+
+def test_derivatives_are_those_of_differences():
+    rng = np.random.default_rng(3)
+    a, b = (complex_coefficients(rng.normal(size=(25, 2))) for _ in range(2))
+
+    def value(move):
+        return np.vdot(b, rotated(a, Rotation.from_rotvec(move).as_matrix())).real
+
+    gradient, hessian = derivatives(a, b)
+    step = 1e-4
+    for k in range(3):
+        e = np.eye(3)[k] * step
+        assert abs((value(e) - value(-e)) / (2 * step) - gradient[k]) < 1e-6
+        for m in range(3):
+            d = np.eye(3)[m] * step
+            mixed = (value(e + d) - value(e - d) - value(d - e) + value(-e - d)) / (4 * step * step)
+            assert abs(mixed - hessian[k, m]) < 1e-4
+
+
+def test_best_of_all_rotations_beats_random_ones():
+    rng = np.random.default_rng(4)
+    a, b = (complex_coefficients(rng.normal(size=(49, 1))) for _ in range(2))
+    best = best_rotation(a, b)
+    a[0] = b[0] = 0.0
+    norm = np.linalg.norm(a) * np.linalg.norm(b)
+    others = [np.vdot(b, rotated(a, r)).real / norm for r in Rotation.random(3000, random_state=0).as_matrix()]
+    assert best.score >= max(others) and best.score > best.runner_up > 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_turns_of_a_blob_are_found_again(seed):
+    rotation = random_rotation(seed)
+    other = turned(blob_map(), rotation, random_rotation(seed + 50), noise=1e-3, seed=seed)
+    found = align(blob_map(), other, by="features")
+    assert degrees_apart(found.rotation, rotation) < 0.1
+    np.testing.assert_allclose(found.sphere, blob_map().grid.points @ found.rotation.T, atol=1e-14)
+    assert found.score > 0.999 and found.score > found.runner_up
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["hippocampus_12k", "cortex_white_lh_20k", "bucket_10k"])
+def test_turns_of_scans_are_found_again(name):
+    path = SHARED / "data" / f"{name}.ply"
+    if not path.exists():
+        pytest.skip("the scans are not beside this checkout")
+    mesh = omtwarp.read_mesh(path)
+    result = omtwarp.map_to_sphere((mesh.vertices, mesh.faces), until="conformal", device="cpu")
+    points = SpherePoints(mesh_grid(result.sphere, result.faces, name), result.vertices)
+    for seed in range(4):
+        rotation = random_rotation(seed)
+        other = turned(points, rotation, random_rotation(seed + 50), noise=1e-3, seed=seed)
+        assert degrees_apart(align(points, other, by="features").rotation, rotation) < 0.1
+
+
+def test_another_mesh_of_the_same_shape():
+    """The same shape on another triangulation, turned: nothing but the shape itself says where to turn."""
+    rotation = random_rotation(9)
+    fine = shapes.icosphere(27)
+    blob = shapes.blob(seed=3, sphere=fine)
+    other = SpherePoints(mesh_grid(fine.vertices @ rotation.T, fine.faces, "finer"), blob.vertices)
+    assert degrees_apart(align(blob_map(), other).rotation, rotation) < 0.1
+
+
+def test_given_features_are_enough_for_a_sphere():
+    points = SPHERE.vertices
+    field = points[:, 0] ** 3 + points[:, 1] * points[:, 2] + 0.3 * points[:, 2]
+    rotation = random_rotation(12)
+    found = align(
+        (points, SPHERE.faces),
+        (points @ rotation.T, SPHERE.faces),
+        features={"field": field},
+        to_features={"field": 5.0 + 2.0 * field},
+    )
+    assert found.method == "features" and degrees_apart(found.rotation, rotation) < 1e-4
+
+
+def test_mirror_image_is_found_where_asked_for():
+    blob = blob_map()
+    rotation = random_rotation(2)
+    image = SpherePoints(
+        mesh_grid(blob.grid.points * [1, -1, 1] @ rotation.T, blob.grid.triangles[:, ::-1], "image"),
+        blob.vertices * [1, -1, 1],
+    )
+    plain, found = align(blob, image, by="features"), align(blob, image, by="features", mirror=True)
+    assert found.mirrored and not plain.mirrored and found.score > 0.99999 > plain.score
+    np.testing.assert_allclose(found.rotation, rotation @ np.diag([1.0, -1.0, 1.0]), atol=1e-6)
+    np.testing.assert_allclose(found.sphere, image.grid.points, atol=1e-6)
+
+
+def test_same_faces_are_aligned_by_vertices():
+    blob = blob_map()
+    rotation = random_rotation(4)
+    found = align(blob, turned(blob, rotation))
+    assert found.method == "vertices"
+    np.testing.assert_allclose(found.rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(found.score, 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_axes_of_an_ellipsoid(seed):
+    """x = A u exactly: the frame is the ellipsoid's, and the sphere's axes go to the ends of its axes."""
+    pose, turn = random_rotation(seed), random_rotation(seed + 20)
+    tailed = SPHERE.vertices + 0.05 * (SPHERE.vertices**2 - 1.0 / 3.0)  # tails towards +x, +y and +z
+    surface = tailed * [3.0, 2.0, 1.0] @ pose.T
+    given = SpherePoints(mesh_grid(SPHERE.vertices @ turn.T, SPHERE.faces, "ellipsoid"), surface)
+    found = align_to_axes(given)
+    np.testing.assert_allclose(found.frame, pose.T, atol=2e-3)
+    np.testing.assert_allclose(found.sphere, SPHERE.vertices, atol=2e-3)
+    assert found.score > 0.01
+
+
+def test_axes_do_not_depend_on_the_pose():
+    blob = blob_map(5)
+    one = align_to_axes(blob)
+    other = align_to_axes(turned(blob, random_rotation(1), random_rotation(2)))
+    np.testing.assert_allclose(one.sphere, other.sphere, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(one.rotation), 1.0, atol=1e-12)
+
+
+def test_group_of_turned_copies_has_the_shape_for_its_mean():
+    blob = blob_map()
+    members = [turned(blob, random_rotation(k), random_rotation(k + 30)) for k in range(4)]
+    group = procrustes_mean(members, grid="ico4", device="cpu")
+    assert group.surfaces.shape == (4, 2562, 3)
+    spread = np.sqrt(np.mean(np.sum((group.surfaces - group.mean) ** 2, axis=2)))
+    size = np.sqrt(np.mean(np.sum(group.mean**2, axis=1)))
+    assert spread < 2e-3 * size  # what resampling to other places leaves
+    back = [rotation @ random_rotation(k) for k, rotation in enumerate(group.rotations)]
+    assert max(degrees_apart(one, back[0]) for one in back) < 0.05
+
+
+def test_superposition_takes_poses_and_sizes_out():
+    rng = np.random.default_rng(0)
+    shape = rng.normal(size=(50, 3))
+    factors = np.array([0.5, 1.0, 2.0])
+    copies = np.stack([f * shape @ random_rotation(k).T + k for k, f in enumerate(factors)])
+    posed, mean, scales, _ = superpose(copies, np.ones(50), scale=True)
+    np.testing.assert_allclose(posed, np.broadcast_to(mean, posed.shape), atol=1e-9)
+    np.testing.assert_allclose(scales * factors, scales[0] * factors[0])
+
+
+def test_same_bits_twice():
+    other = turned(blob_map(), random_rotation(1), noise=1e-3)
+    one, two = align(blob_map(), other, by="features"), align(blob_map(), other, by="features")
+    np.testing.assert_array_equal(one.rotation, two.rotation)
+
+
+def test_what_cannot_be_aligned_is_refused():
+    blob = blob_map()
+    bare = (SPHERE.vertices, SPHERE.faces)
+    other = shapes.icosphere(6)
+    with pytest.raises(OmtwarpError, match="no features of its own"):
+        align(bare, (other.vertices, other.faces))
+    with pytest.raises(OmtwarpError, match="has no axes"):
+        align(bare)
+    with pytest.raises(OmtwarpError, match="different faces"):
+        align(blob, (other.vertices, other.faces), by="vertices")
+    with pytest.raises(OmtwarpError, match="same names"):
+        align(blob, blob, features={"a": np.ones(4)}, to_features={"b": np.ones(4)})
+    with pytest.raises(OmtwarpError, match="'a' of the map has shape"):
+        align(blob, blob, features={"a": np.ones(4)}, to_features={"a": np.ones(4)})
+    count = len(SPHERE.vertices)
+    with pytest.raises(OmtwarpError, match="constant"):
+        align(blob, blob, features={"a": np.ones(count)}, to_features={"a": np.ones(count)})
+    with pytest.raises(OmtwarpError, match="at least two maps"):
+        procrustes_mean([blob])
+    with pytest.raises(OmtwarpError, match="needs a grid with triangles"):
+        procrustes_mean([blob, blob], grid="healpix:4")
+    stretched = SpherePoints(mesh_grid(pushed_north(SPHERE.vertices, 0.9), SPHERE.faces), blob.vertices)
+    assert align(blob, stretched, by="features").score < 1.0
