@@ -107,23 +107,21 @@ def run(
 
     begun = time.perf_counter()
     if scheme == "paper":
-        flow = paper_flow(
-            start, surface.faces, initial, surface.face_areas, cost="squared", device=device, progress=tick
-        )
+        flow = paper_flow(surface, initial, start=start, cost="squared", device=device, progress=tick)
         costs = np.array([entry["cost"] for entry in flow.history])
-        sphere, seconds = flow.map_at_vertices, np.array([0.0, *(t - begun for t in clock)])
+        sphere, seconds = flow.sphere, np.array([0.0, *(t - begun for t in clock)])
         seconds = seconds[: len(costs)]
         # Algorithm 2 takes the cost at the circumcentres, the others at the centres of triangles: slightly different
         # numbers for the same map. The start is known in both.
-        costs = costs * (omtwarp.transport.transport_cost(surface, start, initial) / costs[0])
+        costs = costs * (omtwarp.transport.transport_cost(surface, initial, start=start) / costs[0])
     else:
         limit = most if scheme == "plain" else None
         moved = optimal_transport(
-            surface, start, initial, scheme=scheme, iterations=limit, device=device, progress=tick
+            surface, initial, start=start, scheme=scheme, iterations=limit, device=device, progress=tick
         )
         history, sphere = moved.history, moved.sphere
         if scheme == "default":
-            polished = polish_transport(surface, start, sphere, device=device, progress=tick)
+            polished = polish_transport(surface, sphere, start=start, device=device, progress=tick)
             history, sphere = history + polished.history[1:], polished.sphere
             del clock[len(moved.history)]  # the state between the two, told twice
         costs, seconds = np.array([entry["cost"] for entry in history]), np.array(clock) - begun

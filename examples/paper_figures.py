@@ -330,8 +330,8 @@ def four_methods(path: Path, meshes: Meshes, number: int) -> None:
     surface = omtwarp.Surface(result.vertices, result.faces)
     image = rasterize("circles", 4096, device=meshes.options.device)
     maps = [
-        ("mean-value weights", barycentric_map(surface, "mean-value", device=meshes.options.device)),
-        ("Tutte weights", barycentric_map(surface, "tutte", device=meshes.options.device)),
+        ("mean-value weights", barycentric_map(surface, weights="mean-value", device=meshes.options.device).sphere),
+        ("Tutte weights", barycentric_map(surface, weights="tutte", device=meshes.options.device).sphere),
         ("conformal", result.conformal),
         ("optimal mass transport", result.sphere),
     ]

@@ -113,7 +113,7 @@ def measure(
     name: str, surface: omtwarp.Surface, options: argparse.Namespace
 ) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
     """One row per method, and the maps."""
-    from omtwarp.baselines import solve_barycentric
+    from omtwarp.baselines import barycentric_map
 
     rows: list[dict[str, Any]] = []
     maps: dict[str, np.ndarray] = {}
@@ -126,7 +126,7 @@ def measure(
 
     for weights in ("tutte", "mean-value"):
         begun = time.perf_counter()
-        solved = solve_barycentric(surface, weights, device=options.device)
+        solved = barycentric_map(surface, weights=weights, device=options.device)
         note = f"residual {solved.residual:.1e}"
         add(weights, solved.sphere, solved.iterations, time.perf_counter() - begun, note)
     last = "omt" if options.refine == "none" else "refine"

@@ -24,8 +24,8 @@ twisted = np.column_stack([x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn)
 # and end where areas would no longer be kept. The default moves the vertices themselves, on all levels at once, each
 # wavelet with the step that suits its size.
 
-default = omtwarp.optimal_transport(surface, start, twisted)
-paper = omtwarp.paper_flow(start, surface.faces, twisted, surface.face_areas, cost="squared", cycles=10)
+default = omtwarp.optimal_transport(surface, twisted, start=start)
+paper = omtwarp.paper_flow(surface, twisted, start=start, cost="squared", cycles=10)
 
 figure, axis = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
 for name, flow in (("the paper's V-cycles", paper), ("default", default)):

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.baselines.barycentric import Weights, solve_barycentric
+from omtwarp.baselines.barycentric import Weights, barycentric_map
 from omtwarp.conformal import density
 from omtwarp.device.arrays import vectors
 from omtwarp.device.memory import give_back
@@ -197,7 +197,7 @@ class _Run:
         self.maps[name] = sphere
         mesh = self.surface.on(self.device)
         measured = measure(mesh.vertices, mesh.faces, self.points(sphere), device=self.device)
-        cost = transport_cost(self.surface, self.first, self.points(sphere), device=self.device)
+        cost = transport_cost(self.surface, self.points(sphere), start=self.first, device=self.device)
         self.records.append(
             StageRecord(
                 name=str(name), seconds=seconds, iterations=iterations, **measured, transport_cost=cost, details=details
@@ -288,18 +288,15 @@ class _Run:
             return
         initial = self.sphere
 
-        def notify(done: int, total: int, details: dict[str, Any]) -> None:
-            self.notify(Stage.OMT, done, total, details)
-
         moved = optimal_transport(
             self.surface,
-            self.start,
             self.points(initial),
+            start=self.start,
             cost=self.options.cost,
             scheme=self.options.scheme,
             target=self.target,
             device=self.device,
-            progress=notify,
+            progress=self.progress,
         )
         last = moved
         sphere, repaired = self.mend(initial, moved.sphere)
@@ -310,11 +307,11 @@ class _Run:
             for _ in range(passes):
                 polished = polish_transport(
                     self.goal(sphere),
-                    self.start,
                     self.points(sphere),
+                    start=self.start,
                     rounds=rounds,
                     device=self.device,
-                    progress=notify,
+                    progress=self.progress,
                 )
                 last = polished
                 sphere, more = self.mend(sphere, polished.sphere)
@@ -351,30 +348,26 @@ class _Run:
         """The optimal map by Algorithms 1 and 2 as the paper prints them."""
         initial = self.sphere
         flowed = paper_flow(
-            self.start.numpy(),
-            self.surface.faces,
+            self.surface,
             initial,
-            self.surface.face_areas,
+            start=self.start.numpy(),
             cost=self.options.cost,
             device=self.device,
+            progress=self.progress,
         )
-        sphere, repaired = self.mend(initial, flowed.map_at_vertices)
+        sphere, repaired = self.mend(initial, flowed.sphere)
         self.history = flowed.history
-        converged = flowed.stopped != "cycles"
-        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=converged)
+        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=flowed.converged)
 
     def refine(self) -> None:
         """The least distortion near the map, at the weight of area against angle asked for."""
         weight = self.options.refine
         assert weight is not None
 
-        def notify(text: str, done: int, total: int) -> None:
-            self.notify(Stage.REFINE, done, total, {"text": text})
-
         give_back()  # the largest matrices follow
         sphere, repaired = self.least_distorted(refinement_weight(weight)), 0
         for _ in range(1 if self.target is None else TARGET_ROUNDS):
-            refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=notify)
+            refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=self.progress)
             sphere, flips = self.mend(sphere, refined.sphere)
             repaired += flips
         record = {"weight": self.options.to_dict()["refine"], "converged": refined.converged, "repaired": repaired}
@@ -428,7 +421,7 @@ class _Run:
         """The whole map by one of the spherical barycentric systems that the paper compares with."""
         method = self.options.method
         weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"
-        solved = solve_barycentric(self.surface, weights, device=self.device)
+        solved = barycentric_map(self.surface, weights=weights, device=self.device)
         self.origin = {"route": str(method)}
         self.finish(method, solved.sphere, solved.iterations, converged=solved.converged)
 

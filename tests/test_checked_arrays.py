@@ -57,13 +57,13 @@ def broken_faces():
 TAKES_POINTS = {
     "distortion, vertices": lambda points: omtwarp.distortion(points, FACES, SPHERE),
     "map_to_sphere": lambda points: omtwarp.map_to_sphere((points, FACES)),
-    "transport_cost, start": lambda points: omtwarp.transport_cost(SURFACE, points, SPHERE),
-    "transport_cost, sphere": lambda points: omtwarp.transport_cost(SURFACE, SPHERE, points),
+    "transport_cost, start": lambda points: omtwarp.transport_cost(SURFACE, SPHERE, start=points),
+    "transport_cost, sphere": lambda points: omtwarp.transport_cost(SURFACE, points, start=SPHERE),
     "moser_map": lambda points: omtwarp.moser_map(SURFACE, points),
     "untangle": lambda points: omtwarp.untangle(SURFACE, points),
     "refine_map": lambda points: omtwarp.refine_map(SURFACE, points),
-    "optimal_transport, start": lambda points: omtwarp.optimal_transport(SURFACE, points, SPHERE),
-    "optimal_transport, initial": lambda points: omtwarp.optimal_transport(SURFACE, SPHERE, points),
+    "optimal_transport, start": lambda points: omtwarp.optimal_transport(SURFACE, SPHERE, start=points),
+    "optimal_transport, initial": lambda points: omtwarp.optimal_transport(SURFACE, points, start=SPHERE),
     "mobius_centring": lambda points: omtwarp.mobius_centring(points, np.ones(COUNT)),
     "MapResult, sphere": lambda points: MapResult(VERTICES, FACES, points, SPHERE, np.ones(COUNT)),
     "MapResult, vertices": lambda points: MapResult(points, FACES, SPHERE, SPHERE, np.ones(COUNT)),
@@ -121,7 +121,7 @@ def test_stages_refuse_surfaces_that_cannot_be_mapped():
         lambda: omtwarp.moser_map(ring, sphere),
         lambda: omtwarp.untangle(ring, sphere),
         lambda: omtwarp.refine_map(open_sphere, SPHERE),
-        lambda: omtwarp.optimal_transport(ring, sphere, sphere),
+        lambda: omtwarp.optimal_transport(ring, sphere, start=sphere),
     ):
         with pytest.raises(OmtwarpError, match=r"genus 1|open boundary"):
             call()
@@ -129,9 +129,9 @@ def test_stages_refuse_surfaces_that_cannot_be_mapped():
 
 def test_points_off_the_sphere_are_normalised_or_refused():
     """Stages take directions of any length but 0; a result holds unit vectors and nothing else."""
-    once = omtwarp.transport_cost(SURFACE, SPHERE, SPHERE @ np.diag([1.0, -1.0, -1.0]))
+    once = omtwarp.transport_cost(SURFACE, SPHERE @ np.diag([1.0, -1.0, -1.0]), start=SPHERE)
     lengths = np.random.default_rng(1).uniform(1e-200, 1e200, COUNT)[:, None]
-    again = omtwarp.transport_cost(SURFACE, SPHERE * lengths, SPHERE @ np.diag([1.0, -1.0, -1.0]))
+    again = omtwarp.transport_cost(SURFACE, SPHERE @ np.diag([1.0, -1.0, -1.0]), start=SPHERE * lengths)
     assert again == pytest.approx(once, rel=1e-12)
     refuse(lambda points: MapResult(VERTICES, FACES, points, SPHERE, np.ones(COUNT)), 1.01 * SPHERE)
     at_the_centre = SPHERE.copy()

@@ -45,17 +45,19 @@ from omtwarp.conformal.haker import most_regular_face
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.checks import as_surface
+from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.options import Progress
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
 
 Array = NDArray[np.float64]
 Weights = Literal["tutte", "mean-value"]
 Balance = Literal["centroid", "free"]
-Progress = Callable[[str, int, float], None]
+Report = Callable[[str, int, float], None]
 
 RELAXATION_STEPS = 300
 NEWTON_STEPS = 40
+MOST_STEPS = {"relax": RELAXATION_STEPS, "newton": NEWTON_STEPS}
 RELAXATION_TOLERANCE = 1e-6
 """The relaxation ends when the root mean square force at right angles to the constraint is below this."""
 NEWTON_TOLERANCE = 1e-12
@@ -79,7 +81,7 @@ class BarycentricMap:
         converged: whether the tolerance of the last stage was met.
         relaxation_steps: gradient steps with the centroid held.
         newton_steps: iterations of Newton's method, constrained and free together.
-        history: residual after every iteration of both stages.
+        history: ``iteration``, ``stage`` (``relax`` or ``newton``) and ``residual`` after it, of both stages.
     """
 
     sphere: Array
@@ -92,7 +94,7 @@ class BarycentricMap:
     converged: bool
     relaxation_steps: int
     newton_steps: int
-    history: list[float] = field(default_factory=list)
+    history: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def iterations(self) -> int:
@@ -101,47 +103,32 @@ class BarycentricMap:
 
 
 def barycentric_map(
-    surface: Surface,
-    weights: Weights = "tutte",
+    surface: MeshLike,
     *,
-    balance: Balance = "centroid",
-    device: str | None = "auto",
-    progress: Progress | None = None,
-) -> Array:
-    """Map a closed genus-0 surface to the sphere so that vertices are means of their neighbours.
-
-    The maps ``Saba Tutte`` and ``Saba Mean`` of the paper's Tables 1 and 2 and Figure 13. See
-    :func:`solve_barycentric`, which gives the residual and the iterations too.
-
-    Returns:
-        Unit vectors, float64, shape [V, 3].
-    """
-    return solve_barycentric(surface, weights, balance=balance, device=device, progress=progress).sphere
-
-
-def solve_barycentric(
-    surface: Surface,
     weights: Weights = "tutte",
-    *,
     balance: Balance = "centroid",
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> BarycentricMap:
-    """Solve the quadratic system of Gotsman, Gu and Sheffer (2003); see the module's text for the method.
+    """Map a closed genus-0 surface to the sphere so that vertices are means of their neighbours.
+
+    Solves the quadratic system of Gotsman, Gu and Sheffer (2003), see the module's text for the method: the maps
+    ``Saba Tutte`` and ``Saba Mean`` of the paper's Tables 1 and 2 and Figure 13.
 
     Args:
-        surface: a valid closed mesh of genus 0.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
         weights: ``tutte`` (all 1) or ``mean-value`` (Floater 2003, made symmetric).
         balance: ``centroid`` or ``free``, see above.
         device: where the sweeps over vertices run.
-        progress: called with the stage, the iteration and the residual.
+        progress: called as ``progress("relax" or "newton", iteration, most, {"residual": residual})``.
 
     Returns:
         The map with its residual and iterations. For any positive weights and any mesh the planar start is a valid
         embedding; flips of the result are measured by :func:`omtwarp.metrics.distortion`, not assumed away.
 
     Raises:
-        OmtwarpError: unknown option, or weights that are not finite (triangles without area).
+        OmtwarpError: the mesh cannot be mapped, an option is unknown, or weights are not finite (triangles without
+            area).
     """
     if weights not in ("tutte", "mean-value"):
         raise OmtwarpError(f"unknown weights '{weights}': use tutte or mean-value")
@@ -151,12 +138,12 @@ def solve_barycentric(
     matrix = barycentric_weights(surface, weights, device=device)
     springs = _Springs(matrix, device)
     start, masses = _planar_start(surface, springs, weights)
-    history: list[float] = []
+    history: list[dict[str, Any]] = []
 
     def report(stage: str, step: int, residual: float) -> None:
-        history.append(residual)
+        history.append({"iteration": len(history), "stage": stage, "residual": residual})
         if progress is not None:
-            progress(stage, step, residual)
+            progress(stage, step, MOST_STEPS[stage], {"residual": residual})
 
     sphere = _relax(springs, start, masses, report)
     relaxation_steps = len(history)
@@ -321,7 +308,7 @@ def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Ar
     return mobius_centring(sphere, shares)[0], shares
 
 
-def _relax(springs: _Springs, points: Array, masses: Array, report: Progress) -> Array:
+def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> Array:
     """Minimise E with Σ a_i x_i = 0, by gradient steps preconditioned with the weights' Laplacian.
 
     Steps are taken at right angles to the Möbius transformations and followed by the one that restores the centroid.
@@ -353,7 +340,7 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Progress) ->
     return points
 
 
-def _newton(springs: _Springs, points: Array, masses: Array | None, report: Progress) -> tuple[Array, Array, bool]:
+def _newton(springs: _Springs, points: Array, masses: Array | None, report: Report) -> tuple[Array, Array, bool]:
     """Newton's method for the stationary points of E, rotations pinned; with masses, of E where Σ a_i x_i = 0.
 
     Returns:

@@ -8,6 +8,7 @@ transformation then centres the map.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,9 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.checks import as_surface
+from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.options import Progress
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 
@@ -33,16 +35,20 @@ class ConformalMap:
         centring_steps: Newton steps of the Möbius centring.
         solver: the factorised cotangent matrix D of the surface, ready for more right-hand sides; on a conformal image
             the matrix is the same.
+        history: empty: two linear systems make the map.
+        converged: True, for the same reason; centring that fails is an error.
     """
 
     sphere: NDArray[np.float64]
     removed_face: int
     centring_steps: int
     solver: SurfaceLaplacianSolver
+    history: tuple[dict[str, Any], ...] = ()
+    converged: bool = True
 
 
 @blas_threads(1)
-def conformal_map(surface: Surface, *, device: str | None = "auto") -> ConformalMap:
+def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: Progress | None = None) -> ConformalMap:
     """Map a closed genus-0 surface to the sphere conformally, centred (section 4.1).
 
     The triangle removed is the one nearest to equilateral: the paper leaves the choice open, and a thin one would spoil
@@ -50,16 +56,19 @@ def conformal_map(surface: Surface, *, device: str | None = "auto") -> Conformal
     coordinates. The dipole on one triangle makes the map exact to first order in that triangle's size.
 
     Args:
-        surface: a valid closed mesh (see :func:`omtwarp.mesh.validate.require_valid`).
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
         device: where the per-vertex kernels run.
+        progress: called as ``progress("conformal", done, total, details)`` before and after.
 
     Returns:
         The map. Obtuse triangles can flip, and the tips of long limbs can shrink below what float64 resolves.
 
     Raises:
-        OmtwarpError: the surface cannot be mapped, the linear systems cannot be solved, or the map cannot be centred.
+        OmtwarpError: the mesh cannot be mapped, the linear systems cannot be solved, or the map cannot be centred.
     """
     surface = as_surface(surface)
+    if progress is not None:
+        progress("conformal", 0, 1, {})
     points = surface.scaled_vertices
     face = most_regular_face(points, surface.faces)
     solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]), device=device)
@@ -68,6 +77,8 @@ def conformal_map(surface: Surface, *, device: str | None = "auto") -> Conformal
     rights = [wp.array(np.ascontiguousarray(part), dtype=wp.float64, device=where) for part in dipole.T]
     plane = solver.solve_arrays(rights)
     sphere, steps = mobius_centring(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
+    if progress is not None:
+        progress("conformal", 1, 1, {})
     return ConformalMap(sphere, face, steps, solver)
 
 

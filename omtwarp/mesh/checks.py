@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,11 +13,27 @@ from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import require_valid
 
+
+class HasTriangles(Protocol):
+    """What has vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""
+
+    @property
+    def vertices(self) -> Any:
+        """Positions, shape [V, 3]."""
+
+    @property
+    def faces(self) -> Any:
+        """Vertex indices of the triangles, shape [F, 3]."""
+
+
+MeshLike: TypeAlias = HasTriangles | Surface | tuple[ArrayLike, ArrayLike]
+"""A surface in any of the forms that public functions take."""
+
 # Points whose length differs from 1 by no more are taken as they are: a normalised float64 vector is within 4e-16.
 UNIT_LENGTH = 1e-12
 
 
-def as_surface(mesh: Any) -> Surface:
+def as_surface(mesh: MeshLike) -> Surface:
     """Take a mesh in any of the accepted forms, and make sure that it can be mapped.
 
     A :class:`Surface` is returned itself, and is examined the first time only.
@@ -112,4 +128,4 @@ def as_faces(faces: ArrayLike, count: int, name: str = "faces") -> NDArray[np.in
     return corners.astype(np.int32)
 
 
-__all__ = ["as_faces", "as_sphere", "as_surface", "as_unit_vectors"]
+__all__ = ["HasTriangles", "MeshLike", "as_faces", "as_sphere", "as_surface", "as_unit_vectors"]

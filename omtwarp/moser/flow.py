@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
@@ -14,9 +14,10 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import sums_for
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.measures import TargetDensity
-from omtwarp.mesh.checks import as_sphere, as_surface
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
+from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, target_masses, vertex_field
+from omtwarp.options import Progress
 from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve_arrays
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
@@ -33,36 +34,43 @@ class MoserMap:
         sphere: the image of every vertex, unit vectors, float64, shape [V, 3].
         potential: Θ at the vertices, shape [V].
         steps: Runge-Kutta steps of the particle that took most.
+        history: empty: every particle takes steps of its own.
+        converged: True: every particle ends at t = 1.
     """
 
     sphere: NDArray[np.float64]
     potential: NDArray[np.float64]
     steps: int
+    history: tuple[dict[str, Any], ...] = ()
+    converged: bool = True
 
 
 @blas_threads(1)
 def moser_map(
-    surface: Surface,
-    start: NDArray[np.float64] | wp.array,
+    surface: MeshLike,
+    sphere: ArrayLike | wp.array,
     *,
     target: TargetDensity | None = None,
     solver: PoissonSolver | None = None,
     device: str | None = "auto",
+    progress: Progress | None = None,
 ) -> MoserMap:
     """Carry a map to the sphere to a mass-preserving one along Moser's flow.
 
-    Solves ΔΘ = ρ - μ on the image of ``start`` and moves every vertex along u_t = -∇Θ / ((1 - t) μ + t ρ), t from 0 to
-    1. The paper's ρ is 1: with the surface's own areas as masses the map then preserves area.
+    Solves ΔΘ = ρ - μ on the image ``sphere`` and moves every vertex along u_t = -∇Θ / ((1 - t) μ + t ρ), t from 0 to 1.
+    The paper's ρ is 1: with the surface's own areas as masses the map then preserves area.
 
     Args:
-        surface: the surface; its :attr:`~omtwarp.Surface.face_areas`, of total 4π, are the masses.
-        start: a map to the sphere without flips, unit vectors, float64, shape [V, 3]; or a Warp array of vec3d.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes; its
+            :attr:`~omtwarp.Surface.face_areas`, of total 4π, are the masses.
+        sphere: a map to the sphere without flips, unit vectors, float64, shape [V, 3]; or a Warp array of vec3d.
         target: the density ρ that the image is to have; uniform where not given. It is taken at the vertices of
-            ``start`` and as linear between them.
+            ``sphere`` and as linear between them.
         solver: the factorised cotangent Laplacian of the image, made here when left out. For a conformal image the
             surface's own can serve and saves a factorisation, but around the pole a discrete conformal map is not
             conformal: the area error it leaves is three to four times as large, and does not vanish on fine meshes.
         device: where the particles move.
+        progress: called as ``progress("moser", done, total, details)`` before and after.
 
     Returns:
         The map at t = 1, which preserves area up to the discretisation of Θ and can flip triangles where μ is steep.
@@ -71,10 +79,11 @@ def moser_map(
         OmtwarpError: the surface cannot be mapped, or the start is no map of it to the sphere.
     """
     surface = as_surface(surface)
-    start = as_sphere(start, surface, "start")
     where = resolve_device(device)
+    if progress is not None:
+        progress("moser", 0, 1, {})
     vertices, triangles = surface.vertex_count, surface.face_count
-    points = vectors(start, where)
+    points = vectors(as_sphere(sphere, surface), where)
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
     if solver is None:
@@ -110,4 +119,7 @@ def moser_map(
         return [*own, *shared, *limits], [moved[part], steps[part]]
 
     launch_parts(integrate_particles, vertices, arguments, where)
-    return MoserMap(moved.numpy(), potential.numpy(), int(steps.numpy().max()))
+    longest = int(steps.numpy().max())
+    if progress is not None:
+        progress("moser", 1, 1, {"steps": longest})
+    return MoserMap(moved.numpy(), potential.numpy(), longest)

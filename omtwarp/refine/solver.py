@@ -8,7 +8,6 @@ fails, the corners of the triangles in trouble are held back, and last of all th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,9 +19,9 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.mesh.checks import as_sphere, as_surface
+from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.options import Refinement, parse_refinement
+from omtwarp.options import Progress, Refinement, parse_refinement
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
@@ -61,7 +60,7 @@ MIN_GAIN_SHARE = 0.15  # of the gain of the last new matrix: where a corrected s
 RELATIVE_TOLERANCE = 0.01
 
 
-@dataclass
+@dataclass(frozen=True)
 class RefineResult:
     """A refined map.
 
@@ -97,14 +96,14 @@ def refinement_weight(weight: str | float) -> float:
 
 @blas_threads(1)
 def refine_map(
-    surface: Surface,
+    surface: MeshLike,
     sphere: ArrayLike,
     *,
-    weight: str | float = "area",
-    device: str | None = "auto",
+    weight: str | float = Refinement.AREA,
     iterations: int = 200,
     tolerance: float = 2e-3,
-    progress: Callable[[str, int, int], None] | None = None,
+    device: str | None = "auto",
+    progress: Progress | None = None,
 ) -> RefineResult:
     """Move the vertices of a flip-free map to a minimum of angle + λ area distortion.
 
@@ -112,7 +111,7 @@ def refine_map(
     :func:`omtwarp.metrics.distortion.distortion` measures them.
 
     Args:
-        surface: the original surface, V vertices.
+        surface: the original surface in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
         sphere: images of its vertices, unit vectors, shape [V, 3], no triangle flipped.
         weight: λ, or ``area``, ``balanced`` or ``angle`` for the values in ``WEIGHTS``. With ``area``, λ is raised
             from there where the mean area distortion is above 2.002 or its 95th percentile above 2.01: threefold,
@@ -121,17 +120,19 @@ def refine_map(
         iterations: most steps taken.
         tolerance: stop when the expected decrease of angle + λ area falls below this and below a hundredth of what
             that is above its least possible value, 2 + 2 λ.
-        progress: called with (text, step, most steps) after every step.
+        progress: called as ``progress("refine", step, most, details)`` after every step; the details are ``area`` and
+            ``angle``, the distortions reached.
 
     Returns:
         The refined map and how it was reached.
 
     Raises:
-        OmtwarpError: the map given has flipped triangles, or the weight is unknown.
+        OmtwarpError: the mesh or the map cannot be used, the map has flipped triangles, or the weight is unknown.
     """
     value = refinement_weight(weight)
     surface = as_surface(surface)
-    start = np.array(as_sphere(sphere, surface))
+    start = np.array(as_sphere(sphere, surface), dtype=np.float64)
+    start /= np.linalg.norm(start, axis=1, keepdims=True)
     flipped = flipped_faces(start, surface.faces)
     if flipped.any():
         raise OmtwarpError(
@@ -153,9 +154,11 @@ def refine_map(
         # Up to MAX_WEIGHT all λ have the same tolerance; beyond, only the promise counts.
         loose = tolerance * (harder / value if harder <= MAX_WEIGHT else 1.0)
         again = refiner.minimise(result.sphere, harder, iterations=iterations, tolerance=loose, progress=progress)
-        again.history = result.history + again.history[1:]
-        again.factorisations += result.factorisations
-        result = again
+        result = replace(
+            again,
+            history=result.history + again.history[1:],
+            factorisations=result.factorisations + again.factorisations,
+        )
     return result if result.weight <= MAX_WEIGHT else kept
 
 
@@ -189,15 +192,15 @@ class Refiner:
         *,
         iterations: int,
         tolerance: float,
-        progress: Callable[[str, int, int], None] | None = None,
+        progress: Progress | None = None,
     ) -> RefineResult:
         """Minimise angle + λ area from a flip-free map, shape [V, 3]."""
         energy = self.energy
         points = energy.upload(sphere)
         terms = energy.terms(points)
         gradient = energy.gradient(points, terms, weight)
-        result = RefineResult(sphere, weight)
-        result.history.append(_record(terms, weight, 0.0, 0.0, 0, 0, False))
+        history = [_record(terms, weight, 0.0, 0.0, 0, 0, False)]
+        factorisations, ended = 0, False
         curvature_share, renew = 1.0, True
         last_gain = 0.0
         self._steps.assemble(points, terms, weight, curvature_share)
@@ -210,7 +213,7 @@ class Refiner:
                 if step > 0 or relaxed:
                     self._steps.assemble(points, terms, weight, curvature_share)
                 self._steps.factorise()
-                result.factorisations += 1
+                factorisations += 1
             direction = self._steps.direction(points, gradient)
             decrement = -direction.slope
             moved = None
@@ -235,11 +238,10 @@ class Refiner:
                 points, terms, gradient, relaxed = self._relaxed(
                     points, terms, gradient, weight, curvature_share, decrement, enough
                 )
-            result.history.append(_record(terms, weight, decrement, length, mended, relaxed, fresh))
+            history.append(_record(terms, weight, decrement, length, mended, relaxed, fresh))
             if progress is not None:
-                progress(f"refining: area {terms.area + 2:.4f}, angle {terms.angle + 2:.4f}", step + 1, iterations)
+                progress("refine", step + 1, iterations, {"area": terms.area + 2.0, "angle": terms.angle + 2.0})
             if ended:
-                result.converged = True
                 break
             trust = 2.0 * gain / decrement
             if fresh:
@@ -250,8 +252,7 @@ class Refiner:
             if fresh:
                 last_gain = gain
             renew = mended > 0 or relaxed > 0 or gain < MIN_GAIN_SHARE * last_gain or (fresh and length < 1.0)
-        result.sphere = points.numpy().copy()
-        return result
+        return RefineResult(points.numpy().copy(), weight, history, ended, factorisations)
 
     def _relaxed(
         self, points, terms: Terms, gradient, weight: float, curvature_share: float, gain: float, tolerance: float

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +13,7 @@ from omtwarp.flips.predicates import count_flips
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics.distortion import distortion
+from omtwarp.options import Progress
 from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.start.tube import tube_map
 from omtwarp.untangling.untangle import untangle
@@ -61,7 +60,7 @@ def bijective_start(
     surface: Surface,
     *,
     device: str | None = "auto",
-    progress: Callable[[str, int, int, dict[str, Any]], None] | None = None,
+    progress: Progress | None = None,
 ) -> Start:
     """Find a map to the sphere without flips.
 
@@ -97,17 +96,13 @@ def bijective_start(
                 return Start(repaired.sphere, "conformal, repaired", "", conformal, flips)
             reason += f", and {repaired.flips_after} could not be repaired"
 
-    def report(done: float) -> None:
-        if progress is not None:
-            progress("start", int(100 * done), 100, {})
-
     def area(sphere: NDArray[np.float64]) -> float:
         return distortion(mesh.vertices, mesh.faces, sphere, device=device).area["surface"]
 
     sphere = tube_map(surface)
     if is_bijective(sphere, mesh.faces, device=device) and area(sphere) < TUBE_AREA:
         return Start(sphere, "tube", reason, conformal, 0)
-    sphere = hierarchical_embedding(surface, device=device, progress=report)
+    sphere = hierarchical_embedding(surface, device=device, progress=progress).sphere
     if not is_bijective(sphere, mesh.faces, device=device):
         raise OmtwarpError("no start was found: the coarse-to-fine embedding covers the sphere more than once")
     coarse_area = area(sphere)

@@ -9,7 +9,7 @@ share of the sphere where a conformal map would shrink it exponentially.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,9 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
+from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface
+from omtwarp.options import Progress
 from omtwarp.start.decimation import Level, Removal, integers, simplify
 from omtwarp.start.decimation_kernels import MAX_VALENCE
 from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices, triangle_coefficients
@@ -39,32 +41,50 @@ _LEAST_DETERMINANT = 1e-15
 _INSERTION_ATTEMPTS = 8
 
 
+@dataclass(frozen=True)
+class HierarchicalEmbedding:
+    """A map without flips that was made from coarse to fine.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3], in the order of the input's vertices; det[a, b, c] > 0 for every
+            face.
+        history: one record per level, the coarsest first: ``iteration`` and ``vertices`` placed.
+        converged: True: every vertex was placed.
+    """
+
+    sphere: NDArray[np.float64]
+    history: list[dict[str, int]] = field(default_factory=list)
+    converged: bool = True
+
+
 def hierarchical_embedding(
-    surface: Surface,
+    surface: MeshLike,
     *,
     area_weight: float = 10.0,
     device: str | None = "auto",
-    progress: Callable[[float], None] | None = None,
-) -> NDArray[np.float64]:
+    progress: Progress | None = None,
+) -> HierarchicalEmbedding:
     """Map a closed genus-0 mesh to the sphere without a flipped triangle, area roughly preserved.
 
     Args:
-        surface: Closed, oriented, connected manifold of genus 0.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
         area_weight: Weight of area distortion (D + 1/D) against angle distortion in the energy of every level. 2 keeps
             shapes, 100 areas; at 10 the smallest triangle of a limbed shape is two to five times larger than at 2.
         device: ``auto``, ``cpu`` or ``cuda:N``.
-        progress: Called with the part of the vertices placed so far, 0 to 1.
+        progress: called as ``progress("start", placed, vertices, {})`` after every level.
 
     Returns:
-        Unit vectors, float64, shape [V, 3], in the order of the input's vertices; det[a, b, c] > 0 for every face.
+        The embedding and its levels.
 
     Raises:
-        OmtwarpError: the mesh is not a closed manifold of genus 0, the weight is not positive, or the mesh is too
+        OmtwarpError: the mesh cannot be mapped, the weight is not positive, or the mesh is too
             irregular for float64 to separate its vertices on the sphere.
     """
     if not (area_weight > 0.0 and np.isfinite(area_weight)):
         raise OmtwarpError(f"the weight of area must be a positive number, not {area_weight}")
+    surface = as_surface(surface)
     where = resolve_device(device)
+    history: list[dict[str, int]] = []
     hierarchy = simplify(surface, where)
     embedding = _Embedding(surface, hierarchy.levels[-1], hierarchy.tetrahedron, area_weight, where)
     for level, removal in zip(hierarchy.levels[-2::-1], hierarchy.removals[::-1], strict=True):
@@ -72,14 +92,15 @@ def hierarchical_embedding(
         embedding.enter(level)
         embedding.relax(removal.vertices)
         embedding.sweep(_SMALL_SWEEPS if len(level.vertices) < _SMALL_LEVEL else _SWEEPS)
+        history.append({"iteration": len(history), "vertices": len(level.vertices)})
         if progress is not None:
-            progress(len(level.vertices) / surface.vertex_count)
+            progress("start", len(level.vertices), surface.vertex_count, {})
     embedding.sweep(_FINAL_SWEEPS)
     sphere = embedding.sphere.numpy().copy()
     flips = count_flips(sphere, surface.faces)
     if flips:
         raise OmtwarpError(f"the coarse-to-fine embedding has {flips} triangle(s) that float64 cannot keep positive")
-    return sphere
+    return HierarchicalEmbedding(sphere, history)
 
 
 class _Embedding:

@@ -9,12 +9,11 @@ own wavelet basis.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.graphs import Graph
@@ -24,10 +23,10 @@ from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
-from omtwarp.mesh.checks import as_sphere, as_surface
+from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import displacement_curl
-from omtwarp.options import Cost, Scheme, choose
+from omtwarp.options import Cost, Progress, Scheme, choose
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
     FlowState,
@@ -115,11 +114,11 @@ class TransportMap:
 
 
 def transport_cost(
-    surface: Surface,
-    start: NDArray[np.float64] | wp.array,
-    sphere: NDArray[np.float64] | wp.array,
-    cost: str = "squared",
+    surface: MeshLike,
+    sphere: ArrayLike | wp.array,
     *,
+    start: ArrayLike | wp.array,
+    cost: str = Cost.SQUARED,
     device: str | None = "auto",
 ) -> float:
     """M(g), equation 6: the sum of triangle area times Φ(x, g(x)) at its centre; total area 4π, distances in radians.
@@ -128,20 +127,20 @@ def transport_cost(
     triangles count where they are.
 
     Args:
-        surface: the surface whose areas are the masses.
-        start: the points x, unit vectors, shape [V, 3] (the conformal or substitute start); or a Warp array of vec3d.
-        sphere: their images g(x), in the same way.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes; its areas are the masses.
+        sphere: the images g(x), unit vectors, shape [V, 3]; or a Warp array of vec3d.
+        start: the points x, in the same way (the conformal or substitute start).
         cost: ``squared`` or ``geodesic`` distance.
         device: where distances are taken.
 
     Raises:
-        OmtwarpError: the surface cannot be mapped, or the points are no maps of it to the sphere.
+        OmtwarpError: the mesh, a map or the cost cannot be used.
     """
-    surface = as_surface(surface)
-    start, sphere = as_sphere(start, surface, "start"), as_sphere(sphere, surface)
+    surface, cost = as_surface(surface), choose(Cost, cost)
     where = resolve_device(device)
     distance = wp.empty(surface.face_count, dtype=wp.float64, device=where)
-    inputs = [vectors(start, where), vectors(sphere, where), surface.on(where).faces]
+    points = [vectors(as_sphere(array, surface), where) for array in (start, sphere)]
+    inputs = [*points, surface.on(where).faces]
     wp.launch(centre_distance, dim=surface.face_count, inputs=inputs, outputs=[distance], device=where)
     moved = distance.numpy()
     return float((surface.face_areas * (moved * moved if cost == "squared" else moved)).sum())
@@ -149,24 +148,26 @@ def transport_cost(
 
 @blas_threads(1)
 def optimal_transport(
-    surface: Surface,
-    start: NDArray[np.float64] | wp.array,
-    initial: NDArray[np.float64] | wp.array,
+    surface: MeshLike,
+    sphere: ArrayLike | wp.array,
     *,
-    cost: str = "squared",
-    scheme: str = "default",
+    start: ArrayLike | wp.array,
+    cost: str = Cost.SQUARED,
+    scheme: str = Scheme.DEFAULT,
     target: TargetDensity | None = None,
     iterations: int | None = None,
     tolerance: float = CURL_TOLERANCE,
     device: str | None = "auto",
-    progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+    progress: Progress | None = None,
 ) -> TransportMap:
     """Lower the transport cost of a mass-preserving map by a mass-preserving flow until it is optimal (section 4.3).
 
     Args:
-        surface: the surface; its :attr:`~omtwarp.Surface.face_areas`, total 4π, are the masses.
-        start: the points x that are transported, unit vectors, shape [V, 3]; or a Warp array of vec3d.
-        initial: a mass-preserving map g^0 of them, in the same way; if it has no flip, no step makes one.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes; its
+            :attr:`~omtwarp.Surface.face_areas`, total 4π, are the masses.
+        sphere: a mass-preserving map g^0 of ``start``, unit vectors, shape [V, 3], or a Warp array of vec3d; if it has
+            no flip, no step makes one.
+        start: the points x that are transported, in the same way.
         cost: ``squared`` geodesic distance (its optimum is unique), or the paper's ``geodesic`` distance.
         scheme: ``default``, wavelet-preconditioned conjugate gradients; ``plain``, steepest descent with H the curl
             itself (equation 12), as far as the mesh resolves it.
@@ -175,28 +176,28 @@ def optimal_transport(
         iterations: the most iterations; 60 for ``default``, 1000 for ``plain``.
         tolerance: relative curl at which the map counts as optimal.
         device: where the kernels run.
-        progress: called after each iteration with its number, the most there can be, and the record of ``history``.
+        progress: called after each iteration as ``progress("omt", iteration, most, record)``, the record being that of
+            ``history``.
 
     Returns:
         The map and its history.
 
     Raises:
-        OmtwarpError: an unknown cost or scheme, a surface that cannot be mapped, or points that are no maps of it.
+        OmtwarpError: the mesh or a map cannot be used, or an unknown cost or scheme.
     """
-    cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))
     surface = as_surface(surface)
-    start, initial = as_sphere(start, surface, "start"), as_sphere(initial, surface, "initial map")
-    flow = _Flow(surface, start, initial, cost, scheme, resolve_device(device), target)
+    cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))
+    maps = as_sphere(start, surface), as_sphere(sphere, surface)
+    flow = _Flow(surface, *maps, cost, scheme, resolve_device(device), target)
     most = MAXIMUM_ITERATIONS[scheme] if iterations is None else iterations
     ended = flow.run(flow.iterations(), most, tolerance, progress)
-    sphere = flow.points.numpy().copy()
     converged = ended in SETTLED_ENDINGS
     if converged and cost is Cost.SQUARED:
-        left = displacement_curl(surface, vectors(start, flow.device), flow.points)
+        left = displacement_curl(surface, vectors(maps[0], flow.device), flow.points)
         converged = left <= OPTIMAL_CURL
         if not converged:
             ended += f", and {left:.3f} of the displacement is curl that it cannot remove"
-    return TransportMap(sphere, flow.history, converged, ended)
+    return TransportMap(flow.points.numpy().copy(), flow.history, converged, ended)
 
 
 class _Flow:
@@ -368,7 +369,7 @@ class _Flow:
         iterations: Graph,
         most: int,
         tolerance: float,
-        progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+        progress: Progress | None = None,
     ) -> str:
         """Iterate until the end, and say in words which it was."""
         self.prepare(most, tolerance)
@@ -381,7 +382,7 @@ class _Flow:
                 record = {"iteration": iteration} | numbers | {"held": int(numbers["held"])}
                 self.history.append(record)
                 if progress is not None:
-                    progress(iteration, most, record)
+                    progress("omt", iteration, most, record)
             if state["finished"]:
                 return ENDINGS[int(state["ended"])]
 

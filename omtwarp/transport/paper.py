@@ -35,7 +35,7 @@ Departures from the text, each where the text is silent, misprinted, or cannot b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,8 +45,9 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
+from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.options import Cost, choose
+from omtwarp.options import Cost, Progress, choose
 from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
@@ -59,15 +60,13 @@ GROWTH = 1.5
 SMALLEST_DISPLACEMENT = 0.1
 _STALLED = 1e-6
 
-Progress = Callable[[int, float], None]
 
-
-@dataclass
+@dataclass(frozen=True)
 class FlowResult:
     """What a flow reached.
 
     Attributes:
-        map_at_vertices: image of every vertex on the unit sphere, shape [V, 3].
+        sphere: image of every vertex on the unit sphere, shape [V, 3].
         history: one entry per accepted or refused step: ``iteration``, ``cycle``, ``level`` (the resolution), ``cost``
             (after the step), ``step`` (dt), ``accepted``, and ``area``, the mean of r + 1/r over the image, where r is
             the ratio of areas (2 is perfect); entry 0 is the start, with level 0.
@@ -75,9 +74,14 @@ class FlowResult:
             bound), ``area`` (more mass would be lost than allowed) or ``cycles`` (all done).
     """
 
-    map_at_vertices: NDArray[np.float64]
+    sphere: NDArray[np.float64]
     history: list[dict[str, Any]] = field(default_factory=list)
     stopped: str = "cycles"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the flow ended by itself, before its cycles ran out."""
+        return self.stopped != "cycles"
 
 
 class PaperFlow:
@@ -259,11 +263,10 @@ def default_resolutions(vertex_count: int) -> tuple[int, ...]:
 
 
 def paper_flow(
-    conformal: ArrayLike,
-    faces: ArrayLike,
-    initial_map: ArrayLike,
-    face_areas_on_surface: ArrayLike,
+    surface: MeshLike,
+    sphere: ArrayLike,
     *,
+    start: ArrayLike,
     cost: str = Cost.GEODESIC,
     cycles: int = 100,
     resolutions: Sequence[int] | None = None,
@@ -280,16 +283,15 @@ def paper_flow(
     its value) or when the integral of H^2 is below ``smallest_hamiltonian``; and when areas would no longer be kept.
 
     Args:
-        conformal: conformal image of the vertices, unit vectors, shape [V, 3].
-        faces: triangles, shape [F, 3], outward.
-        initial_map: image of the vertices under a mass-preserving map, unit vectors, shape [V, 3].
-        face_areas_on_surface: areas of the triangles on the original surface, shape [F]; scaled here to sum to 4π.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes; its areas are the masses.
+        sphere: image of the vertices under a mass-preserving map, unit vectors, shape [V, 3].
+        start: the conformal image of the vertices, unit vectors, shape [V, 3].
         cost: ``geodesic`` (Phi = theta, as in section 2.5) or ``squared`` (theta squared, whose optimum is unique).
         cycles: most V-cycles.
         resolutions: the sequence of highest wavelet levels of one cycle; :func:`default_resolutions` where not given.
         butterfly: use the butterfly wavelets instead of those of the hat functions.
         device: ``auto``, ``cpu`` or ``cuda:N``.
-        progress: called after every step with the iteration and the cost.
+        progress: called as ``progress("omt", step, most, {"cost": cost})`` after every step.
         tolerance: relative decrease of the cost over a cycle below which the flow has converged.
         smallest_hamiltonian: bound on the integral of H^2.
         area_loss: how much the mean area distortion (2 is perfect) may grow; 0.002 and 15 % of the initial map's own
@@ -299,15 +301,16 @@ def paper_flow(
         The map at the vertices, the history, and why it stopped.
 
     Raises:
-        OmtwarpError: an unknown cost, or arrays that do not fit together.
+        OmtwarpError: the mesh or a map cannot be used, or an unknown cost.
     """
+    surface = as_surface(surface)
     if resolutions is None:
-        resolutions = default_resolutions(len(np.asarray(conformal)))
+        resolutions = default_resolutions(surface.vertex_count)
     flow = PaperFlow(
-        conformal,
-        faces,
-        initial_map,
-        face_areas_on_surface,
+        as_sphere(start, surface, "start"),
+        surface.faces,
+        as_sphere(sphere, surface),
+        surface.face_areas,
         cost=cost,
         highest_resolution=max(resolutions),
         butterfly=butterfly,
@@ -319,8 +322,8 @@ def paper_flow(
     least = {r: _STALLED * step for r, step in steps.items()}
     current, area = flow.cost_of(flow.dual_map), flow.area_of(flow.map)
     largest_area = area + (0.002 + 0.15 * max(area - 2.0, 0.0) if area_loss is None else area_loss)
-    start = {"cycle": 0, "level": 0, "cost": current, "step": 0.0, "accepted": True, "area": area}
-    history: list[dict[str, Any]] = [{"iteration": 0, **start}]
+    begun = {"cycle": 0, "level": 0, "cost": current, "step": 0.0, "accepted": True, "area": area}
+    history: list[dict[str, Any]] = [{"iteration": 0, **begun}]
     stopped = ""
     for cycle in range(1, cycles + 1):
         before, taken, tried = current, 0, 0
@@ -347,7 +350,7 @@ def paper_flow(
             entry = {"cycle": cycle, "level": resolution, "cost": current, "step": step, "accepted": accepted}
             history.append({"iteration": len(history), **entry, "area": area})
             if progress is not None:
-                progress(len(history) - 1, current)
+                progress("omt", len(history) - 1, cycles * len(resolutions), {"cost": current})
         # Refused steps are about to be retried smaller: a cycle of them says nothing about convergence.
         if not stopped and 2 * taken >= tried and before - current <= tolerance * abs(current):
             stopped = "cost"

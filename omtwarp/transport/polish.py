@@ -13,11 +13,10 @@ next to it: on Max Planck the gap then stuck at 0.6 % of the cost, or fell at th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
@@ -25,7 +24,9 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, sums_for
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
+from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.options import Progress
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, OPTIMAL_CURL, TransportMap
@@ -55,34 +56,40 @@ AREA_SLACK = 1e-4
 
 @blas_threads(1)
 def polish_transport(
-    surface: Surface,
-    start: NDArray[np.float64] | wp.array,
-    sphere: NDArray[np.float64] | wp.array,
+    surface: MeshLike,
+    sphere: ArrayLike | wp.array,
     *,
+    start: ArrayLike | wp.array,
     rounds: int = MAX_ROUNDS,
     device: str | None = "auto",
-    progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+    progress: Progress | None = None,
 ) -> TransportMap:
     """Remove the curl left in a nearly optimal map, and its area error with it.
 
     Args:
-        surface: the surface; its vertex areas, total 4π, are the masses.
-        start: the points x that are transported, unit vectors, shape [V, 3]; or a Warp array of vec3d.
-        sphere: a mass-preserving map of them without flips, in the same way.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes; its vertex areas, total 4π, are
+            the masses.
+        sphere: a mass-preserving map of ``start`` without flips, unit vectors, shape [V, 3]; or a Warp array of vec3d.
+        start: the points x that are transported, in the same way.
         rounds: the most rounds.
         device: where the kernels run, and where the systems of a large mesh are solved.
-        progress: called after each round with its number, the most there can be, and its record.
+        progress: called after each round as ``progress("omt", round, most, record)``.
 
     Returns:
         The map of the last round that lowered the curl without harm to the areas, and a record of all rounds:
         ``iteration``, ``step`` and ``held`` of the round, ``cost``, ``curl`` and ``area_error`` of the map it left,
         which is the one before where the round was taken back.
+
+    Raises:
+        OmtwarpError: the mesh or a map cannot be used.
     """
+    surface = as_surface(surface)
     where = resolve_device(device)
     count = surface.vertex_count
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
-    origin, points = vectors(start, where), wp.clone(vectors(sphere, where))
+    origin, points = (vectors(as_sphere(array, surface), where) for array in (start, sphere))
+    points = wp.clone(points)
     moved, pull = wp.empty_like(points), wp.empty_like(points)
     curl, energy, area, missing = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(4))
     wanted, areas = mesh.vertex_areas, mesh.face_areas
@@ -141,7 +148,7 @@ def polish_transport(
         record = {"iteration": number, **kept, "step": tried, "held": held}
         history.append(record)
         if progress is not None:
-            progress(number, rounds, record)
+            progress("omt", number, rounds, record)
         if relative <= NEGLIGIBLE_CURL:
             ended = "the curl is negligible"
         elif last:

@@ -12,7 +12,6 @@ triangle flipped. Steps of that kind are not taken: the solid angles of a patch 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,9 +24,10 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips, flipped_faces
 from omtwarp.flips.rings import tangled_faces
-from omtwarp.mesh.checks import as_sphere, as_surface
+from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.options import Progress
 from omtwarp.triangle_newton.frames import triangle_frames
 from omtwarp.triangle_newton.line_search import search_patches
 from omtwarp.triangle_newton.newton import NewtonMatrix
@@ -73,7 +73,7 @@ SETTLED_GAIN = 0.01  # of a patch's energy: where a step is expected to gain les
 MAX_ACTIVE_SHARE = 0.7  # of the triangles: where fewer are in tangled patches, the solved patches are dropped
 
 
-@dataclass
+@dataclass(frozen=True)
 class UntangleResult:
     """A map that is one to one, or the best one found.
 
@@ -95,34 +95,41 @@ class UntangleResult:
     vertices_moved: int
     history: list[dict[str, int]] = field(default_factory=list)
 
+    @property
+    def converged(self) -> bool:
+        """Whether the map is one to one."""
+        return self.bijective
+
 
 @blas_threads(1)
 def untangle(
-    surface: Surface,
+    surface: MeshLike,
     sphere: ArrayLike,
     *,
-    device: str | None = "auto",
     schedules: tuple[Schedule, ...] = SCHEDULES,
-    progress: Callable[[str, int, int], None] | None = None,
+    device: str | None = "auto",
+    progress: Progress | None = None,
 ) -> UntangleResult:
     """Move as few vertices as possible until the map is one to one.
 
     Args:
-        surface: the original surface, V vertices and F faces.
+        surface: the original surface in any form that :func:`omtwarp.map_to_sphere` takes, V vertices and F faces.
         sphere: images of its vertices, unit vectors, shape [V, 3]; triangles may be flipped or of area zero.
-        device: where the kernels run; the sparse systems are solved on the host.
         schedules: attempts, each from what the one before it left, until one leaves a bijection.
-        progress: called with (text, attempt, attempts) before every attempt.
+        device: where the kernels run; the sparse systems are solved on the host.
+        progress: called as ``progress("untangle", attempt, attempts, details)`` before every attempt; ``tangled`` of
+            the details is how many triangles are left.
 
     Returns:
         The map and what was done. ``bijective`` is True unless every attempt failed.
 
     Raises:
-        OmtwarpError: the surface cannot be mapped, or the points are no map of it to the sphere.
+        OmtwarpError: the mesh or the map cannot be used.
     """
-    where = resolve_device(device)
     surface = as_surface(surface)
-    start = np.array(as_sphere(sphere, surface))
+    where = resolve_device(device)
+    start = np.array(as_sphere(sphere, surface), dtype=np.float64)
+    start /= np.linalg.norm(start, axis=1, keepdims=True)
     points, faces = start.copy(), surface.faces
     tangled = tangled_faces(points, faces)
     before = count_flips(points, faces)
@@ -135,7 +142,7 @@ def untangle(
         if not seeds.any():
             continue
         if progress is not None:
-            progress(f"untangling {int(tangled.sum())} triangles", attempt, len(schedules))
+            progress("untangle", attempt, len(schedules), {"tangled": int(tangled.sum())})
         untangling = _Untangling(surface, points, seeds, schedule, where)
         points, done = untangling.solve()
         tangled = tangled_faces(points, faces)

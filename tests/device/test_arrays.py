@@ -44,10 +44,10 @@ def test_stages_take_either_and_change_neither(start, device):
     for name, begin in (("numpy", given), ("warp", sent)):
         moser = moser_map(SURFACE, begin, device=device).sphere
         initial = moser if name == "numpy" else wp.array(moser, dtype=wp.vec3d, device=device)
-        moved = optimal_transport(SURFACE, begin, initial, device=device, iterations=3).sphere
+        moved = optimal_transport(SURFACE, initial, start=begin, device=device, iterations=3).sphere
         last = moved if name == "numpy" else wp.array(moved, dtype=wp.vec3d, device=device)
-        polished = polish_transport(SURFACE, begin, last, device=device, rounds=2).sphere
-        maps[name] = moser, moved, polished, transport_cost(SURFACE, begin, last, device=device)
+        polished = polish_transport(SURFACE, last, start=begin, device=device, rounds=2).sphere
+        maps[name] = moser, moved, polished, transport_cost(SURFACE, last, start=begin, device=device)
     for one, other in zip(maps["numpy"], maps["warp"], strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(given, start)

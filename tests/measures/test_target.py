@@ -53,15 +53,15 @@ def from_a_twist(surface):
 def test_transport_to_an_axisymmetric_density_ends_at_the_monotone_rearrangement(device):
     surface = turned(icosphere(12))
     truth, initial = pushed_north(surface.vertices, AMOUNT), from_a_twist(surface)
-    moved = omtwarp.optimal_transport(surface, surface.vertices, initial, target=PUSHED, device=device)
+    moved = omtwarp.optimal_transport(surface, initial, start=surface.vertices, target=PUSHED, device=device)
     before, after = (rms(np.linalg.norm(points - truth, axis=1)) for points in (initial, moved.sphere))
     assert before > 0.2
     assert after < 0.1 * before
-    least = omtwarp.transport_cost(surface, surface.vertices, truth, device=device)
+    least = omtwarp.transport_cost(surface, truth, start=surface.vertices, device=device)
     assert moved.history[-1]["cost"] == pytest.approx(least, rel=0.01)
     kept = mass_distortion(PUSHED.goal(surface, moved.sphere), moved.sphere)["mean"]
     assert kept < 2.01
-    uniform = omtwarp.optimal_transport(surface, surface.vertices, initial, device=device).sphere
+    uniform = omtwarp.optimal_transport(surface, initial, start=surface.vertices, device=device).sphere
     assert mass_distortion(PUSHED.goal(surface, uniform), uniform)["mean"] - 2.0 > 3.0 * (kept - 2.0)
 
 
@@ -69,7 +69,7 @@ def test_steepest_descent_keeps_a_target_too(device):
     surface = turned(icosphere(8))
     initial = from_a_twist(surface)
     moved = omtwarp.optimal_transport(
-        surface, surface.vertices, initial, target=PUSHED, scheme="plain", iterations=40, device=device
+        surface, initial, start=surface.vertices, target=PUSHED, scheme="plain", iterations=40, device=device
     )
     costs = [record["cost"] for record in moved.history]
     assert costs[-1] < 0.97 * costs[0]

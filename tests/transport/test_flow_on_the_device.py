@@ -83,7 +83,7 @@ def test_the_same_flow_can_be_run_again(device):
 def test_the_same_bits_twice(device, cost):
     surface = turned(icosphere(12))
     start, initial = pushed_north(surface.vertices, 0.3), twisted(surface.vertices, 0.6)
-    one, two = (optimal_transport(surface, start, initial, cost=cost, device=device) for _ in range(2))
+    one, two = (optimal_transport(surface, initial, start=start, cost=cost, device=device) for _ in range(2))
     np.testing.assert_array_equal(one.sphere, two.sphere)
     assert one.history == two.history
 

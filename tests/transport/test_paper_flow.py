@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.transport.paper import V_CYCLE, PaperFlow, default_resolutions, paper_flow
 from omtwarp.wavelets import sphere_hierarchy
 
@@ -46,20 +46,22 @@ def distance(first: np.ndarray, second: np.ndarray) -> float:
 @pytest.mark.parametrize("cost", ["squared", "geodesic"])
 def test_twist_goes_back_to_the_identity(cost):
     x, faces, start, areas = twisted_sphere()
-    result = paper_flow(x, faces, start, areas, cost=cost, cycles=25, area_loss=np.inf, device="cpu")
+    result = paper_flow(Surface(x, faces, areas), start, start=x, cost=cost, cycles=25, area_loss=np.inf, device="cpu")
     costs = np.array([entry["cost"] for entry in result.history])
     assert (np.diff(costs) <= 0).all()
     assert costs[-1] < (0.04 if cost == "squared" else 0.8) * costs[0]
-    assert distance(result.map_at_vertices, x) < (0.2 if cost == "squared" else 0.9) * distance(start, x)
-    assert flips(result.map_at_vertices, faces) == 0
+    assert distance(result.sphere, x) < (0.2 if cost == "squared" else 0.9) * distance(start, x)
+    assert flips(result.sphere, faces) == 0
     assert result.history[-1]["area"] < 2.02
-    np.testing.assert_allclose(np.linalg.norm(result.map_at_vertices, axis=1), 1, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(result.sphere, axis=1), 1, rtol=0, atol=1e-14)
 
 
 def test_known_optimum_of_an_axisymmetric_density():
     x, faces, optimal, start, areas = stretched_sphere()
-    result = paper_flow(x, faces, start, areas, cost="squared", cycles=25, area_loss=np.inf, device="cpu")
-    assert distance(result.map_at_vertices, optimal) < 0.45 * distance(start, optimal)
+    result = paper_flow(
+        Surface(x, faces, areas), start, start=x, cost="squared", cycles=25, area_loss=np.inf, device="cpu"
+    )
+    assert distance(result.sphere, optimal) < 0.45 * distance(start, optimal)
     rest = PaperFlow(x, faces, optimal, areas, cost="squared", highest_resolution=3, device="cpu")
     reached = result.history[-1]["cost"]
     lowest = rest.cost_of(rest.dual_map)
@@ -76,10 +78,16 @@ def test_optimal_maps_have_no_hamiltonian():
         norms.append(flow.hamiltonian_norm())
     assert norms[0] < 2e-4 * norms[1]
     result = paper_flow(
-        x, faces, optimal, areas, cost="squared", smallest_hamiltonian=2 * norms[0], device="cpu", resolutions=[3]
+        Surface(x, faces, areas),
+        optimal,
+        start=x,
+        cost="squared",
+        smallest_hamiltonian=2 * norms[0],
+        device="cpu",
+        resolutions=[3],
     )
     assert result.stopped == "hamiltonian"
-    np.testing.assert_allclose(result.map_at_vertices, optimal, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(result.sphere, optimal, rtol=0, atol=1e-14)
 
 
 def test_rate_of_the_cost_is_minus_the_product_of_hamiltonians():
@@ -111,9 +119,9 @@ def test_velocity_keeps_the_mass():
 
 def test_geodesic_cost_is_guarded_where_nothing_moves():
     x, faces, _, areas = twisted_sphere(level=3)
-    result = paper_flow(x, faces, x, areas, cost="geodesic", cycles=1, device="cpu")
-    assert np.isfinite(result.map_at_vertices).all()
-    assert distance(result.map_at_vertices, x) < 1e-6
+    result = paper_flow(Surface(x, faces, areas), x, start=x, cost="geodesic", cycles=1, device="cpu")
+    assert np.isfinite(result.sphere).all()
+    assert distance(result.sphere, x) < 1e-6
 
 
 def test_no_triangle_is_turned_over():
@@ -122,17 +130,21 @@ def test_no_triangle_is_turned_over():
     rough = start + 0.04 * np.random.default_rng(0).normal(size=start.shape)
     rough /= np.linalg.norm(rough, axis=1)[:, None]
     upright = np.linalg.det(rough[faces]) > 0
-    result = paper_flow(x, faces, rough, areas, cost="geodesic", cycles=10, area_loss=np.inf, device="cpu")
-    assert (np.linalg.det(result.map_at_vertices[faces]) > 0)[upright].all()
+    result = paper_flow(
+        Surface(x, faces, areas), rough, start=x, cost="geodesic", cycles=10, area_loss=np.inf, device="cpu"
+    )
+    assert (np.linalg.det(result.sphere[faces]) > 0)[upright].all()
     assert result.history[-1]["cost"] < result.history[0]["cost"]
 
 
 def test_area_bound_ends_the_flow_before_the_step_that_breaks_it():
     x, faces, start, areas = twisted_sphere(level=3, amplitude=1.0)
-    free = paper_flow(x, faces, start, areas, cost="squared", cycles=3, area_loss=np.inf, device="cpu")
+    free = paper_flow(
+        Surface(x, faces, areas), start, start=x, cost="squared", cycles=3, area_loss=np.inf, device="cpu"
+    )
     reached = np.array([entry["area"] for entry in free.history])
     bound = (reached.max() + reached[0]) / 2 - reached[0] if reached.max() > reached[0] else -1.0
-    held = paper_flow(x, faces, start, areas, cost="squared", cycles=3, area_loss=bound, device="cpu")
+    held = paper_flow(Surface(x, faces, areas), start, start=x, cost="squared", cycles=3, area_loss=bound, device="cpu")
     assert held.stopped == "area"
     assert len(held.history) == int((reached > reached[0] + bound).argmax()) if bound > 0 else len(held.history) == 1
     assert held.history == free.history[: len(held.history)]
@@ -140,15 +152,22 @@ def test_area_bound_ends_the_flow_before_the_step_that_breaks_it():
 
 def test_same_answer_twice():
     x, faces, start, areas = twisted_sphere(level=3)
-    runs = [paper_flow(x, faces, start, areas, cycles=2, device="cpu") for _ in range(2)]
-    np.testing.assert_array_equal(runs[0].map_at_vertices, runs[1].map_at_vertices)
+    runs = [paper_flow(Surface(x, faces, areas), start, start=x, cycles=2, device="cpu") for _ in range(2)]
+    np.testing.assert_array_equal(runs[0].sphere, runs[1].sphere)
     assert runs[0].history == runs[1].history
 
 
 def test_steps_are_smaller_at_finer_levels_and_progress_is_told():
     x, faces, start, areas = twisted_sphere(level=4)
     seen: list[int] = []
-    result = paper_flow(x, faces, start, areas, cycles=1, device="cpu", progress=lambda i, c: seen.append(i))
+    result = paper_flow(
+        Surface(x, faces, areas),
+        start,
+        start=x,
+        cycles=1,
+        device="cpu",
+        progress=lambda stage, i, most, details: seen.append(i),
+    )
     assert [entry["level"] for entry in result.history[1:]] == [1, 2, 3, 2, 1]
     steps = [entry["step"] for entry in result.history[1:4]]
     assert steps[0] > steps[1] > steps[2]
@@ -164,6 +183,6 @@ def test_resolutions_follow_the_mesh():
 def test_unfit_input_is_refused():
     x, faces, start, areas = twisted_sphere(level=2)
     with pytest.raises(OmtwarpError, match="unknown cost 'cubic'"):
-        paper_flow(x, faces, start, areas, cost="cubic", device="cpu")
-    with pytest.raises(OmtwarpError, match="expected a map of shape"):
-        paper_flow(x, faces, start[:-1], areas, device="cpu")
+        paper_flow(Surface(x, faces, areas), start, start=x, cost="cubic", device="cpu")
+    with pytest.raises(OmtwarpError, match="the map has shape"):
+        paper_flow(Surface(x, faces, areas), start[:-1], start=x, device="cpu")

@@ -12,9 +12,9 @@ def test_it_ends_where_the_default_ends_with_its_areas_and_takes_longer(device):
     surface = turned(icosphere(14))
     best = surface.vertices
     x, initial = pushed_north(best, 0.5), twisted(best, 0.5)
-    lowest, highest = (transport_cost(surface, x, y) for y in (best, initial))
-    plain = optimal_transport(surface, x, initial, scheme="plain", iterations=300, device=device)
-    default = optimal_transport(surface, x, initial, device=device)
+    lowest, highest = (transport_cost(surface, y, start=x) for y in (best, initial))
+    plain = optimal_transport(surface, initial, start=x, scheme="plain", iterations=300, device=device)
+    default = optimal_transport(surface, initial, start=x, device=device)
 
     def needed(flow, part: float = 0.01) -> int:
         return next(r["iteration"] for r in flow.history if r["cost"] < lowest + part * (highest - lowest))

@@ -31,10 +31,10 @@ def test_cost_in_closed_form(device):
     nodes, weights = np.polynomial.legendre.leggauss(60)
     distance = 2.0 * np.arcsin(np.sqrt(1.0 - nodes**2) * np.sin(0.4))
     for cost, value in (("squared", distance**2), ("geodesic", distance)):
-        assert transport_cost(surface, surface.vertices, rotated, cost, device=device) == pytest.approx(
+        assert transport_cost(surface, rotated, start=surface.vertices, cost=cost, device=device) == pytest.approx(
             2.0 * np.pi * weights @ value, rel=2e-3
         )
-    antipodes = transport_cost(surface, surface.vertices, -surface.vertices, "geodesic", device=device)
+    antipodes = transport_cost(surface, -surface.vertices, start=surface.vertices, cost="geodesic", device=device)
     assert antipodes == pytest.approx(4.0 * np.pi**2, rel=1e-12)
 
 
@@ -50,9 +50,9 @@ def test_a_twist_of_the_uniform_sphere_flows_back_to_the_identity(device, cost):
         surface = turned(icosphere(frequency))
         x = surface.vertices
         initial = twisted(x)
-        moved = optimal_transport(surface, x, initial, cost=cost, device=device)
+        moved = optimal_transport(surface, initial, start=x, cost=cost, device=device)
         left.append(rms(away(moved.sphere, x)) / rms(away(initial, x)))
-        spent = transport_cost(surface, x, moved.sphere) / transport_cost(surface, x, initial)
+        spent = transport_cost(surface, moved.sphere, start=x) / transport_cost(surface, initial, start=x)
         assert spent < 0.015
         assert count_flips(moved.sphere, surface.faces) == 0
         assert area_excess(surface, moved.sphere) < 0.005
@@ -72,8 +72,10 @@ def test_an_axisymmetric_density_ends_at_the_monotone_rearrangement(device, cost
         surface = turned(icosphere(frequency))
         best = surface.vertices
         x, initial = pushed_north(best, 0.6), twisted(best)
-        moved = optimal_transport(surface, x, initial, cost=cost, device=device)
-        lowest, highest, reached = (transport_cost(surface, x, y, cost) for y in (best, initial, moved.sphere))
+        moved = optimal_transport(surface, initial, start=x, cost=cost, device=device)
+        lowest, highest, reached = (
+            transport_cost(surface, y, start=x, cost=cost) for y in (best, initial, moved.sphere)
+        )
         excess.append((reached - lowest) / (highest - lowest))
         if cost == "squared":
             assert rms(away(moved.sphere, best)) < 0.12 * rms(away(initial, best))
@@ -88,7 +90,7 @@ def test_plain_descent_goes_the_same_way(device):
     """Equation 12 as it stands: slower, but downhill all the way and towards the identity."""
     surface = turned(icosphere(6))
     initial = twisted(surface.vertices, 0.5)
-    moved = optimal_transport(surface, surface.vertices, initial, scheme="plain", iterations=150, device=device)
+    moved = optimal_transport(surface, initial, start=surface.vertices, scheme="plain", iterations=150, device=device)
     costs = [record["cost"] for record in moved.history]
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] < 0.2 * costs[0]
@@ -99,7 +101,7 @@ def test_an_optimal_map_stays_where_it_is(device):
     surface = turned(icosphere(10))
     best = surface.vertices
     for start in (best, pushed_north(best, 0.4)):
-        moved = optimal_transport(surface, start, best, device=device)
+        moved = optimal_transport(surface, best, start=start, device=device)
         assert away(moved.sphere, best).max() < 0.1 * mean_edge(surface, best)
 
 
@@ -115,7 +117,7 @@ def test_never_a_flip_never_uphill_and_always_on_the_sphere(seed, amount, push, 
     surface = random_sphere(300, seed)
     initial = twisted(surface.vertices, amount)
     flips = count_flips(initial, surface.faces)
-    moved = optimal_transport(surface, pushed_north(surface.vertices, push), initial, cost=cost, iterations=15)
+    moved = optimal_transport(surface, initial, start=pushed_north(surface.vertices, push), cost=cost, iterations=15)
     if flips == 0:
         assert count_flips(moved.sphere, surface.faces) == 0
     np.testing.assert_allclose(np.linalg.norm(moved.sphere, axis=1), 1.0, atol=1e-14)
@@ -128,15 +130,15 @@ def test_history_and_progress(device):
     told = []
     moved = optimal_transport(
         surface,
-        surface.vertices,
         twisted(surface.vertices, 0.5),
+        start=surface.vertices,
         iterations=5,
         device=device,
         progress=lambda *arguments: told.append(arguments),
     )
     assert [record["iteration"] for record in moved.history] == list(range(moved.iterations + 1))
-    assert [(done, total) for done, total, _ in told] == [(k, 5) for k in range(len(told))]
-    assert [record for _, _, record in told] == moved.history
+    assert [(done, total) for _, done, total, _ in told] == [(k, 5) for k in range(len(told))]
+    assert [record for *_, record in told] == moved.history
     assert {"iteration", "cost", "curl", "step", "held"} <= set(moved.history[0])
     assert moved.iterations > 0
     assert moved.history[-1]["curl"] < moved.history[0]["curl"]
@@ -146,14 +148,14 @@ def test_progress_can_stop_the_flow(device):
     surface = turned(icosphere(5))
     told = []
 
-    def stop(done: int, most: int, details: dict) -> None:
+    def stop(stage: str, done: int, most: int, details: dict) -> None:
         told.append(done)
         if done == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         optimal_transport(
-            surface, surface.vertices, twisted(surface.vertices, 0.5), tolerance=0.0, device=device, progress=stop
+            surface, twisted(surface.vertices, 0.5), start=surface.vertices, tolerance=0.0, device=device, progress=stop
         )
     assert told == [0, 1, 2]
 
@@ -162,7 +164,7 @@ def test_nothing_given_is_changed_and_the_bits_are_the_same_twice():
     surface = turned(icosphere(6))
     start, initial = pushed_north(surface.vertices, 0.3), twisted(surface.vertices, 0.4)
     kept = start.copy(), initial.copy()
-    one, two = (optimal_transport(surface, start, initial, iterations=10) for _ in range(2))
+    one, two = (optimal_transport(surface, initial, start=start, iterations=10) for _ in range(2))
     np.testing.assert_array_equal(start, kept[0])
     np.testing.assert_array_equal(initial, kept[1])
     np.testing.assert_array_equal(one.sphere, two.sphere)
@@ -172,24 +174,24 @@ def test_nothing_given_is_changed_and_the_bits_are_the_same_twice():
 def test_unknown_options_are_refused():
     surface = icosphere(2)
     with pytest.raises(OmtwarpError, match="unknown cost 'cubed': use squared, geodesic"):
-        optimal_transport(surface, surface.vertices, surface.vertices, cost="cubed")
+        optimal_transport(surface, surface.vertices, start=surface.vertices, cost="cubed")
     with pytest.raises(OmtwarpError, match="unknown scheme 'fancy': use default, plain"):
-        optimal_transport(surface, surface.vertices, surface.vertices, scheme="fancy")
+        optimal_transport(surface, surface.vertices, start=surface.vertices, scheme="fancy")
 
 
 def test_converged_is_said_of_optimal_maps_alone():
     """After the same flow: on a map that it can better to the end, and on one whose image no wavelet can follow."""
     ball = icosphere(12)
     start, initial = pushed_north(ball.vertices, 0.5), twisted(ball.vertices, 0.4)
-    flowed = optimal_transport(ball, start, initial, device="cpu")
+    flowed = optimal_transport(ball, initial, start=start, device="cpu")
     assert flowed.converged == (relative_curl(start, flowed.sphere, ball.faces, device="cpu") <= OPTIMAL_CURL)
     assert flowed.converged and flowed.ended in SETTLED_ENDINGS
-    stopped = optimal_transport(ball, start, initial, iterations=1, device="cpu")
+    stopped = optimal_transport(ball, initial, start=start, iterations=1, device="cpu")
     assert not stopped.converged and stopped.ended == "most iterations made"
     # Most of the mesh in a small part of the sphere: the flow's grid can move next to nothing.
     z, longitude = height_and_longitude(ball.vertices)
     crowded = at_height(np.tanh(np.arctanh(np.clip(z, -1 + 1e-12, 1 - 1e-12)) + 4.0), longitude)
-    stuck = optimal_transport(ball, crowded, twisted(crowded, 0.5), device="cpu")
+    stuck = optimal_transport(ball, twisted(crowded, 0.5), start=crowded, device="cpu")
     assert relative_curl(crowded, stuck.sphere, ball.faces, device="cpu") > 0.9
     assert not stuck.converged
     assert "curl that it cannot remove" in stuck.ended

@@ -118,8 +118,8 @@ def by_stages():
     surface = blob(seed=11, amplitude=0.4, sphere=3000)
     start = conformal_map(surface, device="cpu").sphere
     moser = moser_map(surface, start, device="cpu").sphere
-    transported = optimal_transport(surface, start, moser, device="cpu").sphere
-    polished = polish_transport(surface, start, transported, device="cpu")
+    transported = optimal_transport(surface, moser, start=start, device="cpu").sphere
+    polished = polish_transport(surface, transported, start=start, device="cpu")
     return surface, start, moser, transported, polished
 
 
@@ -128,7 +128,7 @@ def test_each_stage_agrees(device, monkeypatch, by_stages):
     monkeypatch.setenv("OMTWARP_SOLVER", "device")
     np.testing.assert_allclose(conformal_map(surface, device=device).sphere, start, atol=1e-9)
     np.testing.assert_allclose(moser_map(surface, start, device=device).sphere, moser, atol=1e-9)
-    again = polish_transport(surface, start, transported, device=device)
+    again = polish_transport(surface, transported, start=start, device=device)
     np.testing.assert_allclose(again.sphere, polished.sphere, atol=1e-9)
     assert len(again.history) == len(polished.history) > 3
     for one, other in zip(again.history, polished.history, strict=True):
@@ -152,7 +152,7 @@ def test_only_numbers_leave_the_device_within_a_stage(device, monkeypatch, by_st
     # Points, potential and steps:
     assert [size for size in read if size > MAX_PARTIAL_ROWS] == 3 * [surface.vertex_count]
     read.clear()
-    rounds = len(polish_transport(surface, start, transported, device=device).history)
+    rounds = len(polish_transport(surface, transported, start=start, device=device).history)
     assert rounds > 3
     assert len(read) > 3 * rounds
     assert [size for size in read if size > 3 * MAX_PARTIAL_ROWS] == [surface.vertex_count]
