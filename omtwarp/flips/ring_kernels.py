@@ -1,8 +1,10 @@
 """Kernels that add up the angle by which the neighbours of every vertex turn around it."""
 
-from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
+
+SCALE = wp.constant(wp.float64(2.0**40))
 
 
 @wp.kernel
@@ -13,13 +15,13 @@ def add_turning_angles(
     direction_error: wp.float64,
     angle_error: wp.float64,
     # Data out:
-    angles: wp.array[wp.float64],
-    errors: wp.array[wp.float64],
+    angles: wp.array[wp.int64],
+    errors: wp.array[wp.int64],
 ):
     """Add every triangle's signed angle to each of its corners, with a bound on how far rounding put it wrong.
 
-    The direction from p towards a is that of the normal p x (a - p) of the great circle through both. The additions
-    may come in any order, since their sum is only compared with multiples of 2π.
+    The direction from p towards a is that of the normal p x (a - p) of the great circle through both. Angles are added
+    as whole multiples of 1 / SCALE radians, whose sum does not depend on the order.
     """
     f, _compiled_once = wp.tid()
     face = faces[f]
@@ -30,15 +32,18 @@ def add_turning_angles(
         a = wp.cross(p, towards_a)
         b = wp.cross(p, towards_b)
         length_a, length_b = wp.length(a), wp.length(b)
-        # With a length of 0 the error is not a number, which no bound is below.
         error = direction_error * wp.length(p) * (wp.length(towards_a) / length_a + wp.length(towards_b) / length_b)
         angle = wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b))
         if signs[f] < wp.int8(0):
             angle = -angle
         elif signs[f] == wp.int8(0):
             angle = ZERO
-        wp.atomic_add(angles, face[k], angle)
-        wp.atomic_add(errors, face[k], error + angle_error)
+        error += angle_error + ONE / SCALE
+        if not error < ONE:  # also where a length is 0
+            error = ONE
+            angle = ZERO
+        wp.atomic_add(angles, face[k], wp.int64(wp.rint(SCALE * angle)))
+        wp.atomic_add(errors, face[k], wp.int64(wp.ceil(SCALE * error)))
 
 
-__all__ = ["add_turning_angles"]
+__all__ = ["SCALE", "add_turning_angles"]

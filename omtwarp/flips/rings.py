@@ -15,7 +15,7 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.predicates import exact_signs, orientation_signs
-from omtwarp.flips.ring_kernels import add_turning_angles
+from omtwarp.flips.ring_kernels import SCALE, add_turning_angles
 
 UNIT_ROUNDOFF = 2.0**-53
 # The difference of two points and their cross product are rounded four times in each of three components.
@@ -57,14 +57,13 @@ def ring_turns(
     corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
     if signs is None:
         signs = orientation_signs(points, corners, device=where)
-    angles, errors = (wp.zeros(len(points), dtype=wp.float64, device=where) for _ in range(2))
+    angles, errors = (wp.zeros(len(points), dtype=wp.int64, device=where) for _ in range(2))
     sent = wp.array(np.ascontiguousarray(signs, dtype=np.int8), dtype=wp.int8, device=where, copy=False)
     bounds = [wp.float64(_DIRECTION_ERROR), wp.float64(_ANGLE_ERROR)]
     inputs = [points, corners, sent, *bounds]
     wp.launch(add_turning_angles, dim=len(corners), inputs=inputs, outputs=[angles, errors], device=where)
-    total, error = angles.numpy() / (2.0 * np.pi), errors.numpy()
-    with np.errstate(invalid="ignore"):
-        certain = error < _CERTAIN
+    total, error = angles.numpy() / (2.0 * np.pi * float(SCALE)), errors.numpy() / float(SCALE)
+    certain = error < _CERTAIN
     turns: NDArray[np.int32] = np.rint(np.where(certain, total, 0.0)).astype(np.int32)
     if not certain.all():
         _turn_exactly(points.numpy(), corners.numpy(), signs, ~certain, turns)
