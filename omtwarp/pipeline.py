@@ -22,6 +22,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.guard import hold_back
 from omtwarp.flips.predicates import count_flips
 from omtwarp.flips.rings import is_bijective
+from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.checks import as_surface
@@ -257,8 +258,29 @@ class _Run:
             self.source = start.conformal.sphere
             if not start.route.startswith("conformal"):
                 sphere = turned_towards(sphere, self.source, self.surface.vertex_areas)
+        sphere = self.orient(sphere)
         del start  # its factorisation is large, and not needed again
         self.finish(Stage.CONFORMAL, sphere, 1, **self.origin, repaired=repaired)
+
+    def orient(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Turn the first map, and the points that transport starts from, by the surface's own axes."""
+        axes = principal_axes(self.surface)
+        if axes.note:
+            self.origin["axes"] = axes.note
+        given = sphere if self.source is None else self.source
+        rotation, determined = rotation_onto_axes(self.surface, given, axes.frame)
+        if not determined:
+            self.origin["axes"] = "the map agrees with no direction of the surface: its rotation means nothing"
+        turned = _normalised(sphere @ rotation.T)
+        faces = self.surface.faces
+        if not is_bijective(turned, faces) and is_bijective(sphere, faces):
+            # Triangles as small as rounding do not bear a turn.
+            turned = untangle(self.surface, turned, device=self.device).sphere
+            if not is_bijective(turned, faces):
+                return sphere
+        if self.source is not None:
+            self.source = turned if self.source is sphere else _normalised(self.source @ rotation.T)
+        return turned
 
     def moser(self) -> None:
         """Moser's flow from the start, repeated from its own result, flips repaired after each pass."""
@@ -423,7 +445,8 @@ class _Run:
         weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"
         solved = barycentric_map(self.surface, weights=weights, device=self.device)
         self.origin = {"route": str(method)}
-        self.finish(method, solved.sphere, solved.iterations, converged=solved.converged)
+        sphere = self.orient(solved.sphere)
+        self.finish(method, sphere, solved.iterations, converged=solved.converged)
 
     def mend(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Repair what keeps a stage's map from being one to one, or hold it back towards the map before it.
@@ -484,6 +507,11 @@ def versions() -> dict[str, str]:
         "scipy": scipy.__version__,
         "warp": wp.config.version,
     }
+
+
+def _normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points put back on the unit sphere, shape [V, 3]."""
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
 def turned_towards(

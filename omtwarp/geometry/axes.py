@@ -1,0 +1,115 @@
+"""How a map to the sphere is turned: by the surface's own axes, so that it depends on the shape alone.
+
+A map is unique up to a rotation of the sphere, which numbers such as the order of faces must not decide. The principal
+axes of the surface's area make a frame of its own; the sphere is turned so that points lie, in the least squares, in
+the directions that they have from the surface's centre in that frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.mesh.surface import Surface
+
+# Second moments of an axis, relative to the largest, that differ by less leave the axis to rounding; so do third
+# moments, relative to the spread along the axis cubed, that are smaller.
+SMALLEST_DIFFERENCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The principal axes of a surface's area.
+
+    Attributes:
+        frame: unit vectors as rows, float64, shape [3, 3], right-handed: the direction of the largest extent first.
+        note: empty where the shape determines the axes, else what was taken instead.
+    """
+
+    frame: NDArray[np.float64]
+    note: str
+
+
+def principal_axes(surface: Surface) -> Axes:
+    """Find the axes of a surface by the second moments of its area, and their directions by the third.
+
+    Moments are integrals over the triangles, which do not depend on how the surface is cut into them. Where the shape
+    has no such axes (a ball, a cube) or no such directions (an ellipsoid), the axes of the coordinates decide.
+
+    Args:
+        surface: a surface, in any position.
+    """
+    corners = surface.scaled_vertices[surface.faces]
+    areas = surface.own_areas / surface.own_areas.sum()
+    centre = areas @ corners.mean(axis=1)
+    corners = corners - centre
+    sums = corners.sum(axis=1)
+    # Integral of x x' over a triangle: area / 12 (sum of p p' + s s'), with s the sum of the corners p.
+    second = np.einsum("f,fki,fkj->ij", areas, corners, corners) + np.einsum("f,fi,fj->ij", areas, sums, sums)
+    sizes, vectors = np.linalg.eigh(second / 12.0)
+    sizes, frame = sizes[::-1], vectors[:, ::-1].T.copy()
+    apart = -np.diff(sizes) > SMALLEST_DIFFERENCE * sizes[0]
+    if not apart.any():
+        return Axes(np.eye(3), "the shape has no axes of its own: those of the coordinates were taken")
+    note = ""
+    if not apart.all():
+        lone = frame[2 if apart[1] else 0]
+        frame = _around(lone, first=not apart[1])
+        note = "the shape has one axis of its own: around it, the axes of the coordinates decide"
+    x = np.einsum("fki,ai->afk", corners, frame)
+    # Integral of x³ over a triangle: area / 10 times the sum of all products of three of its corners' values.
+    one, two, three = x.sum(axis=2), (x**2).sum(axis=2), (x**3).sum(axis=2)
+    third = ((one**3 + 3.0 * one * two + 2.0 * three) / 60.0) @ areas
+    spread = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", frame, second / 12.0, frame), 0.0))
+    lopsided = np.abs(third) > SMALLEST_DIFFERENCE * np.maximum(spread, np.finfo(float).tiny) ** 3
+    if note:
+        lopsided &= np.abs(frame @ lone) > 0.5  # along axes that are not the shape's own third moments mean nothing
+    # Two directions make the third; those that the shape does not tell point the way of a coordinate.
+    known = next((pair for pair in combinations(range(3), 2) if lopsided[list(pair)].all()), None)
+    if known is None:
+        known = (int(np.argmax(lopsided)), 1 if lopsided[0] or not lopsided.any() else 0)
+        note = note or "the shape is alike in opposite directions: the axes of the coordinates decide between them"
+    for axis in known:
+        largest = frame[axis, int(np.argmax(np.abs(frame[axis])))]
+        frame[axis] *= np.sign(third[axis]) if lopsided[axis] else np.sign(largest)
+    left = 3 - sum(known)
+    frame[left] *= np.sign(np.linalg.det(frame))
+    return Axes(frame, note)
+
+
+def rotation_onto_axes(
+    surface: Surface, sphere: NDArray[np.float64], axes: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], bool]:
+    """Find the rotation of the sphere that brings points nearest to their directions in a frame of the surface.
+
+    Args:
+        surface: a surface, V vertices.
+        sphere: its map, unit vectors, shape [V, 3].
+        axes: the frame, as :class:`Axes` has it.
+
+    Returns:
+        The rotation to multiply points with from the left, shape [3, 3], and whether it is determined: a map that
+        agrees with no direction has no best rotation (Kabsch 1976).
+    """
+    weights = surface.sum_to_vertices(surface.own_areas)
+    points = surface.scaled_vertices
+    places = (points - weights @ points / weights.sum()) @ axes.T
+    left, sizes, right = np.linalg.svd((weights[:, None] * places).T @ sphere)
+    sign = np.sign(np.linalg.det(left @ right))
+    left[:, 2] *= sign
+    return left @ right, bool(sizes[1] + sign * sizes[2] > SMALLEST_DIFFERENCE * sizes[0])
+
+
+def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
+    """A right-handed frame with an axis as its first or last, the others towards the coordinates farthest from it."""
+    towards = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    other = towards - (towards @ axis) * axis
+    other /= np.linalg.norm(other)
+    third = np.cross(axis, other)
+    return np.stack([axis, other, third] if first else [other, third, axis])
+
+
+__all__ = ["Axes", "principal_axes", "rotation_onto_axes"]
