@@ -9,22 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips
 from omtwarp.joined_maps import joined
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
-from omtwarp.metrics.certificate import certify
 from omtwarp.metrics.distortion import distortion
 from omtwarp.open_surfaces.hemisphere import mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
 from omtwarp.open_surfaces.planar import mend_in_plane
-from omtwarp.options import Domain, FillArea, MapOptions, Progress, Stage, choose
+from omtwarp.optimal import optimal_map
+from omtwarp.options import Cost, Domain, FillArea, MapOptions, Progress, Scheme, Stage, choose
 from omtwarp.pipeline import map_to_sphere
+from omtwarp.refine.solver import refine_map
 from omtwarp.result import MapResult
 from omtwarp.surface_map import SurfaceMap
 from omtwarp.topology.boundary import loop_length
 from omtwarp.topology.doubling import double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
+from omtwarp.topology.handles import cut_handles
 from omtwarp.topology.kind import Part, described, options_for, parts_of
 
 # Of the surface's area, all fillings together, where they are to be small. With a tenth of that, triangles on both
@@ -40,14 +41,15 @@ def map_surface(
     domain: str = Domain.AUTO,
     fill_area: str = FillArea.NATURAL,
     components: bool = True,
+    cut: bool = True,
     progress: Progress | None = None,
     **options: Any,
 ) -> MapResult:
-    """Map a surface with holes, or of several parts, to its natural domain.
+    """Map a surface with holes, with handles, or of several parts, to its natural domain.
 
     A closed surface of genus 0 goes to the sphere, as by :func:`omtwarp.map_to_sphere`; one with a single boundary loop
-    to the hemisphere, the boundary on the equator; one with several holes to the sphere, the holes filled. Each part of
-    a surface is mapped by itself, to a domain of its own.
+    to the hemisphere, the boundary on the equator; one with several holes to the sphere, the holes filled. Handles
+    are cut open. Each part of a surface is mapped by itself, to a domain of its own.
 
     The map to the hemisphere is half of the map of the surface glued to its mirror copy along the boundary. Its
     boundary lies on the equator to the last bit, and no triangle is flipped.
@@ -61,6 +63,7 @@ def map_surface(
         fill_area: of filled holes on the sphere: ``natural`` (where left out), that of a minimal surface in the hole;
             ``small``, at most a hundredth of the surface's area.
         components: whether a surface of several parts is taken, each mapped by itself.
+        cut: whether a surface with handles is cut along a short loop around each, and both sides filled small.
         progress: called as ``progress(stage, done, total, details)``.
         options: those of :func:`omtwarp.map_to_sphere`: ``method``, ``until``, ``cost``, ``scheme``, ``refine``,
             ``device``, ...
@@ -89,7 +92,9 @@ def map_surface(
         raise OmtwarpError("weights and a target density are for closed, connected surfaces of genus 0")
     if len(parts) > 1 and not components:
         raise OmtwarpError(f"the surface has {len(parts)} parts: components=True maps each by itself")
-    maps = [_map_part(part, domain, fill_area, progress, options) for part in parts]
+    maps = [_map_part(part, domain, fill_area, cut, progress, options) for part in parts]
+    for each in maps:
+        each.report["certificate"] = each.certificate.to_dict()
     return maps[0] if len(maps) == 1 else joined(maps, len(vertices))
 
 
@@ -111,6 +116,7 @@ class _Opened:
         vertex_origin, face_origin: where they come from in the part, see :class:`SurfaceMap`.
         split_edges: see :class:`SurfaceMap`.
         loops: those that are filled.
+        small: the first of them whose filling is to be small; all that follow are too.
         pairs: the two sides of each cut.
         filled: the surface with its loops filled.
     """
@@ -121,33 +127,35 @@ class _Opened:
     face_origin: NDArray[np.int64]
     split_edges: NDArray[np.int64]
     loops: list[NDArray[np.int64]]
+    small: int
     pairs: NDArray[np.int64]
     filled: FilledSurface
 
 
 def _map_part(
-    part: Part, domain: str, fill_area: str, progress: Progress | None, options: dict[str, Any]
+    part: Part, domain: str, fill_area: str, cut: bool, progress: Progress | None, options: dict[str, Any]
 ) -> SurfaceMap:
     if domain == "auto":
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
-    if part.genus:
+    if part.genus and not cut:
         raise OmtwarpError(f"the surface has {described(part)}: " + _or(options_for([part])))
     if domain != "sphere" and not part.loops:
         raise OmtwarpError(f"a closed surface has no boundary to put on the rim of a {domain}: map it to the sphere")
-    opened = _opened(part, to_rim=domain != "sphere")
+    opened = _opened(part, fill_area, to_rim=domain != "sphere")
     if domain == "sphere":
-        closed = map_to_sphere(_surface(opened.filled, fill_area), progress=progress, **options)
+        closed = map_to_sphere(_surface(opened), progress=progress, **options)
         return _restricted(part, opened, closed, closed.sphere, domain)
-    return _on_hemisphere(part, opened, domain, fill_area, progress, options)
+    return _on_hemisphere(part, opened, domain, progress, options)
 
 
 def _or(lines: list[str]) -> str:
     return " or ".join(line.partition(":")[0] for line in lines) + " would map it"
 
 
-def _opened(part: Part, to_rim: bool) -> _Opened:
-    vertices, faces = part.vertices, part.faces
-    origin, loops = np.arange(len(vertices)), list(part.loops)
+def _opened(part: Part, fill_area: str, to_rim: bool) -> _Opened:
+    cut = cut_handles(part.vertices, part.faces, part.genus)
+    vertices, faces, origin = cut.vertices, cut.faces, cut.vertex_origin
+    loops = list(part.loops)
     face_origin, split_edges = np.arange(len(faces)), np.zeros((0, 2), dtype=np.int64)
     if to_rim:
         longest = int(np.argmax([loop_length(vertices, loop) for loop in loops]))
@@ -155,26 +163,29 @@ def _opened(part: Part, to_rim: bool) -> _Opened:
         vertices, faces = split.vertices, split.faces
         face_origin, split_edges = split.face_origin, split.split_edges
         origin = np.concatenate([origin, np.full(len(split_edges), -1)])
-    pairs = np.zeros((0, 2), dtype=np.int64)
+    small = len(loops) if fill_area == FillArea.NATURAL else 0  # the sides of cuts always
+    pairs = len(loops) + np.arange(2 * part.genus).reshape(-1, 2)
+    loops += [side for pair in cut.sides for side in pair]
     filled = fill_holes(vertices, faces, loops)
-    return _Opened(vertices, faces, origin, face_origin, split_edges, loops, pairs, filled)
+    return _Opened(vertices, faces, origin, face_origin, split_edges, loops, small, pairs, filled)
 
 
-def _surface(filled: FilledSurface, fill_area: str) -> Surface:
+def _surface(opened: _Opened) -> Surface:
     """The filled surface, the area of the filling as asked for.
 
     An inside need not be where the faces say that it is. A map depends on lengths only, and seen in a mirror clockwise
     faces are counter-clockwise.
     """
+    filled = opened.filled
     corners = unit_coordinates(filled.vertices)[filled.faces]
     volume = float(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum())
     own = filled.vertices * np.array([-1.0, 1.0, 1.0]) if volume < 0.0 else filled.vertices
     surface = Surface(own, filled.faces)
-    filling = filled.patch >= 0
-    if fill_area == "natural" or not filling.any():
+    filling, own = filled.patch >= opened.small, filled.patch < 0
+    if not filling.any():
         return surface
     areas = surface.face_areas.copy()
-    areas[filling] *= min(1.0, SMALL_FILLING * float(areas[~filling].sum() / areas[filling].sum()))
+    areas[filling] *= min(1.0, SMALL_FILLING * float(areas[own].sum() / areas[filling].sum()))
     return surface.with_areas(areas)
 
 
@@ -207,6 +218,7 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
         conformal=closed.conformal[:count],
         density=closed.density[:count],
         face_density=None if closed.face_density is None else closed.face_density[:face_count],
+        source=own(closed.source),
         moser=own(closed.moser),
         transported=own(closed.transported),
         history=closed.history,
@@ -226,23 +238,30 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
 
 
 def _on_hemisphere(
-    part: Part, opened: _Opened, domain: str, fill_area: str, progress: Progress | None, options: dict[str, Any]
+    part: Part, opened: _Opened, domain: str, progress: Progress | None, options: dict[str, Any]
 ) -> SurfaceMap:
     glued = double(opened.filled.vertices, opened.filled.faces)
-    half = _surface(opened.filled, fill_area)
+    half = _surface(opened)
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
     closed = map_to_sphere(surface, progress=progress, **options)
     device = options.get("device", "auto")
     chosen = MapOptions.parse(**(vars(MapOptions()) | options))
-    weight = chosen.refine if Stage.REFINE in chosen.stages else None
     frame = mirror_frame(glued, closed.sphere, surface.vertex_areas)
 
     def turned(points: Floats | None) -> Floats | None:
         return None if points is None else points @ frame
 
-    image = symmetric_map(glued, surface, closed.sphere @ frame, weight, device=device)
-    certificate = certify(glued.faces, image, device=device).to_dict()
+    start = (closed.conformal if closed.source is None else closed.source) @ frame
+
+    def improve(sphere: Floats) -> Floats:
+        if Stage.OMT in chosen.stages and (chosen.cost, chosen.scheme) == (Cost.SQUARED, Scheme.DEFAULT):
+            sphere = optimal_map(surface, start, sphere, device=device).sphere
+        if Stage.REFINE in chosen.stages and chosen.refine is not None:
+            sphere = refine_map(surface, sphere, weight=chosen.refine, device=device).sphere
+        return sphere
+
+    image = symmetric_map(glued, surface, closed.sphere @ frame, improve, device=device)
     closed = MapResult(
         vertices=closed.vertices,
         faces=closed.faces,
@@ -250,10 +269,11 @@ def _on_hemisphere(
         conformal=closed.conformal @ frame,
         density=closed.density,
         face_density=closed.face_density,
+        source=turned(closed.source),
         moser=turned(closed.moser),
         transported=turned(closed.transported),
         history=closed.history,
-        report=closed.report | {"certificate": certificate},
+        report=closed.report,
     )
     result = _restricted(part, opened, closed, image, domain)
     return result if domain == "hemisphere" else _projected(part, result, glued.on_boundary, domain)
@@ -264,6 +284,10 @@ def _projected(part: Part, result: SurfaceMap, on_boundary: NDArray[np.bool_], d
     whole = result.sphere if result.filled_sphere is None else result.filled_sphere
     faces = result.faces if result.filled_faces is None else result.filled_faces
     disk, flips = mend_in_plane(hemisphere_to_disk(whole), faces, on_boundary[: len(whole)])
+    if flips:
+        raise OmtwarpError(
+            f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
+        )
     count = len(result.vertices)
     share = 0.5
     if domain == "cap":
@@ -272,15 +296,12 @@ def _projected(part: Part, result: SurfaceMap, on_boundary: NDArray[np.bool_], d
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
         cap = disk_to_cap(disk, share)
-        flips = count_flips(cap, faces)
         filled = None if result.filled_sphere is None else cap
         result = replace(result, sphere=cap[:count], filled_sphere=filled)
     else:
         result = replace(result, disk=disk[:count])
-    certificate = result.report["certificate"] | {"flips": flips}
-    certificate["bijective"] = bool(certificate["bijective"] and flips == 0)
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
-    return replace(result, report=result.report | {"certificate": certificate, "surface": about})
+    return replace(result, report=result.report | {"surface": about})
 
 
 __all__ = ["map_surface"]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from omtwarp.surface_map import SurfaceMap
 
-_PER_VERTEX = ("vertices", "sphere", "conformal", "density", "moser", "transported", "disk")
+_PER_VERTEX = ("vertices", "sphere", "conformal", "density", "source", "moser", "transported", "disk")
 
 
 def joined(maps: list[SurfaceMap], vertex_count: int) -> SurfaceMap:
@@ -67,6 +67,7 @@ def joined(maps: list[SurfaceMap], vertex_count: int) -> SurfaceMap:
         **_filling(maps, numbers, count, at_vertices),
     )
     report["stages"][0] |= result.distortion().to_dict() | {"transport_cost": 0.0}
+    report["certificate"] = result.certificate.to_dict()
     return result
 
 
@@ -115,17 +116,12 @@ def _filling(maps: list[SurfaceMap], numbers: list[NDArray], count: int, at_vert
 
 def _report(maps: list[SurfaceMap]) -> dict[str, Any]:
     """The reports of the parts, and one certificate for all."""
-    certificates = [part.report["certificate"] for part in maps]
     first = maps[0].report
     same = ("versions", "device", "method", "cost", "scheme", "refine", "options")
     return {name: first[name] for name in same if name in first} | {
         "mesh": {name: sum(part.report["mesh"][name] for part in maps) for name in ("vertices", "faces")},
         "seconds": sum(part.report["seconds"] for part in maps),
         "stages": [{"name": "parts", "seconds": sum(part.report["seconds"] for part in maps), "iterations": 0}],
-        "certificate": {
-            "flips": sum(c["flips"] for c in certificates),
-            "bijective": all(c["bijective"] for c in certificates),
-        },
         "parts": [part.report for part in maps],
     }
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,11 @@ from omtwarp.files import staged
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.surface import triangle_areas
+from omtwarp.metrics.certificate import Certificate, certify
 from omtwarp.metrics.distortion import Distortion, distortion
 from omtwarp.result import MapResult
+from omtwarp.topology.boundary import boundary_half_edges
+from omtwarp.topology.kind import connected_components
 
 Array = NDArray[np.float64]
 
@@ -59,8 +63,7 @@ class SurfaceMap(MapResult):
     filled_loop: NDArray[np.int64] | None = None
 
     def __repr__(self) -> str:
-        size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
-        return f"SurfaceMap({self.domain}, {size}, {self.distortion()})"
+        return f"SurfaceMap({self.domain}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
 
     def distortion(self, stage: str = "sphere") -> Distortion:
         """Distortion of the map, or of a stage: ``conformal``, ``moser`` or ``transported``.
@@ -80,6 +83,27 @@ class SurfaceMap(MapResult):
         scale = np.ones(len(self.vertices))
         scale[self.faces] = np.sqrt(ratio[self.part])[:, None]
         return distortion(self.vertices * scale[:, None], self.faces, points)
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """What is certain about the map of the filled surface, established from its arrays when first asked for.
+
+        A boundary that is left, the rim of a hemisphere or of a cap, is closed by a fan of triangles to the south pole;
+        the disk is seen from the centre of the sphere, at height 1. Parts are certified one by one.
+        """
+        filled = self.filled_faces is not None and self.filled_sphere is not None
+        faces = np.asarray(self.filled_faces if filled else self.faces, dtype=np.int32)
+        points = np.asarray(self.filled_sphere if filled else self.sphere)
+        if self.disk is not None and not filled:
+            points = np.concatenate([self.disk, np.ones((len(self.disk), 1))], axis=1)
+            points /= np.linalg.norm(points, axis=1)[:, None]
+        _, labels = connected_components(faces, len(points))
+        found = [_certified(faces[labels == label], points) for label in np.unique(labels)]
+        if len(found) == 1:
+            return found[0]
+        numbers = {name: sum(getattr(one, name) for one in found) for name in ("flips", "wound")}
+        once = all(one.degree == 1 and one.ray_degree == 1 for one in found)
+        return replace(found[0], **numbers, degree=int(once), ray_degree=int(once))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map as ``.npz``: what a :class:`MapResult` writes, and the arrays and the domain of this class.
@@ -112,8 +136,45 @@ class SurfaceMap(MapResult):
             numbers = array.dtype.kind in ("f" if name in _FLOATS else "iu")
             if not numbers or array.ndim > 2:
                 raise OmtwarpError(f"'{path}' is not a map: '{name}' is not an array of numbers")
+        _check_filling(Path(path), base, arrays)
         known = {item.name: getattr(base, item.name) for item in fields(MapResult)}
-        return cls(**known, domain=domain, **arrays)
+        result = cls(**known, domain=domain, **arrays)
+        result.report["certificate"] = result.certificate.to_dict()
+        return result
+
+
+def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:
+    """The certificate of one part, its vertices numbered anew and its boundary closed."""
+    used, own = np.unique(faces, return_inverse=True)
+    own, places = own.reshape(-1, 3).astype(np.int32), points[used]
+    rim = boundary_half_edges(own, len(used))
+    if len(rim):
+        fan = np.stack([rim[:, 1], rim[:, 0], np.full(len(rim), len(used))], axis=1).astype(np.int32)
+        own, places = np.concatenate([own, fan]), np.concatenate([places, [[0.0, 0.0, -1.0]]])
+    return certify(np.asarray(own, dtype=np.int32), places)
+
+
+def _check_filling(path: Path, base: MapResult, arrays: dict[str, Any]) -> None:
+    """Make sure that the filled surface of a file is one.
+
+    Raises:
+        OmtwarpError: arrays of other shapes, or faces that name vertices that there are not.
+    """
+    count = len(arrays.get("filled_vertices", base.vertices))
+    shapes: dict[str, tuple[int, ...]] = {
+        "disk": (len(base.vertices), 2),
+        "filled_vertices": (count, 3),
+        "filled_sphere": (count, 3),
+    }
+    faces = arrays.get("filled_faces", base.faces)
+    shapes |= {"filled_faces": (len(faces), 3), "filled_loop": (len(faces),), "part": (len(base.faces),)}
+    for name, shape in shapes.items():
+        if name in arrays and arrays[name].shape != shape:
+            raise OmtwarpError(f"'{path}' is not a map: '{name}' has shape {arrays[name].shape}, not {shape}")
+    if faces.size and (faces.min() < 0 or faces.max() >= count):
+        raise OmtwarpError(f"'{path}' is not a map: its filled faces name vertices that it does not have")
+    if "part" in arrays and len(base.faces) and arrays["part"].min() < 0:
+        raise OmtwarpError(f"'{path}' is not a map: its parts are not numbered from 0")
 
 
 _FLOATS = ("disk", "filled_vertices", "filled_sphere")

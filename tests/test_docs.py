@@ -73,6 +73,8 @@ def desk(tmp_path, monkeypatch) -> Path:
     write_mesh(tmp_path / "face.ply", part, kept)
     both = np.concatenate([surface.faces, kept + len(surface.vertices)])
     write_mesh(tmp_path / "parts.ply", np.concatenate([surface.vertices, part + 4.0]), both)
+    double = shapes.rings(2, cell=0.3)
+    write_mesh(tmp_path / "pretzel.ply", double.vertices, double.faces)
     turned = surface.faces.copy()
     turned[::7] = turned[::7, ::-1]  # some triangles face inwards
     write_mesh(tmp_path / "broken.ply", surface.vertices, turned)

@@ -94,6 +94,10 @@ FillAreaOption = Annotated[
 ComponentsOption = Annotated[
     bool, typer.Option("--components", help="Map every part of the surface by itself, each to a sphere of its own.")
 ]
+CutOption = Annotated[
+    bool,
+    typer.Option("--cut", help="Cut handles open along short loops and map to the sphere; a texture breaks there."),
+]
 SizeOption = Annotated[
     str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size, help="Size of the picture in pixels.")
 ]

@@ -94,9 +94,11 @@ def load_map(path: Path) -> MapResult:
     Raises:
         OmtwarpError: a missing file, or one that is not a map.
     """
+    from omtwarp.inputs import holds_array
     from omtwarp.result import MapResult
+    from omtwarp.surface_map import SurfaceMap
 
-    return MapResult.load(path)
+    return (SurfaceMap if path.is_file() and holds_array(path, "domain") else MapResult).load(path)
 
 
 def report_text(report: dict[str, Any]) -> str:

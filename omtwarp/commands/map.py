@@ -12,6 +12,7 @@ from omtwarp.commands._options import (
     CapOption,
     ComponentsOption,
     CostOption,
+    CutOption,
     DeviceOption,
     DiskOption,
     FillAreaOption,
@@ -54,6 +55,7 @@ def map_mesh(
     cap: CapOption = False,
     fill_area: FillAreaOption = None,
     components: ComponentsOption = False,
+    cut: CutOption = False,
     device: DeviceOption = MapOptions.device,
     weights: Annotated[
         Path | None,
@@ -86,7 +88,7 @@ def map_mesh(
     With --weights parts of the surface cover more of the sphere than their area; with --target the sphere is not filled
     evenly but as a picture says. Example: omtwarp map head.ply -o head.npz --weights face.npy --target importance.png
 
-    A surface with holes or of several parts is mapped with one of --hemisphere, --disk, --cap, --fill-area and
+    A surface with holes, handles or several parts is mapped with --hemisphere, --disk, --cap, --fill-area, --cut and
     --components; "omtwarp check" says what each would do with it.
     """
     from omtwarp.commands._work import make_map, read_sound_mesh, report_text, require_bijective, start_device
@@ -96,7 +98,9 @@ def map_mesh(
     check_output(output, (".npz", *SUFFIXES), mesh)
     if report is not None:
         check_output(report, (".json",), mesh, output)
-    any_surface = surface_options(hemisphere=hemisphere, disk=disk, cap=cap, fill_area=fill_area, components=components)
+    any_surface = surface_options(
+        hemisphere=hemisphere, disk=disk, cap=cap, fill_area=fill_area, components=components, cut=cut
+    )
     sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
     per_part = None if weights is None else weights_of(weights, sound)
     start_device(device)
@@ -151,7 +155,7 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
 
 
 def surface_options(
-    *, hemisphere: bool, disk: bool, cap: bool, fill_area: FillArea | None, components: bool
+    *, hemisphere: bool, disk: bool, cap: bool, fill_area: FillArea | None, components: bool, cut: bool
 ) -> dict[str, Any] | None:
     """Options of :func:`omtwarp.map_surface`, None where none was given: the surface has to be a sphere then.
 
@@ -161,12 +165,13 @@ def surface_options(
     rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap), strict=True) if given]
     if len(rims) > 1:
         raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
-    if not (rims or fill_area or components):
+    if not (rims or fill_area or components or cut):
         return None
     return {
         "domain": rims[0] if rims else Domain.SPHERE,
         "fill_area": fill_area or FillArea.NATURAL,
         "components": components,
+        "cut": cut,
     }
 
 

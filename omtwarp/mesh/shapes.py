@@ -311,6 +311,25 @@ def implicit_surface(
     return Surface(_onto_surface(value, points, cell, steps=2), surface.faces)
 
 
+def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
+    """A chain of round rings that overlap in their tubes, side by side along x: a surface with a handle for each.
+
+    Args:
+        count: how many, from 1; the genus of the surface.
+        tube: radius of the tubes; the rings' middle circles have radius 1.
+        cell: side of the grid's cubes, see :func:`implicit_surface`; the number of faces grows as its inverse square.
+    """
+    centres = 2.0 * np.arange(count)
+
+    def value(p: Points) -> Points:
+        around = [np.hypot(np.hypot(p[:, 0] - x, p[:, 1]) - 1.0, p[:, 2]) - tube for x in centres]
+        return np.min(around, axis=0)
+
+    reach = 1.0 + tube + 2.0 * cell
+    low, high = [-reach, -reach, -tube - 2.0 * cell], [centres[-1] + reach, reach, tube + 2.0 * cell]
+    return implicit_surface(value, low, high, cell)
+
+
 def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:
     """Faces that part the inside corners of positively oriented tetrahedra from the outside ones, shape [F, 3, 2]."""
     found = []

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
-from omtwarp.refine.solver import refine_map
 from omtwarp.topology.doubling import Double
 from omtwarp.untangling.untangle import untangle
 
@@ -57,7 +57,12 @@ def symmetrised(double: Double, turned: Floats) -> Floats:
 
 
 def symmetric_map(
-    double: Double, surface: Surface, sphere: Floats, weight: str | float | None, *, device: str | None = "auto"
+    double: Double,
+    surface: Surface,
+    sphere: Floats,
+    improve: Callable[[Floats], Floats],
+    *,
+    device: str | None = "auto",
 ) -> Floats:
     """An exactly mirror-symmetric map without flips, from a nearly symmetric one.
 
@@ -65,7 +70,7 @@ def symmetric_map(
         double: the surface and its copy.
         surface: the same as a surface.
         sphere: a map of it that lies as :func:`mirror_frame` turns it, shape [W, 3].
-        weight: of the refinement that follows a repair, see :func:`omtwarp.refine.solver.refine_map`; None for none.
+        improve: what follows a repair: from a map that is one to one to a better one.
         device: where the repair runs.
 
     Raises:
@@ -76,8 +81,8 @@ def symmetric_map(
         if is_bijective(image, surface.faces, device=device):
             return image
         mended = untangle(surface, image, device=device).sphere
-        if weight is not None and count_flips(mended, surface.faces, device=device) == 0:
-            mended = refine_map(surface, mended, weight=weight, device=device).sphere
+        if is_bijective(mended, surface.faces, device=device):
+            mended = improve(mended)
         image = symmetrised(double, mended @ mirror_frame(double, mended, surface.vertex_areas))
     if not is_bijective(image, surface.faces, device=device):
         raise OmtwarpError(

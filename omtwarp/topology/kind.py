@@ -69,6 +69,11 @@ def parts_of(vertices: NDArray[np.float64], faces: NDArray, name: str = "") -> l
     return parts
 
 
+def connected_components(faces: NDArray, vertex_count: int) -> tuple[int, NDArray[np.int32]]:
+    """Number of pieces that hang together through edges, and the piece of every face, shape [F]."""
+    return Topology(np.asarray(faces, dtype=np.int64), vertex_count).components
+
+
 def described(part: Part) -> str:
     """A part in words: ``genus 1, 2 holes``."""
     holes = number(len(part.loops), "hole") if part.loops else "closed"
@@ -91,11 +96,9 @@ def options_for(parts: list[Part]) -> list[str]:
         lines.append(
             f"--fill-area natural or small: {number(loops, 'hole')} filled, the rest of the sphere covered{cut}"
         )
-    if genus == 1 and not loops:
-        lines.append("--torus: map the surface of genus 1 to a flat torus")
     if genus:
         lines.append(f"--cut: cut {number(genus, 'handle')} open along short loops, the cuts filled small")
     return lines
 
 
-__all__ = ["MAPPABLE", "Part", "described", "options_for", "parts_of"]
+__all__ = ["MAPPABLE", "Part", "connected_components", "described", "options_for", "parts_of"]

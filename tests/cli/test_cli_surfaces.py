@@ -69,3 +69,13 @@ def test_parts(capsys, tmp_path):
     status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--components", "--quiet")
     assert status == 0, err
     assert np.bincount(omtwarp.SurfaceMap.load(tmp_path / "m.npz").part).tolist() == [320, 320]
+
+
+def test_handles(capsys, tmp_path):
+    surface = shapes.rings(2, cell=0.35)
+    write_mesh(tmp_path / "pretzel.ply", surface.vertices, surface.faces)
+    status, _, err = run(capsys, "map", tmp_path / "pretzel.ply", "-o", tmp_path / "m.npz")
+    assert status == 1 and "--cut" in err
+    status, _, err = run(capsys, "map", tmp_path / "pretzel.ply", "-o", tmp_path / "m.npz", "--cut", "--quiet")
+    assert status == 0, err
+    assert len(omtwarp.SurfaceMap.load(tmp_path / "m.npz").loop_pairs) == 2
