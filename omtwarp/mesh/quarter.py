@@ -1,0 +1,102 @@
+"""Every triangle cut into four at the middles of its edges, and what belongs to it carried over.
+
+A map of the quartered mesh has room enough to keep the area of every triangle of the mesh itself, the sum of its four
+parts, and to be optimal and smooth as well: 4 E unknowns against F conditions, where the mesh has 2 V against 2 V.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.mesh.surface import Surface
+
+PARTS = 4  # of a triangle: one at each corner, and the one in the middle
+
+
+@dataclass(frozen=True)
+class QuarteredSurface:
+    """A surface whose triangles are the parts of another's.
+
+    Part 4 f + k of triangle f lies at its corner k and has the corners (corner k, middle of the edge from corner k to
+    the next, middle of the edge from the one before to corner k); part 4 f + 3 has the three middles for corners.
+
+    Attributes:
+        surface: V + E vertices, those of the mesh first, then the middles of its edges; 4 F triangles.
+        ends: the two vertices between which every new one lies, int32, shape [E, 2].
+        middles: of the edges from corner k to the next of every triangle of the mesh, int32, shape [F, 3].
+    """
+
+    surface: Surface
+    ends: NDArray[np.int32]
+    middles: NDArray[np.int32]
+
+    @property
+    def parents(self) -> NDArray[np.int32]:
+        """The triangle that every part belongs to, shape [4 F]."""
+        return np.repeat(np.arange(len(self.middles), dtype=np.int32), PARTS)
+
+    @property
+    def vertex_origin(self) -> NDArray[np.int64]:
+        """The vertex of the mesh that every vertex is, -1 for the new ones, shape [V + E]."""
+        return np.r_[np.arange(self.surface.vertex_count - len(self.ends)), np.full(len(self.ends), -1)]
+
+    def on_sphere(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Carry a map over: new vertices go to the middles of the images of their edges.
+
+        If the map flips no triangle, neither does this: each spherical triangle is cut into four along great circles.
+
+        Args:
+            sphere: unit vectors, shape [V, 3].
+
+        Returns:
+            Unit vectors, shape [V + E, 3]. Where the ends of an edge are opposite points it is the first end.
+        """
+        one, other = sphere[self.ends[:, 0]], sphere[self.ends[:, 1]]
+        middle = one + other
+        length = np.linalg.norm(middle, axis=1, keepdims=True)
+        middle = np.where(length > 0.0, middle / np.where(length > 0.0, length, 1.0), one)
+        return np.concatenate([sphere, middle])
+
+    def sum_of_parts(self, per_part: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Add a number per part, shape [4 F], over the parts of every triangle, shape [F]."""
+        return per_part.reshape(-1, PARTS).sum(axis=1)
+
+
+def quarter(surface: Surface) -> QuarteredSurface:
+    """Cut every triangle of a closed surface into four.
+
+    Args:
+        surface: V vertices, E edges, F triangles; each part has a quarter of its triangle's measure.
+
+    Raises:
+        OmtwarpError: the surface is not closed.
+
+    Example:
+        >>> from omtwarp.mesh import shapes
+        >>> from omtwarp.mesh.quarter import quarter
+        >>> quarter(shapes.icosphere(2)).surface
+        Surface(162 vertices, 320 faces)
+    """
+    edges, faces = surface.edges, surface.faces
+    opposite = np.empty(3 * surface.face_count, dtype=np.int32)  # edge of every corner
+    for side in range(2):
+        opposite[surface.edge_corners[:, side]] = np.arange(len(edges), dtype=np.int32)
+    # The edge from corner k to the next lies opposite to the one after.
+    middles = surface.vertex_count + np.roll(opposite.reshape(-1, 3), -2, axis=1)
+    parts = np.empty((surface.face_count, PARTS, 3), dtype=np.int32)
+    for k in range(3):
+        parts[:, k] = np.stack([faces[:, k], middles[:, k], middles[:, k - 1]], axis=1)
+    parts[:, 3] = middles
+    points = surface.vertices
+    # Halves first: the sum of two large coordinates need not be finite.
+    between = 0.5 * points[edges[:, 0]] + 0.5 * points[edges[:, 1]]
+    measure = np.repeat(surface.face_areas / PARTS, PARTS) if surface.weighted else None
+    cut = Surface(np.concatenate([points, between]), parts.reshape(-1, 3), measure)
+    cut.checked = surface.checked
+    return QuarteredSurface(cut, edges, middles.astype(np.int32))
+
+
+__all__ = ["PARTS", "QuarteredSurface", "quarter"]
