@@ -34,6 +34,8 @@ from omtwarp.device.threads import launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, transport_gradient
 from omtwarp.refine.energy import DistortionEnergy, Terms
+from omtwarp.solvers.cholesky import SaddleFactor, surface_dissection
+from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
 from omtwarp.triangle_newton.newton import NewtonMatrix
 from omtwarp.untangling.kernels import solid_angles
 
@@ -41,6 +43,8 @@ Numbers = NDArray[np.float64]
 
 # λ of the shape term: how much area distortion of triangles counts against angle distortion. Enough against slivers.
 AREA_WEIGHT = 10.0
+# Root mean square and largest relative error of the areas around vertices up to which they count as kept.
+MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 5e-3
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class MapTerms:
     """What a map is made of.
 
     Attributes:
-        ring: a_v, shape [V].
+        ring: the areas that are constrained: a_v, shape [V].
         square: d(x_v, y_v)², shape [V].
         shape: distortion of the triangles.
     """
@@ -67,7 +71,13 @@ class TransportEnergy:
         device: a Warp device.
         shape_weight: β.
         cost_weight: factor of the cost; 0 leaves the shape under the constraints alone.
+
+    Attributes:
+        wanted: the areas that constraints ask for, 3 m_v, shape [V].
+        area_tolerances: root mean square and largest relative error up to which they count as kept.
     """
+
+    area_tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
 
     def __init__(
         self, surface: Surface, start: wp.array, device: wp.Device, shape_weight: float, cost_weight: float = 1.0
@@ -82,6 +92,10 @@ class TransportEnergy:
         self._forward, self._backward = (wp.empty(edges, dtype=wp.vec2d, device=device) for _ in range(2))
         self._metric = wp.empty((count, 4), dtype=wp.float64, device=device)
         self._newton = NewtonMatrix.of_surface(surface, self.shape.workspace)
+
+    def saddle_factor(self) -> SaddleFactor | CellSaddleFactor:
+        """What factorises the matrices that :meth:`blocks` gives."""
+        return SaddleFactor(surface_dissection(self.surface))
 
     def terms(self, points: wp.array) -> MapTerms:
         """Areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""

@@ -26,12 +26,13 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
-from omtwarp.solvers.cholesky import NotPositiveDefinite, SaddleFactor, surface_dissection
+from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
+Notify = Callable[[int, int, dict[str, Any]], None]
 
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: how heavily areas that are still wrong count beside cost
@@ -52,9 +53,8 @@ LEAST_DAMPING, MOST_DAMPING = 1e-3, 1.0
 DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
 MIN_CURVATURE_SHARE = 0.03  # see refine.kernels.triangle_hessian
 
-# Optimal: a further step would gain this share of the cost, and areas around vertices are right to these.
+# Optimal: a further step would gain this share of the cost, and areas are right to the energy's tolerances.
 GAIN = 1e-4
-MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 5e-3
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,24 @@ def optimal_map(
         OmtwarpError: the map given has flipped triangles.
     """
     where = resolve_device(device)
-    given = np.array(sphere, dtype=np.float64)
-    given /= np.linalg.norm(given, axis=1, keepdims=True)
-    flipped = flipped_faces(given, surface.faces)
-    if flipped.any():
-        raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
     x = np.array(start, dtype=np.float64)
     energy = TransportEnergy(surface, vectors(x, where), where, shape_weight, cost_weight)
+    return minimise(energy, sphere, gain=gain, iterations=iterations, progress=progress)
+
+
+def minimise(
+    energy: TransportEnergy, sphere: ArrayLike, *, gain: float, iterations: int, progress: Notify | None
+) -> OptimalMap:
+    """Minimise an energy under its constraints; arguments and result as of :func:`optimal_map`.
+
+    Raises:
+        OmtwarpError: the map given has flipped triangles.
+    """
+    given = np.array(sphere, dtype=np.float64)
+    given /= np.linalg.norm(given, axis=1, keepdims=True)
+    flipped = flipped_faces(given, energy.surface.faces)
+    if flipped.any():
+        raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
     return _Newton(energy, gain).run(given, iterations, progress)
 
 
@@ -130,10 +141,11 @@ class _Newton:
         self.energy, self.device, self.gain = energy, energy.device, gain
         self.surface = energy.surface
         self.steps = FlipFreeSteps(self.surface, self.device)
-        self.factor = SaddleFactor(surface_dissection(self.surface))
-        # Of the augmented Lagrangian: μ / 12π over 3 m_v.
-        self.stiffness = PENALTY / (3.0 * SPHERE_AREA) / energy.wanted
-        self.multipliers = np.zeros(self.surface.vertex_count)
+        self.factor = energy.saddle_factor()
+        # Of the augmented Lagrangian: μ over the areas wanted, which sum to 12π for rings.
+        self.stiffness = PENALTY / energy.wanted.sum() / energy.wanted
+        self.multipliers = np.zeros(len(energy.wanted))
+        self.max_rms, self.max_error = energy.area_tolerances
         self.curvature_share, self.damping = 1.0, LEAST_DAMPING
         self.factorisations = 0
 
@@ -157,7 +169,7 @@ class _Newton:
             direction, q, decrement = self._direction(points, terms)
             scale = max(energy.cost(terms) / SPHERE_AREA, 1e-6)
             rms, largest = energy.ring_errors(terms)
-            if decrement <= self.gain * scale and rms <= MAX_RING_RMS and largest <= MAX_RING_ERROR:
+            if decrement <= self.gain * scale and rms <= self.max_rms and largest <= self.max_error:
                 ended, converged = "optimal", True
                 break
             if not fresh and decrement > (1.0 - MIN_GAIN_SHARE) * last:

@@ -1,0 +1,165 @@
+"""The optimal map of a quartered mesh that keeps the area of every triangle of the mesh itself.
+
+The cells whose areas are kept are the triangles c of the mesh, each the sum of four parts (P1-iso-P2/P0 in the language
+of incompressible elasticity, which does not lock). A cell's mass A_c lies on its six vertices, a twelfth on each corner
+and a quarter on each middle of an edge, so that the vertices' masses are those of the quartered mesh. As in
+:mod:`omtwarp.optimal.energy` the cost is written with the image's cells, C' = Σ a_c Σ w_cv d(x_v, y_v)² / 4π, and the
+multipliers p_c belong to what does not move.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
+from omtwarp.device.threads import launch_parts
+from omtwarp.mesh.quarter import QuarteredSurface
+from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.optimal.cell_kernels import cell_couplings, cell_gradient, vertex_squares
+from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.kernels import cost_metric
+from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, Notify, OptimalMap, minimise
+from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
+from omtwarp.untangling.kernels import solid_angles
+
+Numbers = NDArray[np.float64]
+
+CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a cell's mass
+ITERATIONS = 120
+# The largest relative error of a triangle's area, and the root mean square, up to which it counts as kept.
+CELL_LARGEST, CELL_RMS = 1e-6, 1e-6
+
+
+def exact_map(
+    quartered: QuarteredSurface,
+    start: ArrayLike,
+    sphere: ArrayLike,
+    *,
+    shape_weight: float = SHAPE_WEIGHT,
+    iterations: int = ITERATIONS,
+    gain: float = GAIN,
+    device: str | None = "auto",
+    progress: Notify | None = None,
+) -> OptimalMap:
+    """Minimise transport cost over the maps of a quartered mesh that keep the area of every triangle of the mesh.
+
+    Args:
+        quartered: the mesh's triangles, F, in four parts each; V vertices.
+        start: the points x that are transported, unit vectors, shape [V, 3].
+        sphere: a map of them without flips to begin with, unit vectors, shape [V, 3].
+        shape_weight: weight of angle and area distortion of the parts beside the mean squared distance.
+        iterations: most steps.
+        gain: end where the expected gain of a step falls below this share of the cost, and areas are kept to 1e-6.
+        device: where the kernels run.
+        progress: called after every step with its number, the most there can be, and its record.
+
+    Returns:
+        The map, never worse than the one given; its multipliers belong to the triangles, shape [F].
+
+    Raises:
+        OmtwarpError: the map given has flipped triangles.
+    """
+    where = resolve_device(device)
+    energy = CellEnergy(quartered, vectors(np.array(start, dtype=np.float64), where), where, shape_weight)
+    return minimise(energy, sphere, gain=gain, iterations=iterations, progress=progress)
+
+
+class CellEnergy(TransportEnergy):
+    """Evaluates maps of a quartered surface: as its base, with triangles made of four parts in place of rings.
+
+    Args:
+        quartered: the mesh's triangles in four parts each.
+        start: x, unit vectors, vec3d, shape [V], on the device.
+        device: a Warp device.
+        shape_weight: of the distortion of the parts.
+    """
+
+    area_tolerances = (CELL_RMS, CELL_LARGEST)
+
+    def __init__(self, quartered: QuarteredSurface, start: wp.array, device: wp.Device, shape_weight: float):
+        super().__init__(quartered.surface, start, device, shape_weight)
+        self._quartered = quartered
+        parts = quartered.surface.faces.reshape(-1, 4, 3)
+        self.cells = np.ascontiguousarray(np.concatenate([parts[:, :3, 0], quartered.middles], axis=1))
+        self._cells = wp.array(self.cells, dtype=wp.int32, device=device)
+        self.wanted = quartered.sum_of_parts(quartered.surface.face_areas)
+        self._shares = np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3)
+        self._couplings = wp.empty(self.cells.shape, dtype=wp.vec2d, device=device)
+
+    def saddle_factor(self) -> CellSaddleFactor:
+        return CellSaddleFactor(self.surface.scaled_vertices, self.surface.edges, self.cells)
+
+    def terms(self, points: wp.array) -> MapTerms:
+        """Areas of the cells, shape [F], in place of those around vertices."""
+        square = wp.empty(self.surface.vertex_count, dtype=wp.float64, device=self.device)
+
+        def of_triangles(part: slice) -> tuple[list[Any], list[Any]]:
+            return [points, self._mesh.faces[part]], [self._solid[part]]
+
+        def of_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+            return [self._start[part], points[part]], [square[part]]
+
+        launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
+        launch_parts(vertex_squares, self.surface.vertex_count, of_vertices, self.device)
+        areas = self._quartered.sum_of_parts(self._solid.numpy())
+        return MapTerms(areas, square.numpy(), self.shape.terms(points))
+
+    def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
+        """P_c, shape [F], from p_c."""
+        return multipliers + self.cost_weight / SPHERE_AREA * self._means(terms)
+
+    def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
+        """C' + Σ p_c (a_c - A_c) + β S."""
+        cost = self.cost_weight * float(terms.ring @ self._means(terms)) / SPHERE_AREA
+        return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(AREA_WEIGHT)
+
+    def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
+        count, device = self.surface.vertex_count, self.device
+        mass = wp.array(self._masses(terms), dtype=wp.float64, device=device, copy=False)
+        potential = wp.array(self.potential(terms, multipliers), dtype=wp.float64, device=device, copy=False)
+        gradient = wp.empty(count, dtype=wp.vec3d, device=device)
+        factor = wp.float64(self.cost_weight * 2.0 / SPHERE_AREA)
+
+        def around(part: slice) -> tuple[list[Any], list[Any]]:
+            inputs = [self._start, points, self._mesh.faces, mass, potential, *self._rows, factor, part.start]
+            return inputs, [gradient]
+
+        launch_parts(cell_gradient, count, around, device)
+        shape = self.shape.gradient(points, terms.shape, AREA_WEIGHT)
+        return gradient.numpy() + self.shape_weight * shape.numpy()
+
+    def blocks(
+        self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
+    ) -> tuple[Numbers, Numbers, Numbers]:
+        """As of the base; the derivatives of the areas are those of every cell by its vertices, shape [F, 6, 2]."""
+        count, device = self.surface.vertex_count, self.device
+        hessians = self.shape.hessian(points, terms.shape, AREA_WEIGHT, curvature_share)
+        diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
+        mass = wp.array(self._masses(terms), dtype=wp.float64, device=device, copy=False)
+        numbers = [wp.float64(self.cost_weight * 2.0 / SPHERE_AREA), wp.float64(least)]
+
+        def around(part: slice) -> tuple[list[Any], list[Any]]:
+            inputs = [self._start, points, self._mesh.faces, mass, *self._rows, *numbers, part.start]
+            return inputs, [self._metric]
+
+        def of_cells(part: slice) -> tuple[list[Any], list[Any]]:
+            return [points, self._cells, part.start], [self._couplings[part]]
+
+        launch_parts(cost_metric, count, around, device)
+        launch_parts(cell_couplings, len(self.cells), of_cells, device)
+        diagonal += self._metric.numpy().reshape(-1, 2, 2)
+        return diagonal, off_diagonal, self._couplings.numpy()
+
+    def _means(self, terms: MapTerms) -> Numbers:
+        """Mean of d(x, y)² over the mass of every cell, shape [F]."""
+        return terms.square[self.cells] @ self._shares
+
+    def _masses(self, terms: MapTerms) -> Numbers:
+        """The image's area that every vertex stands for, shape [V]."""
+        shares = terms.ring[:, None] * self._shares
+        return np.bincount(self.cells.ravel(), shares.ravel(), self.surface.vertex_count).astype(np.float64)
