@@ -86,6 +86,15 @@ class FillArea(StrEnum):
     SMALL = "small"
 
 
+class Solver(StrEnum):
+    """How sparse systems are solved: SciPy is the plain way, the others are faster; ``auto`` takes what pays."""
+
+    AUTO = "auto"
+    SCIPY = "scipy"
+    CHOLESKY = "cholesky"
+    MULTIGRID = "multigrid"
+
+
 Kind = TypeVar("Kind", bound=StrEnum)
 
 _NAMES: dict[type[StrEnum], str] = {
@@ -94,6 +103,7 @@ _NAMES: dict[type[StrEnum], str] = {
     Cost: "cost",
     Scheme: "scheme",
     Refinement: "refinement",
+    Solver: "solver",
     Interpolation: "interpolation",
     Domain: "domain",
     FillArea: "fill area",
@@ -161,6 +171,7 @@ class MapOptions:
         refine: a named refinement, the weight of area against angle, or None to leave refinement out.
         optimality: whether the map's distance from the optimum is bounded too.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
+        solver: how sparse systems are solved.
     """
 
     method: Method = Method.OMT
@@ -170,6 +181,7 @@ class MapOptions:
     refine: Refinement | float | None = None
     optimality: bool = True
     device: str = "auto"
+    solver: Solver = Solver.AUTO
 
     @classmethod
     def parse(
@@ -182,6 +194,7 @@ class MapOptions:
         refine: str | float | None,
         optimality: bool,
         device: str | None,
+        solver: str,
     ) -> MapOptions:
         """Read options as users write them.
 
@@ -196,6 +209,7 @@ class MapOptions:
             refine=parse_refinement(refine),
             optimality=bool(optimality),
             device=parse_device(device),
+            solver=choose(Solver, solver),
         )
 
     @property
@@ -221,6 +235,7 @@ __all__ = [
     "Progress",
     "Refinement",
     "Scheme",
+    "Solver",
     "Stage",
     "choose",
     "parse_device",

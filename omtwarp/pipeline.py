@@ -15,7 +15,7 @@ from omtwarp.baselines.barycentric import Weights, barycentric_map
 from omtwarp.conformal import density
 from omtwarp.device.arrays import vectors
 from omtwarp.device.memory import give_back
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import resolve_device, solving_with, wanted_solver
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
@@ -79,6 +79,7 @@ def map_to_sphere(
     weights: ArrayLike | None = None,
     target: Any = None,
     device: str | None = MapOptions.device,
+    solver: str = MapOptions.solver,
     progress: Progress | None = None,
 ) -> MapResult:
     """Map a closed genus-0 surface to the unit sphere.
@@ -99,6 +100,8 @@ def map_to_sphere(
             vectors [N, 3], an equirectangular picture, or ``(sphere, faces, values)``; see
             :func:`omtwarp.texturing.density.as_target`.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
+        solver: how sparse systems are solved: ``scipy``, the plain way; ``cholesky`` on the host or ``multigrid`` on
+            the device, built in; ``auto`` takes the built-in one that pays. The maps are the same to round-off.
         progress: called as ``progress(stage, done, total, details)``.
 
     Returns:
@@ -115,13 +118,15 @@ def map_to_sphere(
         refine=refine,
         optimality=optimality,
         device=device,
+        solver=solver,
     )
     where = resolve_device(options.device)
     density = as_target(target, device=str(where))
     if density is not None and (options.method not in (Method.OMT, Method.MOSER) or options.scheme is Scheme.PAPER):
         raise OmtwarpError("a target density needs the methods omt or moser, and the schemes default or plain")
     surface = weighted_surface(as_surface(mesh), weights)
-    return _Run(surface, options, str(where), progress, density).result()
+    with solving_with(options.solver):
+        return _Run(surface, options, str(where), progress, density).result()
 
 
 class _Run:
@@ -477,6 +482,7 @@ class _Run:
             },
             "versions": versions(),
             "device": self.device,
+            "solver": str(wanted_solver()),
             **self.options.to_dict(),
             "start": self.origin,
             "seconds": time.perf_counter() - self.begun,

@@ -16,6 +16,7 @@ from omtwarp.pipeline import map_to_sphere
         ("--cost", "cost", "cubed"),
         ("--scheme", "scheme", "fancy"),
         ("--refine", "refine", "0"),
+        ("--solver", "solver", "gauss"),
     ],
 )
 def test_python_and_the_command_line_refuse_with_the_same_words(capsys, option, name, value):
@@ -40,7 +41,7 @@ def test_device_names(name):
 
 def test_stages_follow_from_the_options():
     every = tuple(Stage)
-    assert MapOptions().stages == every
+    assert MapOptions(refine=Refinement.AREA).stages == every
     assert MapOptions(refine=None).stages == every[:-1]
     assert MapOptions(until=Stage.MOSER).stages == every[:2]
     assert MapOptions(method=Method.HAKER).stages == every[:1]

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import Cost, FillArea, Kind, Method, Scheme, Stage, choose, parse_refinement
+from omtwarp.options import Cost, FillArea, Kind, Method, Scheme, Solver, Stage, choose, parse_refinement
 
 Value = TypeVar("Value")
 
@@ -69,6 +69,7 @@ RefineOption = Annotated[
         help="Last stage: the weight of area against angle.",
     ),
 ]
+SolverOption = Annotated[Solver, named(Solver, "How sparse systems are solved; scipy is the plain way.")]
 DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda:N", help="Where to compute.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no summary.")]
 RepairOption = Annotated[

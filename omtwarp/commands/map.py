@@ -23,6 +23,7 @@ from omtwarp.commands._options import (
     RefineOption,
     RepairOption,
     SchemeOption,
+    SolverOption,
     UntilOption,
 )
 from omtwarp.errors import OmtwarpError
@@ -57,6 +58,7 @@ def map_mesh(
     components: ComponentsOption = False,
     cut: CutOption = False,
     device: DeviceOption = MapOptions.device,
+    solver: SolverOption = MapOptions.solver,
     weights: Annotated[
         Path | None,
         typer.Option(
@@ -114,6 +116,7 @@ def map_mesh(
         cost=cost,
         scheme=scheme,
         refine=refine,
+        solver=solver,
         weights=per_part,
         target=goal,
         device=device,

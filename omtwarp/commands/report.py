@@ -17,6 +17,7 @@ from omtwarp.commands._options import (
     RefineOption,
     RepairOption,
     SchemeOption,
+    SolverOption,
     UntilOption,
 )
 from omtwarp.commands.texture import PatternName
@@ -41,6 +42,7 @@ def report_on_map(
     scheme: SchemeOption = MapOptions.scheme,
     refine: RefineOption = str(Refinement.NONE),
     device: DeviceOption = MapOptions.device,
+    solver: SolverOption = MapOptions.solver,
     repair: RepairOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -67,6 +69,7 @@ def report_on_map(
         cost=cost,
         scheme=scheme,
         refine=refine,
+        solver=solver,
     )
     source = mesh or finished
     write_report(

@@ -18,6 +18,7 @@ from omtwarp.commands._options import (
     RefineOption,
     RepairOption,
     SchemeOption,
+    SolverOption,
     UntilOption,
 )
 from omtwarp.errors import OmtwarpError
@@ -70,6 +71,7 @@ def texture_mesh(
     scheme: SchemeOption = MapOptions.scheme,
     refine: RefineOption = str(Refinement.NONE),
     device: DeviceOption = MapOptions.device,
+    solver: SolverOption = MapOptions.solver,
     repair: RepairOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -96,6 +98,7 @@ def texture_mesh(
         cost=cost,
         scheme=scheme,
         refine=refine,
+        solver=solver,
     )
     require_bijective(result, finished)
     textured = texture(

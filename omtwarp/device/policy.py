@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
+from contextvars import ContextVar
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import parse_device
+from omtwarp.options import Solver, choose, parse_device
 
-SOLVERS = ("auto", "host", "device")
 # An iteration on the device is a hundred launches or more, whatever the size of the mesh: below so many vertices they
 # have next to nothing to do, and the host has factorised a Laplacian in 0.03 s.
 DEVICE_VERTICES = 30_000
@@ -42,19 +44,41 @@ def resolve_device(device: str | None = "auto") -> wp.Device:
         ) from error
 
 
-def on_device(device: wp.Device, vertices: int) -> bool:
-    """Whether systems on a surface of so many vertices are solved on the device.
+_wanted: ContextVar[Solver] = ContextVar("solver", default=Solver.AUTO)
 
-    They are on CUDA where the surface is large. The environment variable ``OMTWARP_SOLVER`` overrides that: ``host`` or
-    ``device`` everywhere, the CPU included; ``auto`` is the rule above.
+
+@contextlib.contextmanager
+def solving_with(solver: Solver) -> Iterator[None]:
+    """Solve the sparse systems of a computation in one way; ``auto`` leaves the choice as it is."""
+    token = _wanted.set(wanted_solver() if solver is Solver.AUTO else solver)
+    try:
+        yield
+    finally:
+        _wanted.reset(token)
+
+
+def wanted_solver() -> Solver:
+    """The solver asked for: by :func:`solving_with`, by the environment variable ``OMTWARP_SOLVER``, or ``auto``.
 
     Raises:
-        OmtwarpError: the variable holds something else.
+        OmtwarpError: the variable holds something else than a solver's name.
     """
-    wanted = os.environ.get("OMTWARP_SOLVER") or "auto"
-    if wanted not in SOLVERS:
-        raise OmtwarpError(f"unknown OMTWARP_SOLVER '{wanted}': use {', '.join(SOLVERS)}")
-    return wanted == "device" or (wanted == "auto" and device.is_cuda and vertices > DEVICE_VERTICES)
+    asked = _wanted.get()
+    return asked if asked is not Solver.AUTO else choose(Solver, os.environ.get("OMTWARP_SOLVER") or "auto")
+
+
+def on_device(device: wp.Device, vertices: int) -> bool:
+    """Whether systems on a surface of so many vertices are solved on the device, by multigrid.
+
+    They are on CUDA where the surface is large, and everywhere where ``multigrid`` is asked for.
+    """
+    solver = wanted_solver()
+    return solver is Solver.MULTIGRID or (solver is Solver.AUTO and device.is_cuda and vertices > DEVICE_VERTICES)
+
+
+def solves_with_scipy() -> bool:
+    """Whether factorisations on the host are SciPy's rather than the built-in ones, which are several times faster."""
+    return wanted_solver() is Solver.SCIPY
 
 
 def adds_on_device(device: wp.Device, vertices: int) -> bool:
@@ -96,4 +120,7 @@ __all__ = [
     "records_graphs",
     "resolve_device",
     "shares_host_memory",
+    "solves_with_scipy",
+    "solving_with",
+    "wanted_solver",
 ]

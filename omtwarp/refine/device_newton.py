@@ -10,7 +10,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.step_kernels import add_to_diagonal, block_traces, gather_rows, rotation_blocks
-from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
+from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.solvers.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
 from omtwarp.triangle_newton.newton import REGULARISATION, factorise_stiffened
 
@@ -36,7 +36,7 @@ class DeviceNewtonMatrix:
         self._rotations = wp.empty(6 * surface.vertex_count, dtype=wp.float64, device=device)
         self._sum, self._trace = DeviceSum(device), wp.empty(1, dtype=wp.float64, device=device)
         self._solver: MultigridSolver | None = None
-        self._factor: MultifrontalCholesky | None = None
+        self._factor: MeshFactor | None = None
 
     def assemble(self, points: wp.array, hessian: Callable[[], wp.array]) -> None:
         """Take the values at a map.
@@ -92,13 +92,13 @@ class DeviceNewtonMatrix:
             self._factor = self._factorised(self._solver)
         coordinates.assign(self._factor.solve(coordinates.numpy()))
 
-    def _factorised(self, solver: MultigridSolver) -> MultifrontalCholesky:
+    def _factorised(self, solver: MultigridSolver) -> MeshFactor:
         source = solver.hierarchy.source.numpy()
         blocks = solver.matrix.values.numpy().reshape(-1, 2, 2)
         diagonal, off_diagonal = (
             blocks[np.flatnonzero(kind)[np.argsort(source[kind])]] for kind in (source % 3 == 0, source % 3 == 1)
         )
-        factor = MultifrontalCholesky(surface_dissection(self._surface), block=2)
+        factor = surface_factor(self._surface, block=2)
         factorise_stiffened(factor, diagonal, off_diagonal, 0.0, 0.0)
         return factor
 

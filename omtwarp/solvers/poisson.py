@@ -1,7 +1,7 @@
 """Sparse symmetric positive definite systems, factorised once and solved many times.
 
-Here it is also decided where a system on a surface is solved: by a factorisation on the host, or by conjugate gradients
-and multigrid on the device (:mod:`omtwarp.solvers.multigrid`).
+:mod:`omtwarp.device.policy` decides how and where: by a factorisation on the host (:mod:`omtwarp.solvers.mesh_factor`)
+or by conjugate gradients and multigrid on the device (:mod:`omtwarp.solvers.multigrid`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import MultifrontalCholesky, NotPositiveDefinite, surface_dissection
+from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.mesh_factor import surface_factor
 from omtwarp.solvers.multigrid import DeviceLaplacian
 
 
@@ -187,7 +188,7 @@ class EdgeLaplacianSolver:
         joined = (edges[:, 0] != pinned) & (edges[:, 1] != pinned)
         self._pinned = pinned
         self._fallback: LaplacianSolver | None = None
-        self._factor = MultifrontalCholesky(surface_dissection(surface))
+        self._factor = surface_factor(surface)
         try:
             typical = float(np.median(diagonal))
             self._factor.factorise(

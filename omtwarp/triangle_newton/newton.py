@@ -13,7 +13,8 @@ from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect, surface_dissection
+from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
+from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
 from omtwarp.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 
 REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
@@ -33,10 +34,9 @@ class NewtonMatrix:
         edges: every edge between unknown vertices once, vec2i, shape [E].
         edge_corners: the two corners opposite to every edge, vec2i, shape [E].
         vertex_corners: corners around every unknown vertex as compressed rows, int32.
-        dissection: the order of elimination.
+        factor: what factorises it.
         shift: what is added to the diagonal, relative to its mean.
         growth: what is added to every entry of the diagonal, relative to itself.
-        workspace: memory for the fronts; the blocks of triangles may be in it until the factorisation.
     """
 
     def __init__(
@@ -45,13 +45,12 @@ class NewtonMatrix:
         edges: wp.array,
         edge_corners: wp.array,
         vertex_corners: list[wp.array],
-        dissection: Dissection,
+        factor: MeshFactor,
         shift: float = REGULARISATION,
         growth: float = 0.0,
-        workspace: Workspace | None = None,
     ):
         self._shift, self._growth = shift, growth
-        self._factor = MultifrontalCholesky(dissection, block=2, workspace=workspace or Workspace())
+        self._factor = factor
         self._rows, self._sides = vertex_corners, [edges, faces, edge_corners]
         self._diagonal = wp.empty((len(vertex_corners[0]) - 1, 4), dtype=wp.float64, device="cpu")
         self._off_diagonal = wp.empty((len(edges), 4), dtype=wp.float64, device="cpu")
@@ -61,7 +60,7 @@ class NewtonMatrix:
         """The matrix over all vertices of a surface."""
         mesh = surface.on("cpu")
         arrays = mesh.faces, mesh.edges, mesh.edge_corners, mesh.vertex_corners
-        return cls(*arrays, surface_dissection(surface), workspace=workspace)
+        return cls(*arrays, surface_factor(surface, 2, workspace or Workspace()))
 
     @classmethod
     def of_patches(
@@ -72,7 +71,7 @@ class NewtonMatrix:
         Args:
             patches: V of their vertices are freed.
             points: positions of those on the surface, shape [V, 3].
-            workspace: see :class:`NewtonMatrix`.
+            workspace: memory for the fronts; the blocks of triangles may be in it until the factorisation.
         """
         count = patches.free
         own = np.where(patches.faces < count, patches.faces, -1)
@@ -92,7 +91,8 @@ class NewtonMatrix:
 
         sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
         rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
-        return cls(*sides, rows, dissect(points, edges), 0.0, PATCH_REGULARISATION, workspace)
+        factor = mesh_factor(count, edges, lambda: dissect(points, edges), 2, workspace or Workspace())
+        return cls(*sides, rows, factor, 0.0, PATCH_REGULARISATION)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""
@@ -141,7 +141,7 @@ class NewtonMatrix:
 
 
 def factorise_stiffened(
-    factor: MultifrontalCholesky,
+    factor: MeshFactor,
     diagonal: NDArray[np.float64],
     off_diagonal: NDArray[np.float64],
     shift: float,

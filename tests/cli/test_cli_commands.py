@@ -74,7 +74,14 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
     written = json.loads(report.read_text())
     assert written["input"]["path"].endswith("blob.ply") and written["stages"][0]["seconds"] is None
     expected = {"until": "moser", "cost": "geodesic", "method": "omt", "scheme": "paper", "refine": "0.5"}
-    assert radial == {**expected, "device": "cpu", "weights": None, "target": None, "any_surface": None}
+    assert radial == {
+        **expected,
+        "device": "cpu",
+        "solver": "auto",
+        "weights": None,
+        "target": None,
+        "any_surface": None,
+    }
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -33,7 +33,7 @@ def test_recorded_and_step_by_step_are_the_same_to_the_bit(device, cost, scheme,
     for record in (False, True):
         flow = flow_of_a_twist(device, cost, scheme)
         told: list[int] = []
-        tell = partial(lambda told, done, most, details: told.append(done), told)
+        tell = partial(lambda told, stage, done, most, details: told.append(done), told)
         converged = flow.run(flow.iterations(record), 23, 1e-4, tell)
         assert told == list(range(len(flow.history)))
         ends.append((flow.points.numpy().copy(), flow.history, converged))

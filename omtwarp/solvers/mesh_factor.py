@@ -1,0 +1,195 @@
+"""Direct factorisations of matrices whose pattern is the edges of a mesh: SciPy's, or the built-in one.
+
+Both are made by the functions at the end, which ask :mod:`omtwarp.device.policy` for the choice. SciPy's is the plain
+way: it takes the same blocks, makes an ordinary sparse matrix of them and hands that to SuperLU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from omtwarp.device.memory import Workspace
+from omtwarp.device.policy import solves_with_scipy
+from omtwarp.mesh.surface import Surface
+from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, surface_dissection
+from omtwarp.solvers.cholesky.saddle import SaddleFactor
+
+
+class MeshFactor(Protocol):
+    """A factorisation of matrices with one or two unknowns per vertex, made again for every matrix."""
+
+    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+        """Factorise the matrix with these blocks of vertices, [V, b, b], and edges, [E, b, b]."""
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for right-hand sides, shape [V, b] or [V, b, K]; [V] or [V, K] for one unknown per vertex."""
+
+
+class SaddlePointFactor(Protocol):
+    """A factorisation of saddle-point matrices, see :class:`omtwarp.solvers.cholesky.saddle.SaddleFactor`."""
+
+    def factorise(
+        self,
+        diagonal: NDArray[np.float64],
+        off_diagonal: NDArray[np.float64],
+        gradients: NDArray[np.float64],
+        compliance: NDArray[np.float64],
+    ) -> None:
+        """Factorise one matrix."""
+
+    def solve(
+        self, first: NDArray[np.float64], second: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Solve for coordinates, shape [V, 2], and multipliers, shape [V]."""
+
+
+class SparseFactor:
+    """Factorises symmetric positive definite matrices on a mesh by SuperLU.
+
+    Args:
+        count: number of vertices V.
+        edges: every edge (i, j) once, shape [E, 2].
+        block: unknowns per vertex, b.
+    """
+
+    def __init__(self, count: int, edges: NDArray[np.int32], block: int = 1):
+        self._count, self._edges, self._block = count, edges, block
+        self._lu: Any = None
+
+    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+        """Factorise a matrix; see :meth:`omtwarp.solvers.cholesky.MultifrontalCholesky.factorise`.
+
+        Raises:
+            NotPositiveDefinite: it is not positive definite, to round-off.
+        """
+        matrix = _block_matrix(self._count, self._edges, diagonal, off_diagonal, self._block)
+        try:
+            # Without pivoting the signs of the pivots are those of the eigenvalues.
+            self._lu = splu(matrix, permc_spec="COLAMD", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        except RuntimeError as error:
+            raise NotPositiveDefinite("the matrix is singular") from error
+        in_place = np.array_equal(self._lu.perm_r, self._lu.perm_c)
+        pivots = self._lu.U.diagonal()
+        if not (in_place and np.isfinite(pivots).all() and pivots.min() > 0.0):
+            raise NotPositiveDefinite(f"{int((~(pivots > 0.0)).sum())} pivots are not positive")
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for right-hand sides, shape [V, b] or [V, b, K]; [V] or [V, K] for one unknown per vertex."""
+        flat = np.ascontiguousarray(right, dtype=np.float64).reshape(self._count * self._block, -1)
+        solved: NDArray[np.float64] = self._lu.solve(flat)
+        return solved.reshape(np.shape(right))
+
+
+class SparseSaddleFactor:
+    """Factorises saddle-point matrices [A, Bᵀ; B, -C] on a mesh by SuperLU, with its own pivoting.
+
+    Args:
+        count: number of vertices V.
+        edges: every edge (i, j) once, shape [E, 2].
+    """
+
+    def __init__(self, count: int, edges: NDArray[np.int32]):
+        self._count, self._edges = count, edges
+        self._lu: Any = None
+
+    def factorise(
+        self,
+        diagonal: NDArray[np.float64],
+        off_diagonal: NDArray[np.float64],
+        gradients: NDArray[np.float64],
+        compliance: NDArray[np.float64],
+    ) -> None:
+        """Factorise one matrix; arguments as of :meth:`omtwarp.solvers.cholesky.saddle.SaddleFactor.factorise`.
+
+        Raises:
+            NotPositiveDefinite: the matrix is singular.
+        """
+        count, (i, j) = self._count, self._edges.T.astype(np.int64)
+        first = _block_matrix(count, self._edges, diagonal, off_diagonal, 2)
+        rows = np.repeat(np.stack([i, j]), 2)
+        columns = (2 * np.stack([j, i])[:, :, None] + np.arange(2)).ravel()
+        coupling = sparse.coo_matrix((gradients.ravel(), (rows, columns)), shape=(count, 2 * count))
+        matrix = sparse.bmat([[first, coupling.T], [coupling, sparse.diags(-compliance)]], format="csc")
+        try:
+            self._lu = splu(matrix)
+        except RuntimeError as error:
+            raise NotPositiveDefinite("the matrix is singular") from error
+
+    def solve(
+        self, first: NDArray[np.float64], second: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Solve [A, Bᵀ; B, -C] [u; q] = [first; second]: coordinates u, shape [V, 2], and multipliers q, shape [V]."""
+        solved = self._lu.solve(np.concatenate([np.ravel(first), np.ravel(second)]))
+        return solved[: 2 * self._count].reshape(-1, 2), solved[2 * self._count :]
+
+
+def _block_matrix(
+    count: int,
+    edges: NDArray[np.int32],
+    diagonal: NDArray[np.float64],
+    off_diagonal: NDArray[np.float64],
+    block: int,
+) -> sparse.csc_matrix:
+    """The symmetric matrix with these blocks of vertices and edges."""
+    vertices = np.arange(count)
+    own, other = (np.reshape(values, (-1, block, block)) for values in (diagonal, off_diagonal))
+    rows = np.concatenate([vertices, edges[:, 0], edges[:, 1]])
+    columns = np.concatenate([vertices, edges[:, 1], edges[:, 0]])
+    values = np.concatenate([own, other, other.transpose(0, 2, 1)])
+    inside = np.arange(block)
+    flat_rows = np.broadcast_to((block * rows)[:, None, None] + inside[:, None], values.shape)
+    flat_columns = np.broadcast_to((block * columns)[:, None, None] + inside, values.shape)
+    size = block * count
+    return sparse.csc_matrix((values.ravel(), (flat_rows.ravel(), flat_columns.ravel())), shape=(size, size))
+
+
+def mesh_factor(
+    count: int,
+    edges: NDArray[np.int32],
+    dissection: Callable[[], Dissection],
+    block: int = 1,
+    workspace: Workspace | None = None,
+) -> MeshFactor:
+    """Make the factorisation that is asked for, of matrices on the edges of a mesh.
+
+    Args:
+        count: number of vertices V.
+        edges: every edge once, shape [E, 2].
+        dissection: makes the order of elimination, where the built-in factorisation needs it.
+        block: unknowns per vertex, 1 or 2.
+        workspace: see :class:`omtwarp.solvers.cholesky.MultifrontalCholesky`.
+    """
+    if solves_with_scipy():
+        return SparseFactor(count, edges, block)
+    return MultifrontalCholesky(dissection(), block, workspace=workspace)
+
+
+def surface_factor(surface: Surface, block: int = 1, workspace: Workspace | None = None) -> MeshFactor:
+    """The same on the edges of a surface, which keeps the order of elimination."""
+    return mesh_factor(
+        surface.vertex_count, surface.edges, lambda: surface_dissection(surface), block, workspace=workspace
+    )
+
+
+def surface_saddle_factor(surface: Surface) -> SaddlePointFactor:
+    """Make the factorisation that is asked for, of saddle-point matrices on a surface."""
+    if solves_with_scipy():
+        return SparseSaddleFactor(surface.vertex_count, surface.edges)
+    return SaddleFactor(surface_dissection(surface))
+
+
+__all__ = [
+    "MeshFactor",
+    "SaddlePointFactor",
+    "SparseFactor",
+    "SparseSaddleFactor",
+    "mesh_factor",
+    "surface_factor",
+    "surface_saddle_factor",
+]
