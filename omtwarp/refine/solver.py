@@ -131,8 +131,7 @@ def refine_map(
     """
     value = refinement_weight(weight)
     surface = as_surface(surface)
-    start = np.array(as_sphere(sphere, surface), dtype=np.float64)
-    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    start = np.array(as_sphere(sphere, surface))
     flipped = flipped_faces(start, surface.faces)
     if flipped.any():
         raise OmtwarpError(

@@ -128,8 +128,7 @@ def untangle(
     """
     surface = as_surface(surface)
     where = resolve_device(device)
-    start = np.array(as_sphere(sphere, surface), dtype=np.float64)
-    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    start = np.array(as_sphere(sphere, surface))
     points, faces = start.copy(), surface.faces
     tangled = tangled_faces(points, faces)
     before = count_flips(points, faces)
