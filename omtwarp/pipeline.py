@@ -109,6 +109,14 @@ def map_to_sphere(
 
     Raises:
         OmtwarpError: the mesh cannot be mapped, or an option is unknown.
+
+    Example:
+        >>> import omtwarp
+        >>> result = omtwarp.map_to_sphere(omtwarp.shapes.blob(seed=3, sphere=320), device="cpu")
+        >>> result.sphere.shape == result.vertices.shape, result.report["certificate"]["bijective"]
+        (True, True)
+        >>> result.distortion().area["mean"] < 2.01
+        True
     """
     options = MapOptions.parse(
         method=method,
@@ -353,7 +361,7 @@ class _Run:
     def transport_by_newton(self) -> None:
         """The discrete optimal map: areas around vertices kept, cost at its minimum."""
 
-        def tell(done: int, total: int, details: dict[str, Any]) -> None:
+        def notify(done: int, total: int, details: dict[str, Any]) -> None:
             self.notify(Stage.OMT, done, total, details)
 
         smooth = Refiner(self.surface, resolve_device(self.device)).minimise(
@@ -361,7 +369,7 @@ class _Run:
         )
         give_back()  # the largest matrices follow
         assert self.source is not None
-        found = optimal_map(self.surface, self.source, smooth.sphere, device=self.device, progress=tell)
+        found = optimal_map(self.surface, self.source, smooth.sphere, device=self.device, progress=notify)
         self.history = [record | {"iteration": k} for k, record in enumerate(found.history)]
         sphere, repaired = self.mend(self.sphere, found.sphere)
         details: dict[str, str | float | None] = {

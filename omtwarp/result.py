@@ -106,6 +106,13 @@ class MapResult:
         face_origin: the same of the faces, int64 [F].
         history: one record per iteration of the transport flow: ``iteration``, ``cost``, ``curl``, ...
         report: everything worth knowing about how the map was made, ready for JSON.
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> result = omtwarp.map_to_sphere(omtwarp.shapes.blob(seed=3, sphere=320), until="moser", device="cpu")
+        >>> _ = result.save("blob.npz")
+        >>> bool(np.array_equal(omtwarp.MapResult.load("blob.npz").sphere, result.sphere))
+        True
     """
 
     vertices: Array

@@ -48,6 +48,13 @@ class SurfaceMap(MapResult):
         filled_faces: faces of the surface as filled, those of the map first, shape [H, 3].
         filled_sphere: the map of ``filled_vertices``, shape [W, 3].
         filled_loop: the loop that each face of ``filled_faces`` fills, -1 for the surface's own, shape [H].
+
+    Example:
+        >>> import omtwarp
+        >>> ball = omtwarp.shapes.icosphere(8)
+        >>> result = omtwarp.map_surface((ball.vertices, ball.faces[1:]), domain="sphere", device="cpu")
+        >>> type(result).__name__, str(result.domain), len(result.loop_ends)
+        ('SurfaceMap', 'sphere', 1)
     """
 
     domain: str = "sphere"

@@ -125,6 +125,9 @@ def align(
         mirror: try the mirror image of the shape too, and take it where it fits better.
         degree: the highest degree of the harmonics, 1 to 64.
 
+    Returns:
+        The turned map, the rotation, and how well the two agree.
+
     Raises:
         OmtwarpError: something that is not a map or sphere, features that do not belong together, or too little to go
             by.

@@ -129,6 +129,13 @@ def barycentric_map(
     Raises:
         OmtwarpError: the mesh cannot be mapped, an option is unknown, or weights are not finite (triangles without
             area).
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> sphere = omtwarp.barycentric_map(surface, weights="mean-value", device="cpu").sphere
+        >>> bool(np.allclose(np.linalg.norm(sphere, axis=1), 1.0))
+        True
     """
     if weights not in ("tutte", "mean-value"):
         raise OmtwarpError(f"unknown weights '{weights}': use tutte or mean-value")

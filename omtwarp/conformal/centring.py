@@ -40,6 +40,15 @@ def mobius_centring(
     Raises:
         OmtwarpError: the arrays do not fit together or are not of numbers, or the masses are so concentrated that the
             centre cannot be reached.
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> surface = omtwarp.shapes.icosphere(8)
+        >>> sphere = surface.vertices + np.array([0.0, 0.0, 0.3])
+        >>> sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)  # crowded in the north
+        >>> centred, steps = omtwarp.mobius_centring(sphere, surface.vertex_areas, device="cpu")
+        >>> bool(np.linalg.norm(surface.vertex_areas @ centred) < 1e-10)
+        True
     """
     if not isinstance(sphere, wp.array):
         sphere = as_unit_vectors(sphere, name="sphere")

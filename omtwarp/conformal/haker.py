@@ -65,6 +65,15 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
 
     Raises:
         OmtwarpError: the mesh cannot be mapped, the linear systems cannot be solved, or the map cannot be centred.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> start = omtwarp.conformal_map(surface, device="cpu")
+        >>> start.sphere.shape == surface.vertices.shape
+        True
+        >>> omtwarp.distortion(surface.vertices, surface.faces, start.sphere, device="cpu").angle["median"] < 2.2
+        True
     """
     surface = as_surface(surface)
     if progress is not None:

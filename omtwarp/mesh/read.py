@@ -60,6 +60,15 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> Mes
     Raises:
         OmtwarpError: a missing or unreadable file, no triangles in it, faces with more than three corners, or several
             geometries.
+
+    Example:
+        >>> import omtwarp
+        >>> from omtwarp.mesh.write import write_mesh
+        >>> surface = omtwarp.shapes.icosphere(2)
+        >>> _ = write_mesh("ball.ply", surface.vertices, surface.faces)
+        >>> mesh = omtwarp.read_mesh("ball.ply")
+        >>> mesh.vertices.dtype.name, mesh.faces.shape == surface.faces.shape
+        ('float64', True)
     """
     file = Path(path)
     data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")

@@ -44,8 +44,18 @@ def repair(vertices: ArrayLike, faces: ArrayLike) -> Repaired:
         vertices: coordinates, shape [V, 3].
         faces: vertex indices, shape [F, 3].
 
+    Returns:
+        The mesh, what was done, and where its vertices and faces come from.
+
     Raises:
         OmtwarpError: arrays that are not those of a triangle mesh.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.icosphere(2)
+        >>> mended = omtwarp.repair(surface.vertices, surface.faces[1:])
+        >>> omtwarp.check(mended.vertices, mended.faces)
+        []
     """
     points, triangles = as_arrays(vertices, faces)
     work = _Work(points, triangles)

@@ -40,6 +40,15 @@ class Surface:
     Raises:
         OmtwarpError: the arrays are not of numbers, a corner is not among the vertices, or ``areas`` is not one
             positive, finite number per triangle.
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> surface = omtwarp.Surface([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]],
+        ...                           [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+        >>> surface.vertex_count, surface.face_count
+        (4, 4)
+        >>> bool(np.isclose(surface.face_areas.sum(), 4 * np.pi))  # scaled to the unit sphere's area
+        True
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, areas: ArrayLike | None = None):

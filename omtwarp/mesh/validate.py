@@ -34,6 +34,13 @@ class Defect:
         where: index of the first one (a vertex or a face, as the message says); -1 where there is none to name.
         message: the defect, how many, where the first one is.
         remedy: what mends it.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.icosphere(2)
+        >>> defect = omtwarp.check(surface.vertices, surface.faces[1:])[0]
+        >>> defect.kind, defect.count
+        ('open-boundary', 3)
     """
 
     kind: str
@@ -56,6 +63,14 @@ def check(vertices: ArrayLike, faces: ArrayLike) -> list[Defect]:
     Returns:
         The defects, the most basic first. Conditions that only make sense on a sounder mesh (an inside for an open
         one) are left out until the others are mended.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.icosphere(2)
+        >>> omtwarp.check(surface.vertices, surface.faces)
+        []
+        >>> [defect.kind for defect in omtwarp.check(surface.vertices, surface.faces[1:])]
+        ['open-boundary']
     """
     try:
         points, triangles = as_arrays(vertices, faces)

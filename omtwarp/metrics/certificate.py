@@ -79,8 +79,20 @@ def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: st
         sphere: points of any length, float64, shape [V, 3]; triangles with one that is not finite count as flipped.
         device: where floating point is tried, and rays are cast.
 
+    Returns:
+        What was found; ``bijective`` says whether the map is one to one and onto.
+
     Raises:
         OmtwarpError: the arrays are not of numbers, or a corner is not among the points.
+
+    Example:
+        >>> import omtwarp
+        >>> sphere = omtwarp.shapes.icosphere(8)
+        >>> certificate = omtwarp.certify(sphere.faces, sphere.vertices, device="cpu")
+        >>> certificate.bijective, certificate.flips
+        (True, 0)
+        >>> omtwarp.certify(sphere.faces, -sphere.vertices, device="cpu").bijective  # inside out
+        False
     """
     sphere = real_numbers(sphere, "the map", (None, 3), finite=False)
     faces = as_faces(faces, len(sphere))

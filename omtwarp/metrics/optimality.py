@@ -244,7 +244,7 @@ def _measure(
     device: str | None,
     progress: Progress | None,
 ) -> Optimality:
-    def tell(step: int, gap: float) -> None:
+    def notify(step: int, gap: float) -> None:
         if progress is not None:
             progress("optimality", step, max(ascent_steps, 1), {"gap": gap})
 
@@ -264,7 +264,7 @@ def _measure(
     steps = 0
     step: float | None = None
     while steps < ascent_steps and 2.0 * best.excess > GOOD_ENOUGH * cost:
-        tell(steps, 2.0 * best.excess / cost)
+        notify(steps, 2.0 * best.excess / cost)
         direction, slope = dual.ascent_direction(best)
         if slope <= 0:
             break
@@ -284,7 +284,7 @@ def _measure(
     transform = dual.cost - best.potential - best.vertex_gap
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
     uniform = 2.0 * (float(mass @ transform) + dual.integral(best.potential))
-    tell(steps, _excess(cost, lower))
+    notify(steps, _excess(cost, lower))
     return Optimality(
         relative_curl=curl,
         cost=cost,

@@ -128,6 +128,17 @@ def refine_map(
 
     Raises:
         OmtwarpError: the mesh or the map cannot be used, the map has flipped triangles, or the weight is unknown.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> start = omtwarp.conformal_map(surface, device="cpu").sphere
+        >>> refined = omtwarp.refine_map(surface, start, weight="balanced", device="cpu")
+        >>> refined.converged, refined.weight
+        (True, 10.0)
+        >>> measured = omtwarp.distortion(surface.vertices, surface.faces, refined.sphere, device="cpu")
+        >>> measured.flips, measured.area["mean"] < 2.01
+        (0, True)
     """
     value = refinement_weight(weight)
     surface = as_surface(surface)
@@ -147,12 +158,12 @@ def refine_map(
             return result
         if result.weight <= MAX_WEIGHT:
             kept = result
-        harder = WEIGHT_GROWTH * result.weight
-        if harder > (MAX_WEIGHT_IN_REACH if excess <= MAX_EXCESS_IN_REACH else MAX_WEIGHT):
+        next_weight = WEIGHT_GROWTH * result.weight
+        if next_weight > (MAX_WEIGHT_IN_REACH if excess <= MAX_EXCESS_IN_REACH else MAX_WEIGHT):
             break
         # Up to MAX_WEIGHT all λ have the same tolerance; beyond, only the promise counts.
-        loose = tolerance * (harder / value if harder <= MAX_WEIGHT else 1.0)
-        again = refiner.minimise(result.sphere, harder, iterations=iterations, tolerance=loose, progress=progress)
+        loose = tolerance * (next_weight / value if next_weight <= MAX_WEIGHT else 1.0)
+        again = refiner.minimise(result.sphere, next_weight, iterations=iterations, tolerance=loose, progress=progress)
         result = replace(
             again,
             history=result.history + again.history[1:],

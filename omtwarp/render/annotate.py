@@ -64,9 +64,9 @@ def bar_width(size: tuple[int, int]) -> int:
 def draw_color_bar(image: Image.Image, scalar: ScalarField, color: tuple[int, int, int]) -> None:
     """Draw the colour map, its values and its label into the right end of a picture."""
     width, height = image.size
-    room = bar_width(image.size)
+    bar = bar_width(image.size)
     text = font(min(image.size) / 44.0)
-    left, right = width - room + round(0.12 * room), width - room + round(0.30 * room)
+    left, right = width - bar + round(0.12 * bar), width - bar + round(0.30 * bar)
     top, bottom = round(0.16 * height), round(0.84 * height)
     table = colormap_table(scalar.colormap, max(2, bottom - top))[::-1]
     strip = np.repeat(table[:, None, :], right - left, axis=1)
@@ -77,12 +77,12 @@ def draw_color_bar(image: Image.Image, scalar: ScalarField, color: tuple[int, in
     for value in ticks(low, high, scalar.logarithmic):
         part = np.log(value / low) / np.log(high / low) if scalar.logarithmic else (value - low) / (high - low)
         y = bottom - 1 - part * (bottom - 1 - top)
-        draw.line((right, y, right + 0.05 * room, y), fill=color)
-        draw.text((right + 0.09 * room, y), f"{value:.4g}", font=text, fill=color, anchor="lm")
+        draw.line((right, y, right + 0.05 * bar, y), fill=color)
+        draw.text((right + 0.09 * bar, y), f"{value:.4g}", font=text, fill=color, anchor="lm")
     if scalar.label:
-        # Over the bar where there is room to its right, else ending at the picture's border.
-        fits = left + draw.textlength(scalar.label, font=text) < width - 0.04 * room
-        place = (left, top - 0.025 * height) if fits else (width - 0.04 * room, top - 0.025 * height)
+        # Over the bar where the picture is wide enough to its right, else ending at the picture's border.
+        fits = left + draw.textlength(scalar.label, font=text) < width - 0.04 * bar
+        place = (left, top - 0.025 * height) if fits else (width - 0.04 * bar, top - 0.025 * height)
         draw.text(place, scalar.label, font=text, fill=color, anchor="lb" if fits else "rb")
 
 

@@ -100,6 +100,12 @@ def preview(
     Raises:
         OmtwarpError: a subject that cannot be read or drawn, an option that makes no sense, an output that cannot be
             written, or OpenGL asked for where there is none.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> omtwarp.preview((surface.vertices, surface.faces), "blob.png", size=(120, 90), backend="warp").size
+        (120, 90)
     """
     if path is not None and frames is None and os.fspath(path).lower().endswith((".gif", ".mp4")):
         frames = 36

@@ -152,8 +152,8 @@ class GLRenderer:
             One picture per shot, uint8 [height, width, 4], colours multiplied by their coverage.
         """
         self._platform.make_current()
-        room = int((MOST_PIXELS / (job.width * job.height)) ** 0.5)
-        samples = max(1, min(job.samples, room, self.largest_picture // max(job.width, job.height)))
+        affordable = int((MOST_PIXELS / (job.width * job.height)) ** 0.5)
+        samples = max(1, min(job.samples, affordable, self.largest_picture // max(job.width, job.height)))
         self._renderer.viewport_width, self._renderer.viewport_height = job.width * samples, job.height * samples
         wires = job.wireframe
         lights = np.zeros((4, 4))

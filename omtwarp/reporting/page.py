@@ -80,6 +80,13 @@ def write_report(
 
     Raises:
         OmtwarpError: no map, an unusable image or option, or a file that cannot be written.
+
+    Example:
+        >>> import omtwarp
+        >>> result = omtwarp.map_to_sphere(omtwarp.shapes.blob(seed=3, sphere=320), until="conformal", device="cpu")
+        >>> _ = omtwarp.write_report(result, "blob.html", title="A blob", device="cpu")
+        >>> open("blob.html", encoding="utf-8").read().count("<title>A blob")
+        1
     """
     target = Path(path)
     check_output(target)

@@ -213,6 +213,9 @@ def resample(
             barycentric weights, where the source has one, and of the target's sphere otherwise.
         device: ``auto``, ``cpu`` or ``cuda:N``.
 
+    Returns:
+        What carries data from the source to the target.
+
     Raises:
         OmtwarpError: an unknown method or grid, a file that cannot be read, or something that is not a sphere.
 

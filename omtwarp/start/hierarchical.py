@@ -79,6 +79,13 @@ def hierarchical_embedding(
     Raises:
         OmtwarpError: the mesh cannot be mapped, the weight is not positive, or the mesh is too
             irregular for float64 to separate its vertices on the sphere.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.limbs(length=2.0, sharpness=9.0, sphere=980)
+        >>> sphere = omtwarp.hierarchical_embedding(surface, device="cpu").sphere
+        >>> omtwarp.certify(surface.faces, sphere, device="cpu").bijective
+        True
     """
     if not (area_weight > 0.0 and np.isfinite(area_weight)):
         raise OmtwarpError(f"the weight of area must be a positive number, not {area_weight}")
@@ -149,7 +156,7 @@ class _Embedding:
                 return
             self.sweep(_SMALL_SWEEPS)
         raise OmtwarpError(
-            f"the coarse-to-fine embedding found no room for a vertex among {len(self.level.vertices)} others "
+            f"the coarse-to-fine embedding found no place for a vertex among {len(self.level.vertices)} others "
             f"(determinant {worst:.1e}): float64 cannot separate them"
         )
 

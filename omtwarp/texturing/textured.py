@@ -89,6 +89,13 @@ def texture(
 
     Raises:
         OmtwarpError: an unusable image, map or option.
+
+    Example:
+        >>> import omtwarp
+        >>> result = omtwarp.map_to_sphere(omtwarp.shapes.blob(seed=3, sphere=320), until="conformal", device="cpu")
+        >>> textured = omtwarp.texture(result, pattern="checker", size=128)
+        >>> [path.name for path in textured.export("checker.glb")]
+        ['checker.glb']
     """
     vertices, faces, sphere = _map_of(result)
     if image is not None and pattern is not None:

@@ -121,7 +121,9 @@ def transport_cost(
     cost: str = Cost.SQUARED,
     device: str | None = "auto",
 ) -> float:
-    """M(g), equation 6: the sum of triangle area times Φ(x, g(x)) at its centre; total area 4π, distances in radians.
+    """Measure the transport cost M(g), equation 6: the sum of area times Φ(x, g(x)) over the triangles.
+
+    The total area is 4π; distances are in radians, from centre to centre.
 
     Centres of triangles stand for the paper's dual vertices; a mesh has twice as many of them as vertices, and large
     triangles count where they are.
@@ -133,8 +135,21 @@ def transport_cost(
         cost: ``squared`` or ``geodesic`` distance.
         device: where distances are taken.
 
+    Returns:
+        The cost, in area times radians (``geodesic``) or squared radians (``squared``).
+
     Raises:
         OmtwarpError: the mesh, a map or the cost cannot be used.
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> surface = omtwarp.shapes.icosphere(8)
+        >>> start = surface.vertices
+        >>> omtwarp.transport_cost(surface, start, start=start, device="cpu")  # nothing moves
+        0.0
+        >>> turned = start @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        >>> omtwarp.transport_cost(surface, turned, start=start, device="cpu") > 0.0
+        True
     """
     surface, cost = as_surface(surface), choose(Cost, cost)
     where = resolve_device(device)
@@ -184,6 +199,16 @@ def optimal_transport(
 
     Raises:
         OmtwarpError: the mesh or a map cannot be used, or an unknown cost or scheme.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> start = omtwarp.conformal_map(surface, device="cpu").sphere
+        >>> initial = omtwarp.moser_map(surface, start, device="cpu").sphere
+        >>> optimal = omtwarp.optimal_transport(surface, initial, start=start, device="cpu").sphere
+        >>> cost = [omtwarp.transport_cost(surface, sphere, start=start, device="cpu") for sphere in (initial, optimal)]
+        >>> cost[1] < cost[0]
+        True
     """
     surface = as_surface(surface)
     cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))

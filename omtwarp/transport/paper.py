@@ -302,6 +302,15 @@ def paper_flow(
 
     Raises:
         OmtwarpError: the mesh or a map cannot be used, or an unknown cost.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> start = omtwarp.conformal_map(surface, device="cpu").sphere
+        >>> initial = omtwarp.moser_map(surface, start, device="cpu").sphere
+        >>> flow = omtwarp.paper_flow(surface, initial, start=start, cycles=2, device="cpu")
+        >>> flow.history[-1]["cost"] < flow.history[0]["cost"]
+        True
     """
     surface = as_surface(surface)
     if resolutions is None:

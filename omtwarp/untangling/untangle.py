@@ -125,6 +125,15 @@ def untangle(
 
     Raises:
         OmtwarpError: the mesh or the map cannot be used.
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> surface = omtwarp.shapes.icosphere(8)
+        >>> tangled = surface.vertices.copy()
+        >>> tangled[5] = surface.vertices[surface.faces[0]].mean(axis=0)  # carried over other triangles
+        >>> mended = omtwarp.untangle(surface, tangled, device="cpu")
+        >>> mended.flips_before > 0, mended.flips_after, mended.bijective
+        (True, 0, True)
     """
     surface = as_surface(surface)
     where = resolve_device(device)

@@ -118,7 +118,7 @@ class SphereSampler:
             return array, False
         return wp.array(np.asarray(array, dtype=np.float64), dtype=dtype, device=self.device), True
 
-    def _room(self, out: Any, size: int, dtype: Any) -> Any:
+    def _output(self, out: Any, size: int, dtype: Any) -> Any:
         return wp.empty(size, dtype=dtype, device=self.device) if out is None else out
 
     def locate(self, points: Any) -> None:
@@ -156,7 +156,7 @@ class SphereSampler:
     def interpolate(self, values: Any, out: Any = None) -> Any:
         """A function of the nodes, [N], at the points, [P]: linear in each triangle, constants exact."""
         source, from_numpy = self._take(values, wp.float64)
-        out = self._room(out, self.point_count, wp.float64)
+        out = self._output(out, self.point_count, wp.float64)
         inputs = [self._faces, self.point_faces, self.coordinates, source]
         self._launch(kernels.interpolate_at_points, self.point_count, inputs, [out])
         return out.numpy() if from_numpy else out
@@ -164,7 +164,7 @@ class SphereSampler:
     def adjoint(self, at_points: Any, out: Any = None) -> Any:
         """The transpose of :meth:`interpolate`, [P] -> [N]; the sum is kept."""
         source, from_numpy = self._take(at_points, wp.float64)
-        out = self._room(out, self.node_count, wp.float64)
+        out = self._output(out, self.node_count, wp.float64)
         rows, whole = [self._point_rows, self._order], [self.coordinates, source]
         self._launch_parts(kernels.gather_scalars_to_faces, self.face_count, rows, [], whole, self._face_vectors)
         self._gather_corners(out)
@@ -186,7 +186,7 @@ class SphereSampler:
         if not self._level_masses:
             raise OmtwarpError("give the points' masses (set_masses) before restricting to the nodes")
         source, from_numpy = self._take(sums, wp.float64)
-        out = self._room(out, self.node_count, wp.float64)
+        out = self._output(out, self.node_count, wp.float64)
         self.adjoint(source, self._level_sums[self.level])
         self._coarsen(self._level_sums[self.level], self._level_sums)
         smallest = 1e-12 * 4 * np.pi / self.node_count
@@ -229,7 +229,7 @@ class SphereSampler:
                 the sphere); else take the constant gradient of the triangle each point is in.
         """
         source, from_numpy = self._take(values, wp.float64)
-        out = self._room(out, self.point_count, wp.vec3d)
+        out = self._output(out, self.point_count, wp.vec3d)
         if smooth:
             self.node_gradient(source)
             inputs = [self.points, self._faces, self.point_faces, self.coordinates, self._node_vectors]
@@ -268,7 +268,7 @@ class SphereSampler:
         respect to the stream function of a motion dy/dt = y × grad H: the weak curl.
         """
         source, from_numpy = self._take(field, wp.vec3d)
-        out = self._room(out, self.node_count, wp.float64)
+        out = self._output(out, self.node_count, wp.float64)
         rows, faces, nodes = [self._point_rows, self._order], [self._faces], self._nodes
         if smooth:
             whole, corners = [self.points, self.coordinates, source], self._corner_vectors
