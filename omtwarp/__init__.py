@@ -32,6 +32,7 @@ _PUBLIC = {
     "map_to_sphere": "omtwarp.pipeline",
     "mobius_centring": "omtwarp.conformal",
     "moser_map": "omtwarp.moser",
+    "optimal_map": "omtwarp.optimal",
     "optimal_transport": "omtwarp.transport",
     "optimality": "omtwarp.metrics.optimality",
     "paper_flow": "omtwarp.transport",
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from omtwarp.metrics.optimality import map_optimality as map_optimality
     from omtwarp.metrics.optimality import optimality as optimality
     from omtwarp.moser import moser_map as moser_map
+    from omtwarp.optimal import optimal_map as optimal_map
     from omtwarp.pipeline import map_to_sphere as map_to_sphere
     from omtwarp.refine.solver import refine_map as refine_map
     from omtwarp.render import preview as preview
@@ -104,6 +106,7 @@ __all__ = [
     "map_to_sphere",
     "mobius_centring",
     "moser_map",
+    "optimal_map",
     "optimal_transport",
     "optimality",
     "paper_flow",

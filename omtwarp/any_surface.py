@@ -256,7 +256,7 @@ def _on_hemisphere(
 
     def improve(sphere: Floats) -> Floats:
         if Stage.OMT in chosen.stages and (chosen.cost, chosen.scheme) == (Cost.SQUARED, Scheme.DEFAULT):
-            sphere = optimal_map(surface, start, sphere, device=device).sphere
+            sphere = optimal_map(surface, sphere, start=start, device=device).sphere
         if Stage.REFINE in chosen.stages and chosen.refine is not None:
             sphere = refine_map(surface, sphere, weight=chosen.refine, device=device).sphere
         return sphere

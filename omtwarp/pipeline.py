@@ -26,12 +26,12 @@ from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.checks import as_surface
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify
 from omtwarp.metrics.distortion import measure
-from omtwarp.metrics.optimality import surface_optimality
+from omtwarp.metrics.optimality import Optimality, surface_optimality
 from omtwarp.moser import moser_map
-from omtwarp.optimal import optimal_map
+from omtwarp.optimal import SHAPE_WEIGHT, optimal_map
 from omtwarp.options import Cost, MapOptions, Method, Progress, Scheme, Stage
 from omtwarp.refine.solver import Refiner, refine_map, refinement_weight
 from omtwarp.result import MapResult, StageRecord
@@ -64,6 +64,18 @@ OPTIMALITY = "optimality"
 # Moser's map is freed of slivers before transport is optimised: angle distortion beside this weight of area distortion,
 # to this tolerance. On scans that takes two or three factorisations and saves several larger ones.
 SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 20
+# The shape term that keeps a map smooth takes it away from the optimum. Its first weight is at most SHAPE_WEIGHT and
+# this times the root mean squared distance; while gap or relative curl are above these the weight is lowered, to a
+# share between these two, so many times at most, and as long as that lowers their excess to MIN_GAP_SHARE of it: below
+# some weight only the error of the mesh is left.
+SHAPE_BY_DISTANCE = 0.037
+MAX_GAP, MAX_CURL = 9e-4, 0.025
+SHAPE_DECAY = (0.1, 0.4)
+SHAPE_ROUNDS = 4
+MIN_GAP_SHARE = 0.8
+# A gap that is too large is measured again with improvements of the bound, before anything is done about it: with this
+# many, fewer on meshes of more vertices than the second number allows in all.
+GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES = 12, 30_000
 
 
 @blas_threads(1)
@@ -170,6 +182,7 @@ class _Run:
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
         self.first: wp.array | None = None
         self.source: NDArray[np.float64] | None = None
+        self.measured: Optimality | None = None  # of the map by Newton's method
         self.uploaded: tuple[NDArray[np.float64], wp.array] | None = None
         self.begun = self.stage_begun = time.perf_counter()
 
@@ -360,24 +373,66 @@ class _Run:
 
     def transport_by_newton(self) -> None:
         """The discrete optimal map: areas around vertices kept, cost at its minimum."""
-
-        def notify(done: int, total: int, details: dict[str, Any]) -> None:
-            self.notify(Stage.OMT, done, total, details)
-
-        smooth = Refiner(self.surface, resolve_device(self.device)).minimise(
-            self.sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE
+        surface, initial = self.surface, self.sphere
+        assert self.source is not None
+        sphere = (
+            Refiner(surface, resolve_device(self.device))
+            .minimise(initial, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE)
+            .sphere
         )
         give_back()  # the largest matrices follow
-        assert self.source is not None
-        found = optimal_map(self.surface, self.source, smooth.sphere, device=self.device, progress=notify)
-        self.history = [record | {"iteration": k} for k, record in enumerate(found.history)]
-        sphere, repaired = self.mend(self.sphere, found.sphere)
+        cost = transport_cost(surface, self.points(sphere), start=self.start, device=self.device)
+        weight = min(SHAPE_WEIGHT, SHAPE_BY_DISTANCE * float(np.sqrt(cost / SPHERE_AREA)))
+        found = last = None
+        used = weight
+        excess = np.inf
+        for _ in range(SHAPE_ROUNDS):
+            last, found = (
+                found,
+                optimal_map(
+                    surface,
+                    sphere if found is None else found.sphere,
+                    start=self.source,
+                    shape_weight=weight,
+                    multipliers=None if found is None else found.multipliers,
+                    device=self.device,
+                    progress=self.progress,
+                ),
+            )
+            known = len(self.history)
+            self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
+            before, measured_before = excess, self.measured
+            excess = self.shape_excess(found.sphere)
+            if excess > MIN_GAP_SHARE * before and last is not None:
+                found, self.measured, weight = last, measured_before, used  # as good, and smoother
+                break
+            if excess <= 1.0 or not found.converged:
+                break
+            used = weight
+            weight *= float(np.clip(0.7 / excess, *SHAPE_DECAY))
+        assert found is not None
+        sphere = found.sphere
+        sphere, repaired = self.mend(initial, sphere)
         details: dict[str, str | float | None] = {
             "repaired": repaired,
             "converged": found.converged,
             "ended": found.ended,
+            "shape_weight": weight,
         }
-        self.finish(Stage.OMT, sphere, len(found.history) - 1, **details)
+        self.finish(Stage.OMT, sphere, len(self.history) - 1, **details)
+
+    def shape_excess(self, sphere: NDArray[np.float64]) -> float:
+        """How far gap and curl of a map are above what the shape term may cost; at most 1 where they are not."""
+        assert self.source is not None
+        more = max(1, min(GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES // self.surface.vertex_count))
+        for steps in (ASCENT_STEPS, more):
+            self.measured = surface_optimality(
+                self.surface, self.source, sphere, ascent_steps=steps, device=self.device
+            )
+            excess = max(self.measured.gap / MAX_GAP, (self.measured.relative_curl / MAX_CURL) ** 2)
+            if excess <= 1.0:
+                break
+        return float(excess)
 
     def transport_as_published(self) -> None:
         """The optimal map by Algorithms 1 and 2 as the paper prints them."""
@@ -423,14 +478,17 @@ class _Run:
         """How far the map that is handed out is from optimal, and what refinement added to the cost of transport."""
         give_back()
         assert self.source is not None
-        measured = surface_optimality(
-            self.surface,
-            self.source,
-            self.sphere,
-            ascent_steps=ASCENT_STEPS,
-            device=self.device,
-            progress=self.progress,
-        )
+        self.notify(OPTIMALITY, 0, 1, {})
+        measured = self.measured
+        if measured is None or self.sphere is not self.maps.get(Stage.OMT):
+            measured = surface_optimality(
+                self.surface,
+                self.source,
+                self.sphere,
+                ascent_steps=ASCENT_STEPS,
+                device=self.device,
+                progress=self.progress,
+            )
         found: dict[str, float | int | None] = measured.to_dict()
         if self.target is not None:  # the uniform sphere is not where this map goes
             found = {name: value for name, value in found.items() if not name.startswith("uniform")}

@@ -20,6 +20,7 @@ FROM_SURFACE = {
 }
 FROM_MAP = {
     "moser_map": omtwarp.moser_map,
+    "optimal_map": lambda *args, **kw: omtwarp.optimal_map(*args, start=START, iterations=2, **kw),
     "optimal_transport": lambda *args, **kw: omtwarp.optimal_transport(*args, start=START, iterations=2, **kw),
     "polish_transport": lambda *args, **kw: polish_transport(*args, start=START, rounds=2, **kw),
     "paper_flow": lambda *args, **kw: omtwarp.paper_flow(*args, start=START, cycles=1, **kw),

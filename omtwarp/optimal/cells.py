@@ -18,12 +18,14 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
+from omtwarp.mesh.checks import as_unit_vectors
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.cell_kernels import cell_couplings, cell_gradient, vertex_squares
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import cost_metric
-from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, Notify, OptimalMap, minimise
+from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, OptimalMap, minimise
+from omtwarp.options import Progress
 from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
 from omtwarp.untangling.kernels import solid_angles
 
@@ -37,26 +39,26 @@ CELL_LARGEST, CELL_RMS = 1e-6, 1e-6
 
 def exact_map(
     quartered: QuarteredSurface,
-    start: ArrayLike,
     sphere: ArrayLike,
     *,
+    start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
     iterations: int = ITERATIONS,
     gain: float = GAIN,
     device: str | None = "auto",
-    progress: Notify | None = None,
+    progress: Progress | None = None,
 ) -> OptimalMap:
     """Minimise transport cost over the maps of a quartered mesh that keep the area of every triangle of the mesh.
 
     Args:
         quartered: the mesh's triangles, F, in four parts each; V vertices.
+        sphere: a map without flips to begin with, unit vectors, shape [V, 3].
         start: the points x that are transported, unit vectors, shape [V, 3].
-        sphere: a map of them without flips to begin with, unit vectors, shape [V, 3].
         shape_weight: weight of angle and area distortion of the parts beside the mean squared distance.
         iterations: most steps.
         gain: end where the expected gain of a step falls below this share of the cost, and areas are kept to 1e-6.
         device: where the kernels run.
-        progress: called after every step with its number, the most there can be, and its record.
+        progress: called after every step as ``progress("omt", step, most, record)``.
 
     Returns:
         The map, never worse than the one given; its multipliers belong to the triangles, shape [F].
@@ -65,8 +67,9 @@ def exact_map(
         OmtwarpError: the map given has flipped triangles.
     """
     where = resolve_device(device)
-    energy = CellEnergy(quartered, vectors(np.array(start, dtype=np.float64), where), where, shape_weight)
-    return minimise(energy, sphere, gain=gain, iterations=iterations, progress=progress)
+    given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
+    energy = CellEnergy(quartered, vectors(x, where), where, shape_weight)
+    return minimise(energy, given, gain=gain, iterations=iterations, progress=progress)
 
 
 class CellEnergy(TransportEnergy):

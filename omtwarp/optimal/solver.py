@@ -11,7 +11,6 @@ factorisation serves as long as the steps made with it gain enough.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,17 +23,18 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
+from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.options import Progress
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
-Notify = Callable[[int, int, dict[str, Any]], None]
 
-SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
+SHAPE_WEIGHT = 0.011  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: how heavily areas that are still wrong count beside cost
 REACH = 0.5  # radians: the farthest that a vertex goes in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix
@@ -82,44 +82,61 @@ class OptimalMap:
 
 @blas_threads(1)
 def optimal_map(
-    surface: Surface,
-    start: ArrayLike,
+    surface: MeshLike,
     sphere: ArrayLike,
     *,
+    start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
-    cost_weight: float = 1.0,
-    iterations: int = 60,
+    multipliers: ArrayLike | None = None,
+    iterations: int = 40,
     gain: float = GAIN,
     device: str | None = "auto",
-    progress: Callable[[int, int, dict[str, Any]], None] | None = None,
+    progress: Progress | None = None,
 ) -> OptimalMap:
     """Minimise transport cost over the maps that keep the areas around vertices.
 
     Args:
-        surface: the surface, V vertices; its vertex areas, total 4π, are the masses.
-        start: the points x that are transported, unit vectors, shape [V, 3].
-        sphere: a map of them without flips to begin with, unit vectors, shape [V, 3].
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices; its vertex areas, total 4π,
+            are the masses.
+        sphere: a map without flips to begin with, unit vectors, shape [V, 3].
+        start: the points x that are transported, unit vectors, shape [V, 3]; triangles may be flipped there.
         shape_weight: β, the weight of angle and area distortion of triangles beside the mean squared distance.
-        cost_weight: weight of the cost; 0 minimises the distortion of triangles under the same constraints.
+        multipliers: of a map nearby, such as one with another shape weight, to begin with; shape [V].
         iterations: most steps.
         gain: end where the expected gain of a step falls below this share of the cost.
-        device: where the kernels run.
-        progress: called after every step with its number, the most there can be, and its record.
+        device: where the kernels run; the saddle-point systems are solved on the host.
+        progress: called after every step as ``progress("omt", step, most, record)``, the record being that of
+            ``history``.
 
     Returns:
         The map, never worse than the one given, and how it ended.
 
     Raises:
-        OmtwarpError: the map given has flipped triangles.
+        OmtwarpError: the mesh or a map cannot be used, or the map given has flipped triangles.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.blob(sphere=320)
+        >>> x = omtwarp.conformal_map(surface).sphere
+        >>> found = omtwarp.optimal_map(surface, omtwarp.moser_map(surface, x).sphere, start=x)
+        >>> found.converged, found.history[-1]["ring_rms"] < 1e-3
+        (True, True)
     """
     where = resolve_device(device)
-    x = np.array(start, dtype=np.float64)
-    energy = TransportEnergy(surface, vectors(x, where), where, shape_weight, cost_weight)
-    return minimise(energy, sphere, gain=gain, iterations=iterations, progress=progress)
+    mesh = as_surface(surface)
+    given, x = (as_unit_vectors(points, mesh.vertex_count) for points in (sphere, start))
+    energy = TransportEnergy(mesh, vectors(x, where), where, shape_weight)
+    return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
 def minimise(
-    energy: TransportEnergy, sphere: ArrayLike, *, gain: float, iterations: int, progress: Notify | None
+    energy: TransportEnergy,
+    sphere: NDArray[np.float64],
+    *,
+    multipliers: ArrayLike | None = None,
+    gain: float,
+    iterations: int,
+    progress: Progress | None,
 ) -> OptimalMap:
     """Minimise an energy under its constraints; arguments and result as of :func:`optimal_map`.
 
@@ -127,11 +144,11 @@ def minimise(
         OmtwarpError: the map given has flipped triangles.
     """
     given = np.array(sphere, dtype=np.float64)
-    given /= np.linalg.norm(given, axis=1, keepdims=True)
     flipped = flipped_faces(given, energy.surface.faces)
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
-    return _Newton(energy, gain).run(given, iterations, progress)
+    known = None if multipliers is None else np.array(multipliers, dtype=np.float64)
+    return _Newton(energy, gain).run(given, known, iterations, progress)
 
 
 class _Newton:
@@ -150,12 +167,17 @@ class _Newton:
         self.factorisations = 0
 
     def run(
-        self, sphere: Numbers, iterations: int, progress: Callable[[int, int, dict[str, Any]], None] | None
+        self,
+        sphere: Numbers,
+        multipliers: Numbers | None,
+        iterations: int,
+        progress: Progress | None,
     ) -> OptimalMap:
         energy = self.energy
         points = vectors(sphere, self.device)
         terms = energy.terms(points)
-        self.multipliers = -energy.potential(terms, self.multipliers)  # a potential of zero
+        # Where nothing is known they are estimated from a potential of zero.
+        self.multipliers = -energy.potential(terms, self.multipliers) if multipliers is None else multipliers
         first = self._worth(terms)
         history = [self._record(terms, 0.0, 0.0, False, 0)]
         ended, converged = "most steps taken", False
@@ -164,7 +186,7 @@ class _Newton:
             fresh = renew
             if renew:
                 self._factorise(points, terms)
-                if number == 0:
+                if number == 0 and multipliers is None:
                     self._estimate(points, terms)
             direction, q, decrement = self._direction(points, terms)
             scale = max(energy.cost(terms) / SPHERE_AREA, 1e-6)
@@ -191,7 +213,7 @@ class _Newton:
             terms, last = after, decrement
             history.append(self._record(terms, decrement, length, fresh, mended))
             if progress is not None:
-                progress(number + 1, iterations, history[-1])
+                progress("omt", number + 1, iterations, history[-1])
             if fresh and length == 1.0 and mended == 0 and trust > 0.4:
                 self.curvature_share = max(self.curvature_share / 3.0, MIN_CURVATURE_SHARE)
             elif fresh and (length < 1.0 or trust < 0.2):

@@ -103,7 +103,7 @@ def spheroid_error(level: int) -> tuple[float, float]:
     """Errors of map (root mean square, radians) and of the mean squared distance on a spheroid."""
     surface = stretched(level)
     x, exact = spheroid_maps(surface)
-    found = optimal_map(surface, x, moser_map(surface, x, device="cpu").sphere, gain=1e-6, device="cpu")
+    found = optimal_map(surface, moser_map(surface, x, device="cpu").sphere, start=x, gain=1e-6, device="cpu")
     assert found.converged
     weights = surface.vertex_areas / surface.vertex_areas.sum()
     error = np.sqrt((weights * ((found.sphere - exact) ** 2).sum(axis=1)).sum())
@@ -121,12 +121,12 @@ def test_keeps_areas_cost_and_orientation_at_once():
     shape = blob(seed=7, amplitude=0.3, degree=6, sphere=5120)
     x = conformal_map(shape, device="cpu").sphere
     start = moser_map(shape, x, device="cpu").sphere
-    found = optimal_map(shape, x, start, shape_weight=0.001, device="cpu")
+    found = optimal_map(shape, start, start=x, shape_weight=0.001, device="cpu")
     assert found.converged and found.ended == "optimal"
     assert is_bijective(found.sphere, shape.faces)
     assert found.history[-1]["ring_rms"] < 2e-4 and found.history[-1]["ring_largest"] < 5e-3
     # The same bits again.
-    again = optimal_map(shape, x, start, shape_weight=0.001, device="cpu")
+    again = optimal_map(shape, start, start=x, shape_weight=0.001, device="cpu")
     np.testing.assert_array_equal(again.sphere, found.sphere)
     measured = optimality(x, found.sphere, shape.vertex_areas, shape.faces, device="cpu")
     assert measured.gap < 1e-3 and measured.relative_curl < 0.03
@@ -135,9 +135,9 @@ def test_keeps_areas_cost_and_orientation_at_once():
 def test_one_optimum_from_two_starts():
     surface = blob(seed=11, amplitude=0.3, degree=5, sphere=1280)
     x = conformal_map(surface, device="cpu").sphere
-    one = optimal_map(surface, x, moser_map(surface, x, device="cpu").sphere, device="cpu")
+    one = optimal_map(surface, moser_map(surface, x, device="cpu").sphere, start=x, device="cpu")
     # The conformal map itself is no area-preserving map at all.
-    other = optimal_map(surface, x, x, device="cpu")
+    other = optimal_map(surface, x, start=x, device="cpu")
     assert one.converged and other.converged
     distance = np.linalg.norm(one.sphere - other.sphere, axis=1)
     weights = surface.vertex_areas / surface.vertex_areas.sum()
@@ -145,9 +145,17 @@ def test_one_optimum_from_two_starts():
     assert one.history[-1]["cost"] == pytest.approx(other.history[-1]["cost"], rel=1e-4)
 
 
+@pytest.mark.parametrize("wrong", [np.zeros((3, 3)), np.full((162, 3), np.nan), np.ones((162, 3), dtype=complex)])
+def test_points_that_are_none_are_refused(wrong):
+    surface = icosphere(4)
+    for maps in ((wrong, surface.vertices), (surface.vertices, wrong)):
+        with pytest.raises(OmtwarpError):
+            optimal_map(surface, maps[0], start=maps[1], device="cpu")
+
+
 def test_a_sphere_stays_where_it_is():
     ball = icosphere(8)
-    found = optimal_map(ball, ball.vertices, ball.vertices, device="cpu")
+    found = optimal_map(ball, ball.vertices, start=ball.vertices, device="cpu")
     # Its vertex areas are those of flat triangles: the same up to the error of the mesh.
     assert np.abs(found.sphere - ball.vertices).max() < 0.01
 
@@ -155,7 +163,7 @@ def test_a_sphere_stays_where_it_is():
 def test_stopped_early_says_so_and_is_no_worse():
     surface = noisy(ellipsoid((1.0, 0.6, 0.5), 1280), 0.15)
     x = conformal_map(surface, device="cpu").sphere
-    found = optimal_map(surface, x, x, iterations=1, device="cpu")
+    found = optimal_map(surface, x, start=x, iterations=1, device="cpu")
     assert not found.converged and found.ended == "most steps taken"
     assert is_bijective(found.sphere, surface.faces)
     assert found.history[-1]["ring_rms"] < found.history[0]["ring_rms"]
@@ -164,4 +172,4 @@ def test_stopped_early_says_so_and_is_no_worse():
 def test_flipped_map_is_refused():
     surface = icosphere(4)
     with pytest.raises(OmtwarpError, match="flipped"):
-        optimal_map(surface, surface.vertices, -surface.vertices, device="cpu")
+        optimal_map(surface, -surface.vertices, start=surface.vertices, device="cpu")
