@@ -37,7 +37,7 @@ class Stage(StrEnum):
 
 
 class Cost(StrEnum):
-    """What transport minimises: squared geodesic distance, or the paper's geodesic distance."""
+    """The cost that transport minimises: squared geodesic distance, or the paper's geodesic distance."""
 
     SQUARED = "squared"
     GEODESIC = "geodesic"
@@ -221,7 +221,7 @@ class MapOptions:
         return tuple(stage for stage in wanted if stage is not Stage.REFINE or self.refine is not None)
 
     def to_dict(self) -> dict[str, str | float | None]:
-        """What a report says about the options that shape a map; empty for what the method has no use for."""
+        """Return the options that shape a map, for a report; without those that the method does not use."""
         if self.method in (Method.TUTTE, Method.MEAN_VALUE):
             return {"method": str(self.method), "cost": "", "scheme": "", "refine": None}
         weight = str(self.refine) if isinstance(self.refine, Refinement) else self.refine

@@ -159,7 +159,7 @@ class _Run:
         surface: what is mapped.
         options: how.
         device: name of the device that kernels run on.
-        progress: told of every stage.
+        progress: called at the begin and end of every stage, and during long ones.
         target: the density on the sphere that is to be reached; None for the uniform one.
     """
 
@@ -557,7 +557,7 @@ class _Run:
         }
 
     def certificate(self) -> Certificate:
-        """What is certain about the map that is handed out.
+        """Certify the map that is returned.
 
         Raises:
             OmtwarpError: it is not one to one.

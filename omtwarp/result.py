@@ -63,7 +63,7 @@ class StageRecord:
         area: aggregates of the area distortion (see :class:`omtwarp.metrics.distortion.Distortion`).
         angle: the same of the angle distortion.
         transport_cost: M(g) of equation 6 from the map that transport starts from.
-        details: what this stage has to tell besides, ready for JSON: ``repaired``, ``converged``, ...
+        details: further results of this stage, ready for JSON: ``repaired``, ``converged``, ...
     """
 
     name: str
@@ -156,7 +156,7 @@ class MapResult:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """What is certain about the final map, established from its arrays when first asked for."""
+        """The certificate of the final map, computed from its arrays at the first use."""
         return certify(self.faces, self.sphere)
 
     @property

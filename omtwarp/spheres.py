@@ -117,7 +117,7 @@ def triangle_solid_angles(a: Floats, b: Floats, c: Floats) -> Floats:
 
 
 def vertex_cells(points: Floats, faces: Integers) -> tuple[Floats, Integers]:
-    """What is nearest to each corner in a triangle's barycentric coordinates: one quadrilateral per corner.
+    """Split triangles into one quadrilateral per corner: the points nearest to it in barycentric coordinates.
 
     Its corners are the vertex, the middles of its two edges and the triangle's centre, pushed out to the sphere; seen
     from the centre it is the quadrilateral of the flat triangle, which is convex.

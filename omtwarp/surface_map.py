@@ -93,7 +93,7 @@ class SurfaceMap(MapResult):
 
     @cached_property
     def certificate(self) -> Certificate:
-        """What is certain about the map of the filled surface, established from its arrays when first asked for.
+        """The certificate of the map of the filled surface, computed from its arrays at the first use.
 
         A boundary that is left, the rim of a hemisphere or of a cap, is closed by a fan of triangles to the south pole;
         the disk is seen from the centre of the sphere, at height 1. Parts are certified one by one.

@@ -27,7 +27,7 @@ def sphere_weights(points: SpherePoints) -> Floats:
 
 
 def own_features(points: SpherePoints) -> dict[str, Floats]:
-    """What a surface says by itself: distance from its centre, and area of the surface over area on the sphere.
+    """Features that every surface has: distance from its centre, and area on the surface over area on the sphere.
 
     Neither depends on how the surface is turned or scaled. Areas are left out where the map preserves them.
 

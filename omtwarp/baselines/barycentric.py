@@ -210,7 +210,7 @@ def barycentric_weights(
 
 @dataclass(frozen=True)
 class _State:
-    """What one sweep over the vertices finds."""
+    """The result of one sweep over the vertices."""
 
     force: Array
     tension: Array

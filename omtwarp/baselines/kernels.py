@@ -29,7 +29,7 @@ def mean_value_edge_weights(
     # Data out:
     weights_out: wp.array2d[wp.float64],
 ):
-    """What each face adds to the symmetric weight of its edges (k, k+1): the mean of both directed mean values."""
+    """Compute the part of each face in the symmetric weight of its edges (k, k+1): the mean of both directed ones."""
     f = wp.tid()
     p0 = vertices[faces[f, 0]]
     p1 = vertices[faces[f, 1]]

@@ -80,7 +80,7 @@ def splu_reference(laplacian: Any, right: NDArray[np.float64]) -> tuple[float, f
 
 
 def machine(devices: tuple[str, ...]) -> dict[str, Any]:
-    """What the figures were measured on."""
+    """Describe the machine and the versions of the libraries."""
     gpus = []
     for name in devices:
         device = wp.get_device(name)
@@ -117,7 +117,7 @@ def _total_memory() -> int | None:
 
 
 def first_use(device: str = "cpu") -> dict[str, float]:
-    """What a fresh machine pays once, each in a process of its own: compilation into an empty cache, and starts.
+    """Time what a new machine does once, each in its own process: compilation into an empty cache, and starts.
 
     Args:
         device: what kernels are compiled for.

@@ -163,7 +163,7 @@ def kernel_table(surface: Any, device: str, refine: str | float | None) -> dict[
 
 
 def flow_iterations(surface: Any, start: Any, initial: Any, device: str, most: int = 20) -> dict[str, Any]:
-    """What an iteration of the transport flow takes as it is run by a map: on CUDA replayed as a graph.
+    """Time an iteration of the transport flow as a map runs it: on CUDA replayed as a graph.
 
     Args:
         surface: as in :func:`omtwarp.optimal_transport`, and so are ``start`` and ``initial``.

@@ -59,7 +59,7 @@ def run(
         kernels: also time every kernel by itself, beside the memory it has to move, on the largest mesh.
         cold: also measure compilation into an empty cache, and the start of the program.
         largest_reference: meshes with more faces are not factorised for comparison.
-        progress: told in words what is done.
+        progress: called with one line of text before each measurement.
 
     Returns:
         Everything as plain numbers: ``machine``, ``settings``, ``meshes`` (each with its reference and its ``runs``),

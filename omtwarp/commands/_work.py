@@ -37,7 +37,7 @@ class Input:
 
 
 def say(text: str) -> None:
-    """One line about what goes on, apart from what a command gives out."""
+    """Print one line of progress, apart from the output of a command."""
     print(f"omtwarp: {text}", file=sys.stderr)
 
 
@@ -82,7 +82,7 @@ def start_device(device: str) -> None:
     Raises:
         OmtwarpError: an unknown device, or CUDA asked for where there is none.
     """
-    parse_device(device)  # needs no start of Warp to tell
+    parse_device(device)  # checked before Warp starts
     from omtwarp.device.policy import resolve_device
 
     resolve_device(device)

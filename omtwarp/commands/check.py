@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 def check_mesh(
     mesh: MeshArgument,
-    repair: Annotated[bool, typer.Option("--repair", help="Mend it; tell what that does and what is left.")] = False,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Repair the mesh; list what that does and what is left.")
+    ] = False,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the mended mesh (with --repair).")
     ] = None,
@@ -63,7 +65,7 @@ def check_mesh(
 
 
 def options_text(vertices: NDArray, faces: NDArray, defects: list[Defect]) -> list[str]:
-    """What each option of ``omtwarp map`` would do with a mesh that is no sphere; nothing for other defects."""
+    """List the options of ``omtwarp map`` for a mesh that is no sphere; none for other defects."""
     from omtwarp.topology.kind import MAPPABLE, options_for, parts_of
 
     if not defects or any(defect.kind not in MAPPABLE for defect in defects):

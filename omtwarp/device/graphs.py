@@ -16,17 +16,17 @@ from typing import Any
 from omtwarp.device.policy import records_graphs
 from omtwarp.device.start import wp
 
-# So many graphs of one kind of work are kept.
+# Graphs that are kept for one kind of work; each keeps its array in memory.
 MAX_GRAPHS = 8
 
 _recording = True
 
 
 class Graph:
-    """Work that can be done again and again on the same arrays.
+    """Work that is repeated on the same arrays.
 
     Args:
-        work: what to do; whatever it reads and writes has to live as long as the graph.
+        work: the function to run; the arrays that it reads and writes have to live as long as the graph.
         device: a Warp device.
         record: whether to record it. Left out, on CUDA where its driver knows conditions in graphs (12.4); never on the
             CPU, where other threads' launches would end up in the recording.
@@ -42,7 +42,7 @@ class Graph:
         self._graph: Any = None
 
     def __call__(self) -> None:
-        """Do the work, or put it into the graph that is being recorded at the moment."""
+        """Do the work; if another graph is being recorded, add it to that graph."""
         if not self.recorded or not _recording or self._device.is_capturing:
             self._work()
             return
@@ -83,7 +83,7 @@ class GraphsByArray:
 
 @contextlib.contextmanager
 def step_by_step() -> Iterator[None]:
-    """Record and replay nothing for a while, so that every launch can be seen and timed by itself."""
+    """Record and replay nothing inside this context, so that each launch can be observed and timed."""
     global _recording
     before, _recording = _recording, False
     try:

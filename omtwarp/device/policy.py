@@ -1,4 +1,4 @@
-"""What runs where: every decision between the CPU and CUDA, and between the host and a device, is made here."""
+"""Every decision between the CPU and CUDA, and between the host and a device."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ if wp.config.log_level < wp.LOG_WARNING:
 with contextlib.nullcontext() if _has_cuda_driver() else _without_driver_message():
     wp.init()
 
-# What Warp is told about every file of kernels. None is differentiated; the compiler unrolls loops, not the text it is
+# Options of every file of kernels. None is differentiated; the compiler unrolls loops, not the text it is
 # given. One header goes before all files, compiled anew by every process that compiles anything, once for every choice
 # of flags: hence the same ones everywhere. Without the code for bfloat16 it takes two fifths less, and what is
 # instantiated in it once is not instantiated again in each file. Inlining is left at the compiler's own limit, which

@@ -97,7 +97,7 @@ class HostSum:
 
 
 def sums_for(device: wp.Device, vertices: int) -> DeviceSum | HostSum:
-    """What adds for systems on a surface: the device where they are solved there, or where the host cannot read."""
+    """Choose where sums of systems on a surface are computed: the device where it solves them, or CUDA."""
     return DeviceSum(device) if adds_on_device(device, vertices) else HostSum()
 
 

@@ -1,4 +1,4 @@
-"""Independent work on all cores: Warp runs a launch on one, and lets other threads go on meanwhile."""
+"""Independent work on all cores: Warp runs a launch on one core, and releases Python's lock meanwhile."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class StepGuard:
         wp.capture_while(self._again, again)
 
     def _launches(self, old: Any, new: Any, rounds: int) -> tuple[Any, ...]:
-        """What a step from one array to another launches, made ready once: there are dozens of short rounds.
+        """Prepare the launches of a step from one array to another, once for its dozens of short rounds.
 
         Only addresses and lengths are kept, so that arrays that come to lie where others were are served as well.
         """

@@ -200,7 +200,7 @@ def cotangent_laplacian(
 
 
 class DifferentialOperators:
-    """The same operators as Warp kernels, for a mesh kept on a device.
+    """The differential operators as Warp kernels, for a mesh kept on a device.
 
     Methods take NumPy or Warp arrays. NumPy in gives NumPy out; a Warp array must live on this device and gives a Warp
     array (``out`` may be given to write into).

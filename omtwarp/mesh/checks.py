@@ -1,4 +1,4 @@
-"""What a public function takes as a surface and as a map of it: every accepted form, checked in one place."""
+"""Checks of surfaces and maps that public functions take, in every accepted form."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from omtwarp.mesh.validate import require_valid
 
 
 class HasTriangles(Protocol):
-    """What has vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""
+    """An object with vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""
 
     @property
     def vertices(self) -> Any:

@@ -95,7 +95,7 @@ def _gltf_header(data: bytes, suffix: str) -> Any:
 
 
 def _require_plain(header: Any) -> None:
-    """Refuse what trimesh would leave out without a word.
+    """Refuse parts of a scene that trimesh would drop silently.
 
     Raises:
         OmtwarpError: an extension that changes the triangles.

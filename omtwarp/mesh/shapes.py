@@ -468,7 +468,7 @@ def flip_edges(surface: Surface, rounds: int = 10, seed: int = 0) -> Surface:
 
 
 def shuffled(surface: Surface, seed: int = 0) -> Surface:
-    """The same surface with vertices and faces in random order and every face begun at a random corner."""
+    """Reorder the vertices and faces of a surface at random, and begin every face at a random corner."""
     rng = np.random.default_rng(seed)
     order = rng.permutation(surface.vertex_count)
     place = np.argsort(order)

@@ -181,7 +181,7 @@ class Surface:
         return self._sides.reshape(-1, 2)
 
     def kept(self, name: str, make: Callable[[], Kind]) -> Kind:
-        """What was made of the surface's shape and connectivity under a name; made now if it is asked for first.
+        """Return what ``make`` computes from shape and connectivity; computed once for each name and kept.
 
         Whoever makes something of a surface that is worth keeping keeps it here, so that it lives as long as the
         surface and is shared by :meth:`with_areas`. It must not refer to the surface, nor depend on its measure.

@@ -1,4 +1,4 @@
-"""What is wrong with a mesh: every condition the maps rely on, each told in one line with its place and its remedy.
+"""Checks of every condition that the maps rely on; each defect is one line with its place and its remedy.
 
 Every test is free of scale: coordinates are moved to the bounding box's centre and divided by its extent before
 anything is measured, so that a mesh in nanometres and one in light years are judged alike.

@@ -1,4 +1,4 @@
-"""What a map is judged by: distortion, flips, degree, certificate, optimality."""
+"""Measures of a map: distortion, flips, degree, certificate, optimality."""
 
 from omtwarp.metrics.distortion import WEIGHTINGS, Distortion, distortion
 

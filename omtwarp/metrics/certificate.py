@@ -25,7 +25,7 @@ CLEARANCE = 1e-13
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was established about a map.
+    """Properties of a map that were decided exactly.
 
     Attributes:
         flips: triangles whose exact orientation is not positive.

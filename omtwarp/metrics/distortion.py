@@ -133,7 +133,7 @@ def triangle_quantities(vertices: Any, faces: Any, sphere: Any, where: wp.Device
 
 
 def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]:
-    """What :func:`summarize` says of the same quantities, made where they are.
+    """Summarise the quantities of triangles on their device, as :func:`summarize` does on the host.
 
     Args:
         of_triangles: float64 arrays of Warp, shape [F], in the order of :func:`summarize`.

@@ -21,7 +21,7 @@ from omtwarp.triangle_newton.frames import triangle_frames
 
 @dataclass(frozen=True)
 class Terms:
-    """What a map is made of, triangle by triangle, and its two distortions.
+    """The terms of a map's energy, triangle by triangle, and its two distortions.
 
     Attributes:
         angle: mean angle distortion weighted by original area, less 2.

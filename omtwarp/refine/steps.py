@@ -35,12 +35,12 @@ MIN_CURVATURE = 1e-12  # s · y over |s| |y|: pairs with less are not kept, thei
 
 @dataclass(frozen=True)
 class Direction:
-    """Where to go.
+    """A search direction on the sphere.
 
     Attributes:
         vectors: vec3d, shape [V], tangent to the sphere, on the device.
-        slope: of the energy along it.
-        reach: the longest vector.
+        slope: derivative of the energy along it.
+        reach: length of the longest vector, in radians.
         slope_of: the slope where every vertex goes its own share of the way, float64, shape [V], on the device.
     """
 
@@ -51,7 +51,7 @@ class Direction:
 
 
 class Steps(Protocol):
-    """What finds directions; points and gradients are vec3d arrays of shape [V] on the device."""
+    """A finder of search directions; points and gradients are vec3d arrays of shape [V] on the device."""
 
     def assemble(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> None:
         """Compute the Newton matrix of a map, and drop all pairs."""

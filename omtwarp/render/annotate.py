@@ -1,4 +1,4 @@
-"""What stands beside the surface: backdrop, colour bar, captions."""
+"""Annotations of a picture: backdrop, colour bar, captions."""
 
 from __future__ import annotations
 

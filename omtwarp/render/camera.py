@@ -59,7 +59,7 @@ class Camera:
             raise OmtwarpError(f"unknown projection '{self.projection}': use perspective or orthographic")
 
     def looking(self, azimuth: float, elevation: float) -> Camera:
-        """The same camera from another direction."""
+        """Return this camera turned to another direction."""
         return replace(self, azimuth=float(azimuth), elevation=float(elevation))
 
 

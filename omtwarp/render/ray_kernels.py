@@ -84,7 +84,7 @@ def to_srgb(c: wp.float32):
 
 @wp.func
 def wrapped(index: int, count: int, repeat: int):
-    """An index inside [0, count): the image goes round or its border goes on."""
+    """Bring an index into [0, count): the image repeats, or its border is continued."""
     inside = wp.clamp(index, 0, count - 1)
     if repeat != 0:
         inside = index - count * int(wp.floor(float(index) / float(count)))

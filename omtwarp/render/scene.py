@@ -1,4 +1,4 @@
-"""What to draw: a surface with one appearance, and its form as the renderers take it."""
+"""A surface with one appearance, in the form that the renderers take."""
 
 from __future__ import annotations
 

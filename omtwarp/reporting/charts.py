@@ -41,7 +41,7 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
     Args:
         rows: from top to bottom.
         title: for screen readers.
-        description: likewise.
+        description: text for readers who do not see the chart, like ``title``.
         mirrored: whether the ratio lies on both sides of 1 (areas), or on one (the larger over the smaller).
     """
     low, high, step = ratio_range(rows, mirrored)

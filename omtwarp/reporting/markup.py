@@ -62,7 +62,7 @@ def data_block(text: str) -> Markup:
 
 
 def source_hash(text: str) -> Markup:
-    """What a page's policy has to name for this script to be run (Content Security Policy level 3, section 6.7.3.3)."""
+    """Return the hash that allows this script in a page's policy (Content Security Policy level 3, section 6.7.3.3)."""
     return html("'sha256-{}'", b64encode(sha256(text.encode()).digest()).decode())
 
 

@@ -1,4 +1,4 @@
-"""What a page takes from a map's report: the fields it shows, where they are of the kind they should be.
+"""The fields of a map's report that a page shows, checked for their types.
 
 A report may come from a file that somebody edited, damaged or made up. What does not fit is left out, as if it were not
 there, so that the page's sections can rely on what they find.

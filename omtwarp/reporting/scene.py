@@ -1,4 +1,4 @@
-"""What the interactive view draws: vertex data small enough for a page, and the texture as a cube map.
+"""Data of the interactive view: vertices small enough for a page, and the texture as a cube map.
 
 Everything is quantised as far as the eye allows: positions, normals and directions to 16 bits (a 30,000th of the
 surface's size, or 0.002 degrees), scalars to 8 bits of the range that the legend shows.

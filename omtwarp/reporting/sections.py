@@ -170,7 +170,7 @@ def _transport_facts(
 
 
 def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> Markup:
-    """What every stage did."""
+    """Describe every stage: its time, iterations and measures."""
     records = report.get("stages", ())
     total = sum(float(record.get("seconds", 0.0)) for record in records) or 1.0
     rows = []
@@ -228,7 +228,7 @@ def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> Markup:
 
 
 def certificate(report: dict[str, Any], shown_faces: int) -> Markup:
-    """What was established about the map; ``shown_faces`` is how many faces the interactive view has."""
+    """Describe the certificate; ``shown_faces`` is the number of faces in the interactive view."""
     found = report.get("certificate")
     if not found:
         return html("")

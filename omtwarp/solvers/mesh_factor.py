@@ -171,7 +171,7 @@ def mesh_factor(
 
 
 def surface_factor(surface: Surface, block: int = 1, workspace: Workspace | None = None) -> MeshFactor:
-    """The same on the edges of a surface, which keeps the order of elimination."""
+    """Factorise a matrix on the edges of a surface, which keeps the order of elimination."""
     return mesh_factor(
         surface.vertex_count, surface.edges, lambda: surface_dissection(surface), block, workspace=workspace
     )

@@ -26,7 +26,7 @@ from omtwarp.solvers.multigrid import DeviceLaplacian
 
 
 class PoissonSolver(Protocol):
-    """What solves L u = b for a Laplacian L, b projected onto sum zero and u with mean zero."""
+    """A solver of L u = b for a Laplacian L; b is projected onto sum zero, and u has mean zero."""
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for one right-hand side, shape [V], or several, shape [V, K]."""

@@ -52,7 +52,7 @@ def _triple(values: Floats) -> tuple[float, float, float]:
 
 
 class Atlas(ABC):
-    """What the three atlases have in common.
+    """The base class of the three atlases.
 
     Attributes:
         name: one of ``ATLASES``.

@@ -197,7 +197,7 @@ def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
 def sample(
     picture: Any, directions: ArrayLike, atlas: str | Atlas = "equirectangular", *, device: Any = "auto"
 ) -> Floats:
-    """What the picture of an atlas shows in directions: the inverse of :func:`bake`, bilinear between texels.
+    """Sample the picture of an atlas in directions: the inverse of :func:`bake`, bilinear between texels.
 
     Args:
         picture: as baked, shape [H, W, C]; also a path or a PIL image.

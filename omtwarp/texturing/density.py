@@ -44,7 +44,7 @@ def image_density(image: Any, floor: float = 0.0) -> TargetDensity:
             f"{column}: a density must be positive everywhere; give a floor, such as 0.05 of its mean"
         )
     height, width = grey.shape
-    # The first and last column are neighbours; beyond the poles the row next to them goes on.
+    # The first and last column are neighbours; beyond the poles the outermost rows are repeated.
     padded = np.pad(np.pad(grey, ((0, 0), (1, 1)), mode="wrap"), ((1, 1), (0, 0)), mode="edge")
 
     def density(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -143,7 +143,7 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
 
 @wp.func
 def texel(picture: wp.array3d[wp.float32], kind: int, row: int, column: int, c: int):
-    """A texel's value; an equirectangular picture goes on around the sphere and over the poles."""
+    """Return a texel's value; an equirectangular picture is continued around the sphere and over the poles."""
     height = picture.shape[0]
     width = picture.shape[1]
     r = row
@@ -209,7 +209,7 @@ def sample_picture(
     # Data out:
     out: wp.array2d[wp.float64],
 ):
-    """What a picture of the sphere shows in directions."""
+    """Sample a picture of the sphere in directions."""
     i = wp.tid()
     p = picture_point(kind, directions[i], picture.shape[1], picture.shape[0], offset, gutter)
     for c in range(picture.shape[2]):
@@ -376,7 +376,7 @@ def owner_values_on_sphere(
     # Data out:
     out: wp.array2d[wp.float64],
 ):
-    """As owner_values, but with the place in the owning triangle taken from the sample's own direction.
+    """Interpolate values of corners at samples, located in their owning triangle by the sample's direction.
 
     ``points`` are the triangles' corners on the sphere. Which triangle owns a texel is known from texture coordinates,
     which are linear only to a fraction of a texel; where in it the sample lies is exact.

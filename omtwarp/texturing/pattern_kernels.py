@@ -268,7 +268,7 @@ def globe_colours(
             ice = ONE
         colour = colours[3] * (ONE - ice) + colours[4] * ice
         ink = wp.float64(0.28)
-    # Meridians of one width everywhere; next to the poles only every sixth goes on, or they would run into a blot.
+    # Meridians of one width everywhere; only every sixth reaches the poles, where more would merge into a blot.
     spacing = step
     if wp.abs(lat) > wp.float64(90.0) - step:
         spacing = step * wp.float64(6.0)

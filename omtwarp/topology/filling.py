@@ -28,7 +28,7 @@ LEAST_WEIGHT = 1e-3  # of an edge: positive, so that a vertex lies among its nei
 
 @dataclass(frozen=True)
 class Patch:
-    """What fills a loop of n vertices.
+    """The vertices and faces that fill a loop of n vertices.
 
     Attributes:
         vertices: the new vertices, float64, shape [K, 3].

@@ -1,4 +1,4 @@
-"""What kind of surface a mesh is: its parts, their holes and handles, and the options that would map it."""
+"""The kind of surface that a mesh is: its parts, their holes and handles, and the options that would map it."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def described(part: Part) -> str:
 
 
 def options_for(parts: list[Part]) -> list[str]:
-    """What the options of ``omtwarp map`` would do with a mesh, a line each; none for what needs no option."""
+    """List the options of ``omtwarp map`` that a mesh needs, with one line on what each would do."""
     if len(parts) == 1 and parts[0].is_sphere:
         return []
     lines = []

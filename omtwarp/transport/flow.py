@@ -69,7 +69,7 @@ LONGEST_STEP = 4.0
 # A step that flips triangles whose repair takes more rounds than this, each a ring further, is too long. Scanned shapes
 # took 48 at most.
 GUARD_ROUNDS = 100
-# Where iterations are a graph on the device, so many are made before the host is told of them.
+# Where iterations are a graph on the device, the host reads the records of this many at a time.
 ITERATIONS_AT_ONCE = 10
 # Why the flow ended, in the order of the kernels; after the first three the map may be optimal.
 ENDINGS = (
@@ -383,7 +383,7 @@ class _Flow:
         self.state.assign(state)
 
     def iterations(self, record: bool | None = None) -> Graph:
-        """As many iterations as the host is told of at once; it keeps the flow alive, not the other way round."""
+        """Return a graph of ITERATIONS_AT_ONCE iterations, which holds the flow alive, not the reverse."""
         graph = Graph(lambda: wp.capture_while(self.running, self.iterate), self.device, record)
         at_once = ITERATIONS_AT_ONCE if graph.recorded else 1
         self.records = wp.empty((at_once, len(RECORD)), dtype=wp.float64, device=self.device)

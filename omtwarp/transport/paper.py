@@ -63,7 +63,7 @@ _STALLED = 1e-6
 
 @dataclass(frozen=True)
 class FlowResult:
-    """What a flow reached.
+    """The result of a flow.
 
     Attributes:
         sphere: image of every vertex on the unit sphere, shape [V, 3].
@@ -80,7 +80,7 @@ class FlowResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the flow ended by itself, before its cycles ran out."""
+        """Whether the flow ended before all its cycles were used."""
         return self.stopped != "cycles"
 
 

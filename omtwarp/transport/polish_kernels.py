@@ -89,7 +89,7 @@ def missing_areas(
     # Data out:
     missing: wp.array[wp.float64],
 ):
-    """What vertices lack of the area that they should have, with what they have scaled to 4π."""
+    """Compute the area that vertices lack; the areas that they have are scaled to the sum 4π."""
     v = wp.tid()
     missing[v] = wanted[v] - area[v] * (sphere_area / total[0])
 

@@ -1,1 +1,1 @@
-"""What untangling and refinement share: a triangle's energy, frames, the Newton matrix, line search."""
+"""A triangle's energy, frames, the Newton matrix and the line search: shared by untangling and refinement."""

@@ -243,9 +243,9 @@ class _Untangling:
         self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
     def _narrow(self, active: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Go on with the active patches alone; their points.
+        """Continue with the active patches alone, and return their points.
 
-        Patches share nothing, so that those which are done need not be carried along.
+        Patches are independent, so that solved ones can be left out of the matrix.
         """
         self._keep(points)
         self.frames = np.ascontiguousarray(self.frames[active[self.patches.face_patch]])
@@ -287,8 +287,9 @@ class _Untangling:
     def _take_back(self) -> None:
         """Leave patches as they were that ended with no fewer flips: the next attempt frees more around them.
 
-        A patch too small for its triangles can end far more tangled than it was. So are those that cover their part of
-        the sphere too often: their flips say more of where they are tangled than vertices with rings that turn twice.
+        A patch too small for its triangles can end with more flips than it began with. Patches that cover their part of
+        the sphere too often are taken back too: flipped triangles show the next attempt where a patch is tangled, which
+        vertices with rings that turn twice do not.
         """
         whole = self.whole
         faces = self.surface.faces[whole.triangles]

@@ -89,7 +89,7 @@ class MultigridSolver:
         self.refresh_levels(tentative)
 
     def refresh_levels(self, tentative: wp.array | None = None) -> None:
-        """The same after the values of :attr:`matrix` were written in place."""
+        """Compute the coarse levels after the values of :attr:`matrix` were written in place."""
         self._cycle.refresh(self._ones if tentative is None else tentative)
 
     def solve(self, right: wp.array, out: wp.array, tolerance: float) -> Outcome:
@@ -107,7 +107,7 @@ class MultigridSolver:
         return self.outcome()
 
     def enqueue(self, right: wp.array, out: wp.array, tolerance: float) -> None:
-        """The same without a word to the host; also inside of a graph that is being recorded."""
+        """Start a solve without waiting for its result; also while a graph is being recorded. See :meth:`solve`."""
         self._tolerance.fill_(tolerance)
         wp.copy(self._residual, right)
         self._loop()

@@ -161,7 +161,7 @@ def gauss_seidel_b2(
     # Data in and out:
     x: wp.array[wp.float64],
 ):
-    """The same with two unknowns per node."""
+    """Solve the 2 by 2 equations of the nodes of one colour for their own unknowns."""
     i = nodes[wp.tid()]
     r0 = right[2 * i]
     r1 = right[2 * i + 1]
@@ -185,7 +185,7 @@ def gauss_seidel_b3(
     # Data in and out:
     x: wp.array[wp.float64],
 ):
-    """The same with three unknowns per node."""
+    """Solve the 3 by 3 equations of the nodes of one colour for their own unknowns."""
     i = nodes[wp.tid()]
     r0 = right[3 * i]
     r1 = right[3 * i + 1]

@@ -106,7 +106,7 @@ class DeviceLaplacian:
         return outcome
 
     def enqueue(self, right: wp.array, out: wp.array) -> None:
-        """The same without a word to the host, and without levels of its own."""
+        """Start a solve without waiting for its result, and without levels for this matrix."""
         wp.copy(self._centred, right)
         self._sum.remove_mean(self._centred, self._total)
         self._solver.enqueue(self._centred, out, TOLERANCE)
