@@ -26,7 +26,7 @@ from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import cost_metric
 from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, OptimalMap, minimise
 from omtwarp.options import Progress
-from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
+from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor
 from omtwarp.untangling.kernels import solid_angles
 
 Numbers = NDArray[np.float64]
@@ -94,8 +94,8 @@ class CellEnergy(TransportEnergy):
         self._shares = np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3)
         self._couplings = wp.empty(self.cells.shape, dtype=wp.vec2d, device=device)
 
-    def saddle_factor(self) -> CellSaddleFactor:
-        return CellSaddleFactor(self.surface.scaled_vertices, self.surface.edges, self.cells)
+    def saddle_factor(self) -> SaddlePointFactor:
+        return cell_saddle_factor(self.surface, self.cells)
 
     def terms(self, points: wp.array) -> MapTerms:
         """Areas of the cells, shape [F], in place of those around vertices."""

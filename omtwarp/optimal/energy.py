@@ -34,7 +34,6 @@ from omtwarp.device.threads import launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, transport_gradient
 from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, surface_saddle_factor
 from omtwarp.triangle_newton.newton import NewtonMatrix
 from omtwarp.untangling.kernels import solid_angles
@@ -93,7 +92,7 @@ class TransportEnergy:
         self._metric = wp.empty((count, 4), dtype=wp.float64, device=device)
         self._newton = NewtonMatrix.of_surface(surface, self.shape.workspace)
 
-    def saddle_factor(self) -> SaddlePointFactor | CellSaddleFactor:
+    def saddle_factor(self) -> SaddlePointFactor:
         """What factorises the matrices that :meth:`blocks` gives."""
         return surface_saddle_factor(self.surface)
 

@@ -18,6 +18,7 @@ from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import solves_with_scipy
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, surface_dissection
+from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
 from omtwarp.solvers.cholesky.saddle import SaddleFactor
 
 
@@ -46,7 +47,7 @@ class SaddlePointFactor(Protocol):
     def solve(
         self, first: NDArray[np.float64], second: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Solve for coordinates, shape [V, 2], and multipliers, shape [V]."""
+        """Solve for coordinates, shape [V, 2], and multipliers, shape [N]."""
 
 
 class SparseFactor:
@@ -92,10 +93,20 @@ class SparseSaddleFactor:
     Args:
         count: number of vertices V.
         edges: every edge (i, j) once, shape [E, 2].
+        multipliers: of every entry of B, in the order of ``gradients``: its row, shape [J].
+        vertices: the vertex of every entry, shape [J].
     """
 
-    def __init__(self, count: int, edges: NDArray[np.int32]):
+    def __init__(
+        self,
+        count: int,
+        edges: NDArray[np.int32],
+        multipliers: NDArray[np.integer[Any]],
+        vertices: NDArray[np.integer[Any]],
+    ):
         self._count, self._edges = count, edges
+        self._rows = np.repeat(multipliers, 2)
+        self._columns = (2 * np.asarray(vertices, dtype=np.int64)[:, None] + np.arange(2)).ravel()
         self._lu: Any = None
 
     def factorise(
@@ -110,11 +121,9 @@ class SparseSaddleFactor:
         Raises:
             NotPositiveDefinite: the matrix is singular.
         """
-        count, (i, j) = self._count, self._edges.T.astype(np.int64)
-        first = _block_matrix(count, self._edges, diagonal, off_diagonal, 2)
-        rows = np.repeat(np.stack([i, j]), 2)
-        columns = (2 * np.stack([j, i])[:, :, None] + np.arange(2)).ravel()
-        coupling = sparse.coo_matrix((gradients.ravel(), (rows, columns)), shape=(count, 2 * count))
+        first = _block_matrix(self._count, self._edges, diagonal, off_diagonal, 2)
+        shape = (len(compliance), 2 * self._count)
+        coupling = sparse.coo_matrix((gradients.ravel(), (self._rows, self._columns)), shape=shape)
         matrix = sparse.bmat([[first, coupling.T], [coupling, sparse.diags(-compliance)]], format="csc")
         try:
             self._lu = splu(matrix)
@@ -124,7 +133,7 @@ class SparseSaddleFactor:
     def solve(
         self, first: NDArray[np.float64], second: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Solve [A, Bᵀ; B, -C] [u; q] = [first; second]: coordinates u, shape [V, 2], and multipliers q, shape [V]."""
+        """Solve [A, Bᵀ; B, -C] [u; q] = [first; second]: coordinates u, shape [V, 2], and multipliers q, shape [N]."""
         solved = self._lu.solve(np.concatenate([np.ravel(first), np.ravel(second)]))
         return solved[: 2 * self._count].reshape(-1, 2), solved[2 * self._count :]
 
@@ -180,8 +189,17 @@ def surface_factor(surface: Surface, block: int = 1, workspace: Workspace | None
 def surface_saddle_factor(surface: Surface) -> SaddlePointFactor:
     """Make the factorisation that is asked for, of saddle-point matrices on a surface."""
     if solves_with_scipy():
-        return SparseSaddleFactor(surface.vertex_count, surface.edges)
+        i, j = surface.edges.T
+        return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])
     return SaddleFactor(surface_dissection(surface))
+
+
+def cell_saddle_factor(surface: Surface, cells: NDArray[np.int32]) -> SaddlePointFactor:
+    """The same with a multiplier for every cell, a group of vertices; shape [N, K]."""
+    if solves_with_scipy():
+        multipliers = np.repeat(np.arange(len(cells)), cells.shape[1])
+        return SparseSaddleFactor(surface.vertex_count, surface.edges, multipliers, cells.ravel())
+    return CellSaddleFactor(surface.scaled_vertices, surface.edges, cells)
 
 
 __all__ = [
@@ -189,6 +207,7 @@ __all__ = [
     "SaddlePointFactor",
     "SparseFactor",
     "SparseSaddleFactor",
+    "cell_saddle_factor",
     "mesh_factor",
     "surface_factor",
     "surface_saddle_factor",

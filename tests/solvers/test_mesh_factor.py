@@ -9,7 +9,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.options import Solver
 from omtwarp.solvers.cholesky import NotPositiveDefinite
-from omtwarp.solvers.mesh_factor import SparseFactor, surface_factor, surface_saddle_factor
+from omtwarp.solvers.mesh_factor import SparseFactor, cell_saddle_factor, surface_factor, surface_saddle_factor
 from omtwarp.transport.polish import polish_transport
 from omtwarp.triangle_newton.newton import NewtonMatrix
 
@@ -64,6 +64,22 @@ def test_saddle_points_are_solved_alike():
     for solver in (Solver.SCIPY, Solver.CHOLESKY):
         with solving_with(solver):
             factor = surface_saddle_factor(SURFACE)
+            factor.factorise(diagonal, off, gradients, compliance)
+            answers.append(factor.solve(first, second))
+    for one, other in zip(*answers, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-13)
+
+
+def test_saddle_points_with_cells_are_solved_alike():
+    rng = np.random.default_rng(3)
+    diagonal, off, _ = random_blocks(2)
+    gradients = rng.normal(size=(SURFACE.face_count, 3, 2))
+    compliance = rng.uniform(1.0, 2.0, SURFACE.face_count)
+    first, second = rng.normal(size=(SURFACE.vertex_count, 2)), rng.normal(size=SURFACE.face_count)
+    answers = []
+    for solver in (Solver.SCIPY, Solver.CHOLESKY):
+        with solving_with(solver):
+            factor = cell_saddle_factor(SURFACE, SURFACE.faces)
             factor.factorise(diagonal, off, gradients, compliance)
             answers.append(factor.solve(first, second))
     for one, other in zip(*answers, strict=True):
