@@ -66,6 +66,7 @@ def test(options: list[str], environment: dict[str, str]) -> int:
         "lint": ["-m", "ruff", "check", "."],
         "format": ["-m", "ruff", "format", "--check", "."],
         "types": ["-m", "mypy"],
+        "dead code": ["-m", "vulture"],
         # Each test process would compile every kernel for itself: compile them once before.
         "kernels": ["-m", "omtwarp.device.prewarm"],
         "tests": ["-m", "pytest", "-n", "2", *options],

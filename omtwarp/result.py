@@ -25,9 +25,6 @@ Array = NDArray[np.float64]
 
 # What an .npz of a map holds. The first five are always there; the others where their stage was run.
 REQUIRED = ("vertices", "faces", "sphere", "conformal", "density")
-OPTIONAL = ("face_density", "source", "moser", "transported")
-GOALS = ("measure", "target")  # where weights or a target density were given
-ORIGINS = ("vertex_origin", "face_origin")  # where the mesh was repaired before it was mapped
 # Type and shape of every array, with V vertices and F faces.
 LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "vertices": (np.float64, ("V", 3)),

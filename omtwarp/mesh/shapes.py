@@ -261,9 +261,11 @@ def _bend(points: Points, curvature: float, length: float) -> Points:
 # Implicit surfaces --------------------------------------------------------------------------------------------------
 
 
-def implicit_surface(
-    value: Callable[[Points], Points], low: ArrayLike, high: ArrayLike, cell: float, smoothing: int = 8
-) -> Surface:
+# Rounds in which every vertex moves to the middle of its neighbours and back onto the surface.
+SMOOTHING_ROUNDS = 8
+
+
+def implicit_surface(value: Callable[[Points], Points], low: ArrayLike, high: ArrayLike, cell: float) -> Surface:
     """Triangulate the surface value = 0 by marching tetrahedra, then even the triangles out along the surface.
 
     Args:
@@ -271,7 +273,6 @@ def implicit_surface(
         low: smallest coordinates of a box around the surface.
         high: largest coordinates of that box.
         cell: side of the cubes, each cut into six tetrahedra; details smaller than it are lost.
-        smoothing: rounds of moving every vertex to the middle of its neighbours and back onto the surface.
 
     Returns:
         The surface; its genus is that of the surface value = 0 as the grid sees it.
@@ -306,7 +307,7 @@ def implicit_surface(
     share = np.clip(share, 0.02, 0.98)  # keeps the first triangles from being slivers; the surface is met again below
     surface = Surface(nodes[a] + share * (nodes[b] - nodes[a]), index.reshape(-1, 3))
     points = surface.vertices
-    for _ in range(smoothing):
+    for _ in range(SMOOTHING_ROUNDS):
         points = _onto_surface(value, _average_of_neighbours(surface, points), cell, steps=1)
     return Surface(_onto_surface(value, points, cell, steps=2), surface.faces)
 

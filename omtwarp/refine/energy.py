@@ -47,11 +47,6 @@ class Terms:
         """``d_ratio`` on the host."""
         return self.d_ratio.numpy()
 
-    @property
-    def volume(self) -> NDArray[np.float64]:
-        """``d_volume`` on the host."""
-        return self.d_volume.numpy()
-
     def total(self, weight: float) -> float:
         """angle + λ area, less what a perfect map would have, and the barrier against upright needles."""
         return self.angle + weight * self.area + needle_weight(weight) * self.needle

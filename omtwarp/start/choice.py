@@ -51,10 +51,6 @@ class Start:
     conformal: ConformalMap | None
     repaired_flips: int
 
-    @property
-    def is_conformal(self) -> bool:
-        return self.route.startswith("conformal")
-
 
 def bijective_start(
     surface: Surface,

@@ -233,9 +233,9 @@ class Octahedral(Atlas):
     arcs = (Arc((1.0, 0.0, 0.0)), Arc((0.0, 1.0, 0.0)), Arc((0.0, 0.0, 1.0)))
     corners = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), NORTH, SOUTH)
 
-    def __init__(self, size: int, gutter: int | None = None):
+    def __init__(self, size: int):
         super().__init__(size, size)
-        self.gutter = max(2, int(size) // 64) if gutter is None else int(gutter)
+        self.gutter = max(2, int(size) // 64)
 
     @property
     def texel_angle(self) -> float:

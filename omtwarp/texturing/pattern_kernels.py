@@ -8,8 +8,6 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-Vec3 = wp.vec3d
-
 
 @wp.func
 def longitude(d: wp.vec3d):

@@ -7,8 +7,6 @@ Longitude is ``atan2(y, x)`` in (-π, π], latitude is ``asin(z)``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -114,11 +112,3 @@ def _turn(axis: int, angle: float) -> Floats:
     matrix[a, a] = matrix[b, b] = c
     matrix[a, b], matrix[b, a] = -s, s
     return matrix
-
-
-def texel_directions(width: int, height: int, rows: Sequence[int] | slice | None = None) -> Floats:
-    """Unit vectors of the texel centres of an equirectangular image, shape [rows, width, 3], north row first."""
-    row = np.arange(height)[rows if rows is not None else slice(None)]
-    lon = ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * np.pi
-    lat = (0.5 - (row + 0.5) / height) * np.pi
-    return direction_from_angles(lon[None, :], lat[:, None])

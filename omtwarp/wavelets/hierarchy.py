@@ -98,14 +98,6 @@ class SphereHierarchy:
         return self.level_faces[-1]
 
     @cached_property
-    def node_levels(self) -> IntArray:
-        """Level j of the wavelet that belongs to each node of M(j); -1 for the nodes of the solid, shape [N]."""
-        levels = np.full(self.node_count, -1, dtype=np.int32)
-        for j in range(self.level):
-            levels[self.node_counts[j] : self.node_counts[j + 1]] = j
-        return levels
-
-    @cached_property
     def node_areas(self) -> FloatArray:
         """A third of the spherical triangles' areas around each node of the finest level, shape [N]; the sum is 4π.
 

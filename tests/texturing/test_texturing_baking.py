@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from texturing_shapes import ellipsoid, rotation, unit
+from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import (
@@ -17,7 +17,6 @@ from omtwarp.texturing import (
     uv_to_sphere,
 )
 from omtwarp.texturing.atlas import ATLASES, make_atlas
-from omtwarp.texturing.projection import texel_directions
 
 
 def smooth(d):

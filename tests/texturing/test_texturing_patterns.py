@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from scipy import ndimage
-from texturing_shapes import ellipsoid, rotation, unit
+from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import cell_areas, pattern, rasterize
 from omtwarp.texturing.coastlines import coastline_segments
 from omtwarp.texturing.patterns import PATTERNS, Checker, Circles, Globe, Puzzle
-from omtwarp.texturing.projection import direction_from_angles, texel_directions
+from omtwarp.texturing.projection import direction_from_angles
 
 
 def directions(count=4000, seed=0):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from texturing_shapes import texel_directions
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing.projection import (
@@ -12,7 +13,6 @@ from omtwarp.texturing.projection import (
     image_to_direction,
     longitude_latitude,
     rotation_matrix,
-    texel_directions,
 )
 
 

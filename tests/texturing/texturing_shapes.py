@@ -32,3 +32,11 @@ def ellipsoid(subdivisions=3, seed=None, strength=0.45):
     base = unit(np.asarray(mesh.vertices))
     turn = np.eye(3) if seed is None else rotation(seed)
     return base * AXES, np.asarray(mesh.faces, dtype=np.int32), stretch_latitude(base @ turn, strength)
+
+
+def texel_directions(width: int, height: int) -> np.ndarray:
+    """Unit vectors of the texel centres of an equirectangular image, shape [height, width, 3], north row first."""
+    longitude = ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * np.pi
+    latitude = (0.5 - (np.arange(height) + 0.5) / height)[:, None] * np.pi
+    z = np.broadcast_to(np.sin(latitude), (height, width))
+    return np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), z], axis=2)

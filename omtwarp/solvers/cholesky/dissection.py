@@ -107,17 +107,6 @@ class Dissection:
         order[first + branch - 1] = np.arange(len(branch))
         return order
 
-    @property
-    def factor_entries(self) -> int:
-        """Numbers kept of a factor with one unknown per vertex."""
-        return int((self.owned * self.sizes).sum())
-
-    @property
-    def operations(self) -> float:
-        """Floating-point operations of a factorisation with one unknown per vertex."""
-        own, rest = self.owned.astype(float), (self.sizes - self.owned).astype(float)
-        return float((own**3 / 3 + own**2 * rest + own * rest**2).sum())
-
 
 def dissect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int = MAX_LEAF_VERTICES) -> Dissection:
     """Order the vertices of a mesh for elimination.

@@ -134,7 +134,7 @@ def test_fill_grows_as_n_log_n():
     for frequency in (16, 32, 64):
         sphere = icosphere(frequency)
         dissection = dissect(sphere.vertices, sphere.edges)
-        per_vertex.append(dissection.factor_entries / sphere.vertex_count)
+        per_vertex.append((dissection.owned * dissection.sizes).sum() / sphere.vertex_count)
     assert per_vertex[2] - per_vertex[1] < 1.5 * (per_vertex[1] - per_vertex[0]) + 5.0
     assert per_vertex[2] < 90
 
@@ -146,7 +146,11 @@ def test_long_triangles_are_cut_along_and_not_across():
     that of segments.
     """
     few, many = (uv_sphere(6, segments) for segments in (500, 2000))
-    operations = [dissect(surface.vertices, surface.edges).operations for surface in (few, many)]
+    operations = []
+    for surface in (few, many):
+        dissection = dissect(surface.vertices, surface.edges)
+        own, passed = dissection.owned.astype(float), (dissection.sizes - dissection.owned).astype(float)
+        operations.append((own**3 / 3 + own**2 * passed + own * passed**2).sum())
     assert operations[1] < 4.0**1.5 * operations[0]
 
 
