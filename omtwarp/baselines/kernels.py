@@ -5,6 +5,7 @@ Every kernel gathers: a thread owns one face, one vertex or one stored matrix en
 # mypy: ignore-errors
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.geometry.spherical import tangential
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -13,12 +14,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 def half_angle_tangent(u: wp.vec3d, v: wp.vec3d) -> wp.float64:
     """tan(θ/2) of the angle θ between u and v; sin/(1 + cos) stays accurate at both ends."""
     return wp.length(wp.cross(u, v)) / (wp.length(u) * wp.length(v) + wp.dot(u, v))
-
-
-@wp.func
-def tangential(v: wp.vec3d, x: wp.vec3d) -> wp.vec3d:
-    """The part of v tangent to the unit sphere at x."""
-    return v - wp.dot(v, x) * x
 
 
 @wp.kernel

@@ -6,10 +6,10 @@ vertex, in one order, so that the same input gives the same bits.
 
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.geometry.spherical import TINY, hat_gradient
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-TINY = wp.constant(wp.float64(1.0e-300))
 EIGHTH = wp.constant(wp.float64(0.125))
 
 
@@ -18,13 +18,6 @@ def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     """Unit normal of a triangle; a triangle without area has none and gives zero."""
     n = wp.cross(b - a, c - a)
     return n / wp.max(wp.length(n), TINY)
-
-
-@wp.func
-def hat_gradient(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    """Gradient of the function that is 1 at ``a`` and 0 at ``b`` and ``c``: normal to ``bc``, of length 1 / height."""
-    n = wp.cross(b - a, c - a)
-    return wp.cross(n, c - b) / wp.max(wp.dot(n, n), TINY)
 
 
 @wp.func

@@ -2,6 +2,7 @@
 
 # mypy: ignore-errors
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, THREE, ZERO, wp
+from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -9,7 +10,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 # roundoff, so that a walk does not go back and forth across an edge that the point lies on.
 OUTSIDE = wp.constant(wp.float64(-1e-12))
 WALK_LIMIT = wp.constant(2000)
-TINY = wp.constant(wp.float64(1e-300))
 LARGE = wp.constant(wp.float64(1e300))
 # Boxes are kept in single precision, whose unit of roundoff at 1 is 6e-8: they are grown by more than what is lost.
 BOX_MARGIN = wp.constant(wp.float64(1e-6))

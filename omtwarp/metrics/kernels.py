@@ -1,10 +1,9 @@
 """Per-triangle distortion of a sphere map, as float64 kernels."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.geometry.spherical import TINY, triple_product
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-TINY = wp.constant(wp.float64(1e-300))
 
 
 @wp.func
@@ -15,11 +14,6 @@ def triangle_frame(p0: wp.vec3d, p1: wp.vec3d, p2: wp.vec3d):
     foot = wp.dot(p2 - p0, along)
     height = wp.length(p2 - p0 - foot * along)
     return base, foot, height
-
-
-@wp.func
-def triple_product(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    return wp.dot(a, wp.cross(b, c))
 
 
 @wp.func

@@ -10,6 +10,7 @@ of its edges. Triangles are the leaves of a complete binary tree in heap order, 
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.geometry.spherical import geodesic_distance
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -28,15 +29,9 @@ FITTED = wp.constant(4)
 
 
 @wp.func
-def angle_between(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
-    """Geodesic distance of two unit vectors, accurate at 0 and at π."""
-    return wp.atan2(wp.length(wp.cross(x, y)), wp.dot(x, y))
-
-
-@wp.func
 def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
     """c(x, y) = d(x, y)² / 2."""
-    d = angle_between(x, y)
+    d = geodesic_distance(x, y)
     return HALF * d * d
 
 
@@ -47,7 +42,7 @@ def log_map(base: wp.vec3d, target: wp.vec3d) -> wp.vec3d:
     sine = wp.length(tangent)
     if sine < wp.float64(1.0e-300):
         return wp.vec3d()
-    return (angle_between(base, target) / sine) * tangent
+    return (geodesic_distance(base, target) / sine) * tangent
 
 
 @wp.func

@@ -5,8 +5,8 @@ Corner k of cell c, the middle of its edge from corner k to the next and its par
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
+from omtwarp.geometry.spherical import logarithm
 from omtwarp.optimal.kernels import area_gradient
-from omtwarp.transport.kernels import logarithm
 from omtwarp.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)

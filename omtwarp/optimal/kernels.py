@@ -5,8 +5,8 @@ has to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.op
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
-from omtwarp.transport.kernels import TINY, logarithm
-from omtwarp.triangle_newton.triangle import first_tangent, triple
+from omtwarp.geometry.spherical import TINY, logarithm, oriented_volume
+from omtwarp.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -21,7 +21,7 @@ def area_gradient(own: wp.vec3d, p: wp.vec3d, q: wp.vec3d) -> wp.vec3d:
     normal = wp.cross(p, q)
     towards = p + q
     # Six times the volume from differences: the sines of small triangles keep their digits.
-    volume = triple(own, p, q)
+    volume = oriented_volume(own, p, q)
     dots = ONE + wp.dot(own, p) + wp.dot(own, q) + wp.dot(p, q)
     gradient = TWO / (volume * volume + dots * dots) * (dots * normal - volume * towards)
     return gradient - wp.dot(gradient, own) * own

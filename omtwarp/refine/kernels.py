@@ -5,6 +5,7 @@ brings the image's total flat area to 4π. Angle distortion is fro / D, area dis
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, THREE, TWO, ZERO, wp
+from omtwarp.geometry.spherical import oriented_volume
 from omtwarp.triangle_newton.newton_kernels import packed
 from omtwarp.triangle_newton.triangle import (
     first_column,
@@ -12,7 +13,6 @@ from omtwarp.triangle_newton.triangle import (
     first_weights,
     second_column,
     second_weights,
-    triple,
 )
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -77,7 +77,7 @@ def triangle_terms(
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
     angle_excess[t] = (square * square + wp.float64(4.0) * shear * shear) / (d * (fro + TWO * d))
     ratio[t] = d
-    solid = triple(a, b, c)
+    solid = oriented_volume(a, b, c)
     volume[t] = solid
     steepness[t] = needle(solid * frames[t][0] * frames[t][2] / d)
 
@@ -110,7 +110,7 @@ def triangle_gradient(
     by_fro = TWO * areas[t] / d
     by_det = areas[t] * (linear - (fro + inverse) / (d * d))
     scale = frame[0] * frame[2]
-    cosine = triple(a, b, c) * scale / d
+    cosine = oriented_volume(a, b, c) * scale / d
     upright = areas[t] * barrier * needle_slope(cosine) / d
     # The cosine is the ratio of the volume to D: its derivative by D joins that of the energy.
     by_det -= upright * cosine
@@ -211,7 +211,7 @@ def triangle_hessian(
     second = second_weights(frame)
     points = wp.matrix_from_rows(a, b, c)
     scale = frame[0] * frame[2]
-    tilt = triple(a, b, c) * scale / d
+    tilt = oriented_volume(a, b, c) * scale / d
     upright = wp.sqrt(barrier * needle_curvature(tilt)) / d
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
     modes = wp.matrix(dtype=wp.float64, shape=(6, 5))

@@ -2,11 +2,11 @@
 """Kernels between texels and directions: where a texel looks, what a picture shows, which triangle owns a texel."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, TWO, ZERO, wp
+from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 FOUR = wp.constant(wp.float64(4.0))
-TINY = wp.constant(wp.float64(1.0e-300))
 
 # Kinds of picture; the first three are the atlases of omtwarp.texturing.atlas.
 EQUIRECTANGULAR = wp.constant(0)

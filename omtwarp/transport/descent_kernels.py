@@ -2,6 +2,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sum_kernels import GROUP, LANES, column_sum, first_row
+from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -10,7 +11,6 @@ AREA_HALVINGS = wp.constant(3)
 STEP_TRIALS = wp.constant(30)
 TENTH = wp.constant(wp.float64(0.1))
 ROUND_OFF = wp.constant(wp.float64(1e-14))
-TINY = wp.constant(wp.float64(1e-300))
 
 
 # Why a descent ended, in the order of ENDINGS in the file of the flow; 0 while it goes on.

@@ -1,22 +1,13 @@
 """Kernels of the Lagrangian transport flow: its cost, its force and the motion along a stream function."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.geometry.spherical import logarithm, triple_product
 from omtwarp.transport.descent_kernels import FlowState
-from omtwarp.wavelets.sampling_kernels import spherical_coordinates, triple
+from omtwarp.wavelets.sampling_kernels import spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 SIXTH = wp.constant(wp.float64(1.0 / 6.0))
-TINY = wp.constant(wp.float64(1e-300))
-
-
-@wp.func
-def logarithm(y: wp.vec3d, x: wp.vec3d):
-    """log_y(x), the tangent vector at y that points to x and has their geodesic distance as its length."""
-    cosine = wp.dot(x, y)
-    across = wp.length(wp.cross(y, x))
-    distance = wp.atan2(across, cosine)
-    return distance / wp.max(across, TINY) * (x - cosine * y), distance
 
 
 @wp.func
@@ -136,11 +127,11 @@ def find_triangle(
         middle = level_starts[level + 1] + 4 * face + 3
         ab, bc, ca = nodes[faces[middle, 0]], nodes[faces[middle, 1]], nodes[faces[middle, 2]]
         child = int(3)
-        if triple(ab, ca, p) > ZERO:
+        if triple_product(ab, ca, p) > ZERO:
             child = int(0)
-        elif triple(bc, ab, p) > ZERO:
+        elif triple_product(bc, ab, p) > ZERO:
             child = int(1)
-        elif triple(ca, bc, p) > ZERO:
+        elif triple_product(ca, bc, p) > ZERO:
             child = int(2)
         face = 4 * face + child
     return level_starts[level_starts.shape[0] - 2] + face

@@ -2,16 +2,9 @@
 
 # mypy: ignore-errors
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.geometry.spherical import TINY, geodesic_distance, hat_gradient
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-TINY = wp.constant(wp.float64(1.0e-300))
-
-
-@wp.func
-def geodesic_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
-    """Angle between unit vectors, accurate at both ends where arccos(x · y) is not."""
-    return wp.atan2(wp.length(wp.cross(x, y)), wp.dot(x, y))
 
 
 @wp.func
@@ -142,12 +135,6 @@ def correct_and_normalise(
 ):
     i = wp.tid()
     field[i] = wp.normalize(field[i] + correction[i])
-
-
-@wp.func
-def hat_gradient(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    n = wp.cross(b - a, c - a)
-    return wp.cross(n, c - b) / wp.max(wp.dot(n, n), TINY)
 
 
 @wp.kernel

@@ -1,8 +1,9 @@
 """Kernels of the last step of transport, on the image mesh itself."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.geometry.spherical import TINY, logarithm
 from omtwarp.metrics.kernels import solid_angle
-from omtwarp.transport.kernels import TINY, area_error, centre, logarithm
+from omtwarp.transport.kernels import area_error, centre
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -1,7 +1,8 @@
 """Kernels that move a map along tangent vectors, and find the triangles that a step must not leave as they are."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
-from omtwarp.triangle_newton.triangle import first_tangent, triple
+from omtwarp.geometry.spherical import oriented_volume
+from omtwarp.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -37,7 +38,7 @@ def triangle_trouble(
     """1 where a step flips a triangle or takes nearly all its volume, shape [F], and how many there are."""
     t = wp.tid()
     face = faces[t]
-    after = triple(moved[face[0]], moved[face[1]], moved[face[2]])
+    after = oriented_volume(moved[face[0]], moved[face[1]], moved[face[2]])
     # Written so that a NaN counts as trouble.
     if after > MIN_VOLUME_SHARE * volume[t] and (after > ROUND_OFF or after >= volume[t]):
         trouble[t] = wp.int32(0)

@@ -34,13 +34,6 @@ def second_weights(frame: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def triple(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    """det[a, b, c], positive for an outward triangle on the sphere."""
-    # Differences first: six times the volume to full relative precision for small triangles.
-    return wp.dot(a, wp.cross(b - a, c - a))
-
-
-@wp.func
 def first_tangent(y: wp.vec3d) -> wp.vec3d:
     """A unit vector orthogonal to y, from the axis least aligned with it."""
     axis = wp.vec3d(ONE, ZERO, ZERO)
@@ -80,5 +73,4 @@ __all__ = [
     "first_weights",
     "second_column",
     "second_weights",
-    "triple",
 ]

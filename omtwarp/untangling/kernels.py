@@ -9,6 +9,7 @@ polynomial of the three points,
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.geometry.spherical import oriented_volume
 from omtwarp.triangle_newton.newton_kernels import packed
 from omtwarp.triangle_newton.triangle import (
     barrier,
@@ -19,7 +20,6 @@ from omtwarp.triangle_newton.triangle import (
     first_weights,
     second_column,
     second_weights,
-    triple,
 )
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -29,7 +29,7 @@ FOUR = wp.constant(wp.float64(4.0))
 
 @wp.func
 def signed_ratio(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    return triple(a, b, c) * frame[0] * frame[2]
+    return oriented_volume(a, b, c) * frame[0] * frame[2]
 
 
 @wp.kernel
@@ -65,7 +65,7 @@ def solid_angles(
     """Signed solid angle of every triangle (van Oosterom and Strackee 1983)."""
     t = wp.tid()
     a, b, c = sphere[faces[t][0]], sphere[faces[t][1]], sphere[faces[t][2]]
-    solid[t] = TWO * wp.atan2(triple(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
+    solid[t] = TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
 
 
 @wp.kernel
@@ -90,7 +90,7 @@ def untangle_newton(
     c1 = first_column(frame, a, b)
     c2 = second_column(frame, a, b, c)
     scale = frame[0] * frame[2]
-    d = triple(a, b, c) * scale
+    d = oriented_volume(a, b, c) * scale
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
     eps = epsilon[t]
     chi = barrier(d, eps)

@@ -2,40 +2,23 @@
 
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
+from omtwarp.geometry.spherical import TINY, hat_gradient, tangential, triple_product
 from omtwarp.location.kernels import spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-TINY = wp.constant(wp.float64(1.0e-300))
-
-
-@wp.func
-def triple(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    return wp.dot(a, wp.cross(b, c))
 
 
 @wp.func
 def child_of(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.int32:
     """Which of a spherical triangle's four children holds ``p``; on the arcs between midpoints, the middle one."""
     ab, bc, ca = wp.normalize(a + b), wp.normalize(b + c), wp.normalize(c + a)
-    if triple(ab, ca, p) > ZERO:
+    if triple_product(ab, ca, p) > ZERO:
         return 0
-    if triple(bc, ab, p) > ZERO:
+    if triple_product(bc, ab, p) > ZERO:
         return 1
-    if triple(ca, bc, p) > ZERO:
+    if triple_product(ca, bc, p) > ZERO:
         return 2
     return 3
-
-
-@wp.func
-def hat_gradient(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    n = wp.cross(b - a, c - a)
-    return wp.cross(n, c - b) / wp.max(wp.dot(n, n), TINY)
-
-
-@wp.func
-def tangential(v: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
-    return v - wp.dot(v, p) * p
 
 
 @wp.kernel
