@@ -86,42 +86,7 @@ if TYPE_CHECKING:
     from omtwarp.transport import transport_cost as transport_cost
     from omtwarp.untangling.untangle import untangle as untangle
 
-__all__ = [
-    "Defect",
-    "MapResult",
-    "OmtwarpError",
-    "Surface",
-    "SurfaceMap",
-    "TargetDensity",
-    "__version__",
-    "align",
-    "barycentric_map",
-    "certify",
-    "check",
-    "conformal_map",
-    "distortion",
-    "hierarchical_embedding",
-    "map_optimality",
-    "map_surface",
-    "map_to_sphere",
-    "mobius_centring",
-    "moser_map",
-    "optimal_map",
-    "optimal_transport",
-    "optimality",
-    "paper_flow",
-    "preview",
-    "read_mesh",
-    "refine_map",
-    "repair",
-    "resample",
-    "shapes",
-    "texture",
-    "transport_cost",
-    "untangle",
-    "weighted_surface",
-    "write_report",
-]
+__all__ = ["__version__", *_PUBLIC, *_MODULES]  # noqa: PLE0604 (ruff cannot see that all are texts)
 
 
 def __getattr__(name: str) -> Any:

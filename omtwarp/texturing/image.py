@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import open_input
@@ -23,7 +23,7 @@ FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000"
 _pillow = threading.Lock()  # over Pillow's own limit, which is one number for the whole process
 
 
-def read_image(source: Any) -> NDArray[Any]:
+def read_image(source: str | os.PathLike[str] | Image | ArrayLike) -> NDArray[Any]:
     """A picture as an array, row 0 on top.
 
     Args:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,9 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -50,9 +53,25 @@ class TexturedSurface(TexturedMesh):
         return export(self, path, keep=keep)
 
 
+class SphereMap(Protocol):
+    """A surface and its map to the sphere, such as a :class:`~omtwarp.MapResult`."""
+
+    @property
+    def vertices(self) -> Any:
+        """Positions, shape [V, 3]."""
+
+    @property
+    def faces(self) -> Any:
+        """Vertex indices of the triangles, shape [F, 3]."""
+
+    @property
+    def sphere(self) -> Any:
+        """Images of the vertices, shape [V, 3]."""
+
+
 def texture(
-    result: Any,
-    image: Any = None,
+    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
+    image: str | os.PathLike[str] | Image | ArrayLike | None = None,
     *,
     pattern: str | Pattern | None = None,
     projection: str = "equirectangular",
@@ -60,7 +79,7 @@ def texture(
     rotate: ArrayLike | str | None = None,
     seam_longitude: float | str = 180.0,
     size: int | tuple[int, int] | None = None,
-    device: Any = "auto",
+    device: str | None = "auto",
 ) -> TexturedSurface:
     """Texture a surface through its map to the sphere (section 5 of the paper).
 
@@ -175,7 +194,7 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     return total / np.where(length > 0, length, 1.0)
 
 
-def _map_of(result: Any) -> tuple[Floats, Ints, Floats]:
+def _map_of(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[Floats, Ints, Floats]:
     if isinstance(result, (tuple, list)) and len(result) == 3:
         parts = result
     else:
