@@ -80,12 +80,16 @@ def map_mesh(
         Path | None, typer.Option(metavar="JSON", help="Write what was done and how good the map is.")
     ] = None,
     repair: RepairOption = False,
+    radius: Annotated[
+        float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
+    ] = 1.0,
     quiet: QuietOption = False,
 ) -> None:
     """Map a closed genus-0 mesh to the unit sphere, with its area preserved.
 
     OUTPUT.npz holds vertices, faces, sphere, conformal and density (float64, in the input's order). A mesh suffix
-    (.ply, .obj, .off, .stl, .glb) holds the sphere with the input's faces.
+    (.ply, .obj, .off, .stl, .glb, .vtk, GIFTI's .surf.gii, FreeSurfer's lh.sphere) holds the sphere with the input's
+    faces.
 
     With --weights parts of the surface cover more of the sphere than their area; with --target the sphere is not filled
     evenly but as a picture says. Example: omtwarp map head.ply -o head.npz --weights face.npy --target importance.png
@@ -130,7 +134,7 @@ def map_mesh(
             face_origin=composed(result.face_origin, faces),
         )
     with staged(output) as file:
-        save(result, file)
+        save(result, file, like=mesh, radius=radius)
     if report is not None:
         source = {"path": str(mesh), "notes": sound.notes}
         with staged(report) as file:
@@ -185,14 +189,14 @@ def composed(origin: NDArray | None, before: NDArray) -> NDArray:
     return before if origin is None else np.where(origin >= 0, before[origin], -1)
 
 
-def save(result: MapResult, file: Path) -> None:
+def save(result: MapResult, file: Path, like: Path | None = None, radius: float = 1.0) -> None:
     """Write a map as .npz, or its sphere as a mesh."""
     from omtwarp.mesh.write import write_mesh
 
     if file.suffix.lower() == ".npz":
         result.save(file)
     else:
-        write_mesh(file, image_of(result), result.faces)
+        write_mesh(file, radius * image_of(result), result.faces, spherical=True, like=like)
 
 
 def image_of(result: MapResult) -> NDArray:

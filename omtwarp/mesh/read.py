@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_arrays, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
+from omtwarp.mesh.neuro import nibabel_module, read_vtk
 from omtwarp.mesh.scenes import load_scene, scene_formats
 
 _NUMBERS = b"0123456789+-.eEnaifNAIF \t\r\n\f\v"  # the characters of numbers, NaN and infinity as text
@@ -103,7 +104,15 @@ def _suffix(file: Path) -> str:
 
 def _reader(suffix: str, data: bytes) -> Callable[[bytes, Path, bool], _Read]:
     """The function that reads a format, known by its suffix or, for FreeSurfer, by its first bytes."""
-    own = {"npz": _read_npz, "ply": _read_ply, "obj": _read_obj, "off": _read_off, "stl": _read_stl, "gii": _read_gifti}
+    own = {
+        "npz": _read_npz,
+        "ply": _read_ply,
+        "obj": _read_obj,
+        "off": _read_off,
+        "stl": _read_stl,
+        "gii": _read_gifti,
+        "vtk": _read_vtk,
+    }
     if suffix in own:
         return own[suffix]
     if data[:3] in (b"\xff\xff\xfe", b"\xff\xff\xff", b"\xff\xff\xfd"):  # triangles, and the two old kinds of quads
@@ -264,7 +273,7 @@ def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _read_gifti(data: bytes, file: Path, triangulate: bool) -> _Read:
-    nibabel = _nibabel()
+    nibabel = nibabel_module()
     image = nibabel.load(file)
     points, triangles = image.get_arrays_from_intent("pointset"), image.get_arrays_from_intent("triangle")
     if len(points) != 1 or len(triangles) != 1:
@@ -272,22 +281,20 @@ def _read_gifti(data: bytes, file: Path, triangulate: bool) -> _Read:
     return points[0].data, triangles[0].data, []
 
 
+def _read_vtk(data: bytes, file: Path, triangulate: bool) -> _Read:
+    points, polygons = read_vtk(data)
+    words = [[str(corner).encode() for corner in polygon] for polygon in polygons]
+    return points, *_from_polygons(words, triangulate)
+
+
 def _read_freesurfer(data: bytes, file: Path, triangulate: bool) -> _Read:
-    vertices, faces = _nibabel().freesurfer.read_geometry(file)[:2]
+    vertices, faces = nibabel_module().freesurfer.read_geometry(file)[:2]
     return vertices, faces, []
-
-
-def _nibabel() -> Any:
-    try:
-        import nibabel
-    except ImportError:
-        raise OmtwarpError("needs nibabel to be read: pip install 'omtwarp[neuro]'") from None
-    return nibabel
 
 
 def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
     suffix = _suffix(file)
-    known = {*scene_formats(), "npz", "gii"}
+    known = {*scene_formats(), "npz", "gii", "vtk"}
     if suffix not in known:
         raise OmtwarpError(f"unknown format '.{suffix}': known are {', '.join(sorted(known))}")
     return _single_geometry(load_scene(data, file, suffix), triangulate)

@@ -3,24 +3,39 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
+from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface, write_vtk
 
-SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
+SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gii", ".vtk", *FREESURFER_SUFFIXES)
 
 
-def write_mesh(path: str | os.PathLike[str], vertices: NDArray, faces: NDArray) -> None:
+def write_mesh(
+    path: str | os.PathLike[str],
+    vertices: NDArray,
+    faces: NDArray,
+    *,
+    beside: Mapping[str, NDArray] | None = None,
+    spherical: bool = False,
+    like: Path | None = None,
+) -> None:
     """Write a triangle mesh; vertex order and faces are kept, except that STL has only triangles.
 
     Args:
-        path: .ply (binary, double), .obj and .off (all digits of a double), .stl or .glb (single precision).
+        path: .ply and .vtk (binary, double), .obj and .off (all digits of a double), .stl, .glb, GIFTI (.surf.gii) or a
+            FreeSurfer surface (lh.sphere, ...), which have single precision.
         vertices: float64, shape [V, 3].
         faces: shape [F, 3].
+        beside: further numbers per vertex by name, each shape [V]; for .ply alone.
+        spherical: it is a sphere, which GIFTI wants to be told.
+        like: the file that the mesh comes from; GIFTI keeps its metadata, FreeSurfer's format its volume geometry.
 
     Raises:
         OmtwarpError: another suffix, or the file cannot be written; then an older file is as it was.
@@ -30,14 +45,29 @@ def write_mesh(path: str | os.PathLike[str], vertices: NDArray, faces: NDArray) 
     points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
     if suffix not in SUFFIXES:
         raise OmtwarpError(f"cannot write '{file}': unknown suffix '{file.suffix}', use {', '.join(SUFFIXES)}")
+    if beside and suffix != ".ply":
+        raise OmtwarpError(f"cannot write '{file}': only .ply holds numbers beside the vertices")
     with staged(file) as place:
-        _write(place, suffix, points, triangles)
+        if suffix == ".gii":
+            write_gifti_surface(place, points, triangles, spherical, like)
+        elif suffix in FREESURFER_SUFFIXES:
+            write_freesurfer_surface(place, points, triangles, like)
+        elif suffix == ".vtk":
+            write_vtk(place, points, triangles)
+        else:
+            _write(place, suffix, points, triangles, beside)
 
 
-def _write(file: Path, suffix: str, points: NDArray[np.float64], triangles: NDArray[np.int32]) -> None:
-    """Write a mesh in the format of one of ``SUFFIXES``."""
+def _write(
+    file: Path,
+    suffix: str,
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    beside: Mapping[str, NDArray] | None,
+) -> None:
+    """Write a mesh in a format of no particular field."""
     if suffix == ".ply":
-        file.write_bytes(_ply(points, triangles))
+        file.write_bytes(ply_bytes(points, triangles, beside))
     elif suffix == ".obj":
         rows = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
         rows += [f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist()]
@@ -53,13 +83,19 @@ def _write(file: Path, suffix: str, points: NDArray[np.float64], triangles: NDAr
         trimesh.Trimesh(points, triangles, process=False).export(file)
 
 
-def _ply(points: NDArray[np.float64], faces: NDArray[np.int32]) -> bytes:
-    head = "ply\nformat binary_little_endian 1.0\ncomment omtwarp\n"
-    head += f"element vertex {len(points)}\nproperty double x\nproperty double y\nproperty double z\n"
+def ply_bytes(
+    points: NDArray[np.float64], faces: NDArray[np.int32], properties: Mapping[str, NDArray[Any]] | None = None
+) -> bytes:
+    """A mesh in binary PLY with further properties of its vertices, all in double precision."""
+    given = properties or {}
+    names = ["x", "y", "z", *("_".join(name.split()) or "value" for name in given)]
+    head = f"ply\nformat binary_little_endian 1.0\ncomment omtwarp\nelement vertex {len(points)}\n"
+    head += "".join(f"property double {name}\n" for name in names)
     head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    columns = np.column_stack([points, *(np.asarray(values, dtype=np.float64) for values in given.values())])
     rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, faces
-    return head.encode("ascii") + points.astype("<f8").tobytes() + rows.tobytes()
+    return head.encode("ascii") + columns.astype("<f8").tobytes() + rows.tobytes()
 
 
-__all__ = ["SUFFIXES", "write_mesh"]
+__all__ = ["SUFFIXES", "ply_bytes", "write_mesh"]

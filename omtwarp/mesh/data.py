@@ -1,0 +1,253 @@
+"""Numbers and labels at the vertices of a mesh, in and out.
+
+=================================================  ==================================================================
+``.npy``                                           an array [V] or [V, K]
+``.shape.gii``, ``.func.gii``, ``.label.gii``      GIFTI; labels with their table of names and colours
+``.annot``                                         FreeSurfer's labels with their table
+``.curv``, ``.sulc``, ``.thickness``, ``.area``,   FreeSurfer's curv format
+``.volume``
+``.ply``                                           properties of the vertices beside their position
+=================================================  ==================================================================
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
+from omtwarp.inputs import read_bytes
+from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.neuro import nibabel_module, structure_of
+from omtwarp.mesh.write import ply_bytes
+
+CURV_SUFFIXES = (".curv", ".sulc", ".thickness", ".area", ".volume")
+DATA_SUFFIXES = (".npy", ".gii", ".annot", *CURV_SUFFIXES, ".ply")
+
+Color = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class VertexData:
+    """Numbers or labels at vertices.
+
+    Attributes:
+        values: float64, or int64 for labels, shape [V, K].
+        names: of the K columns.
+        table: of labels, for every key its name and its colour (red, green, blue, opacity from 0 to 1); None for
+            numbers.
+        structure: the part of the brain, as GIFTI names it, where the file says it.
+        meta: what else a GIFTI file says of itself.
+    """
+
+    values: NDArray[Any]
+    names: tuple[str, ...]
+    table: dict[int, tuple[str, Color]] | None = None
+    structure: str | None = None
+    meta: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def is_labels(self) -> bool:
+        """Whether these are labels with a table."""
+        return self.table is not None
+
+    def with_values(self, values: NDArray[Any]) -> VertexData:
+        """The same data at other vertices."""
+        return replace(self, values=np.asarray(values).reshape(len(values), -1))
+
+
+def read_data(path: Path) -> VertexData:
+    """Read per-vertex data of any format of the module's table.
+
+    Raises:
+        OmtwarpError: a missing or unreadable file, an unknown format, or no data in it.
+    """
+    data = read_bytes(path, LARGEST_MESH_FILE, "data file")
+    name = path.name.lower()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if name.endswith(".npy"):
+                found = from_npy(io.BytesIO(data), path.stem)
+            elif name.endswith((".gii", ".gii.gz")):
+                found = _read_gifti(path)
+            elif name.endswith(".annot"):
+                found = _read_annot(path)
+            elif name.endswith(".ply"):
+                found = _read_ply(data)
+            elif name.endswith(CURV_SUFFIXES) or data[:3] == b"\xff\xff\xff":
+                values = nibabel_module().freesurfer.read_morph_data(path)
+                found = VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
+            else:
+                raise OmtwarpError(f"unknown format of data: use {', '.join(DATA_SUFFIXES)}")
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{path}: {error}") from None
+    except Exception as error:  # whatever a parser trips over, the file is not what its name says
+        detail = " ".join(str(error).split())[:160] or type(error).__name__
+        raise OmtwarpError(f"{path}: cannot be read as data: {detail}") from None
+    return found if found.structure else replace(found, structure=structure_of(path))
+
+
+def from_npy(stream: BinaryIO, name: str = "data") -> VertexData:
+    """Read an array [V] or [V, K] in NumPy's format.
+
+    Raises:
+        OmtwarpError: it is not one.
+    """
+    try:
+        array = np.load(stream, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise OmtwarpError(f"not an array in NumPy's format: {error}") from None
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
+        raise OmtwarpError("not an array of numbers of shape [V] or [V, K]")
+    columns = array.reshape(len(array), -1)
+    names = (name,) if columns.shape[1] == 1 else tuple(f"{name} {k + 1}" for k in range(columns.shape[1]))
+    return VertexData(columns.astype(np.float64 if array.dtype.kind == "f" else np.int64), names)
+
+
+def _read_gifti(path: Path) -> VertexData:
+    nibabel = nibabel_module()
+    image = nibabel.load(path)
+    codes = nibabel.nifti1.intent_codes
+    geometry = (codes["NIFTI_INTENT_POINTSET"], codes["NIFTI_INTENT_TRIANGLE"])
+    arrays = [array for array in image.darrays if array.intent not in geometry]
+    if not arrays:
+        raise OmtwarpError("a surface without data")
+    if any(array.data.ndim != 1 or len(array.data) != len(arrays[0].data) for array in arrays):
+        raise OmtwarpError("its arrays have different lengths, or more than one number per vertex")
+    labels = all(array.intent == codes["NIFTI_INTENT_LABEL"] for array in arrays)
+    names = tuple(array.meta.get("Name") or f"{path.name.split('.')[0]} {k + 1}" for k, array in enumerate(arrays))
+    table = None
+    if labels:
+        table = {}
+        for label in image.labeltable.labels:
+            parts = (label.red, label.green, label.blue, label.alpha)
+            red, green, blue, alpha = (1.0 if part is None else float(part) for part in parts)
+            table[int(label.key)] = (label.label or str(label.key), (red, green, blue, alpha))
+    meta = dict(image.meta)
+    structure = meta.get("AnatomicalStructurePrimary")
+    kind = np.int64 if labels else np.float64
+    return VertexData(np.stack([array.data.astype(kind) for array in arrays], axis=1), names, table, structure, meta)
+
+
+def _read_annot(path: Path) -> VertexData:
+    labels, colors, names = nibabel_module().freesurfer.read_annot(path)
+    table: dict[int, tuple[str, Color]] = {}
+    for key, (name, color) in enumerate(zip(names, colors, strict=True)):
+        red, green, blue, transparency = (float(part) / 255.0 for part in color[:4])
+        table[key] = (name.decode(), (red, green, blue, 1.0 - transparency))
+    if (labels < 0).any():
+        table[-1] = ("???", (0.0, 0.0, 0.0, 0.0))
+    return VertexData(labels.astype(np.int64)[:, None], (path.stem,), table)
+
+
+def _read_ply(data: bytes) -> VertexData:
+    from trimesh.exchange.ply import load_ply
+
+    element = load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
+    rows = element["data"]
+    names = [name for name in element["properties"] if name not in ("x", "y", "z")]
+    if not names:
+        raise OmtwarpError("its vertices have no properties but their position")
+    if isinstance(rows, dict) or rows.dtype.names:
+        columns = [np.asarray(rows[name], dtype=np.float64).reshape(-1) for name in names]
+    else:  # text: columns in the order of the header
+        order = list(element["properties"])
+        columns = [np.asarray(rows[:, order.index(name)], dtype=np.float64) for name in names]
+    return VertexData(np.stack(columns, axis=1), tuple(names))
+
+
+def write_data(
+    path: Path,
+    data: VertexData,
+    mesh: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None,
+) -> None:
+    """Write per-vertex data; an older file is as it was if anything is wrong.
+
+    Args:
+        path: what it is called says the format (see the module's table).
+        data: numbers or labels.
+        mesh: vertices and faces, for ``.ply``.
+
+    Raises:
+        OmtwarpError: a format that cannot hold these data, labels without a table, or a file that cannot be written.
+    """
+    name = path.name.lower()
+    if name.endswith((".label.gii", ".annot")) and data.table is None:
+        raise OmtwarpError(f"cannot write '{path}': these are labels without a table of names; use .shape.gii or .npy")
+    if name.endswith((".annot", *CURV_SUFFIXES)) and data.values.shape[1] != 1:
+        raise OmtwarpError(f"cannot write '{path}': the format holds one number per vertex, not {data.values.shape[1]}")
+    with staged(path) as file:
+        if name.endswith(".npy"):
+            with open(file, "wb") as stream:
+                to_npy(stream, data)
+        elif name.endswith((".gii", ".gii.gz")):
+            _write_gifti(file, data, name)
+        elif name.endswith(".annot"):
+            _write_annot(file, data)
+        elif name.endswith(CURV_SUFFIXES):
+            nibabel_module().freesurfer.write_morph_data(file, data.values[:, 0].astype(np.float32))
+        elif name.endswith(".ply"):
+            if mesh is None:
+                raise OmtwarpError(f"cannot write '{path}': .ply needs a mesh with triangles; use .npy")
+            file.write_bytes(ply_bytes(mesh[0], mesh[1], dict(zip(data.names, data.values.T, strict=True))))
+        else:
+            raise OmtwarpError(f"cannot write '{path}': unknown format of data, use {', '.join(DATA_SUFFIXES)}")
+
+
+def to_npy(stream: BinaryIO, data: VertexData) -> None:
+    """Write the values as an array [V], or [V, K] of several columns."""
+    np.save(stream, data.values[:, 0] if data.values.shape[1] == 1 else data.values)
+
+
+def _write_gifti(file: Path, data: VertexData, name: str) -> None:
+    nibabel = nibabel_module()
+    gifti = nibabel.gifti
+    meta = dict(data.meta)
+    structure = data.structure or structure_of(file)
+    if structure:
+        meta["AnatomicalStructurePrimary"] = structure
+    intent, kind, array_type = "NIFTI_INTENT_SHAPE", "NIFTI_TYPE_FLOAT32", "float32"
+    if name.endswith((".func.gii", ".func.gii.gz")):
+        intent = "NIFTI_INTENT_NONE"
+    table = gifti.GiftiLabelTable()
+    if data.table is not None:
+        intent, kind, array_type = "NIFTI_INTENT_LABEL", "NIFTI_TYPE_INT32", "int32"
+        for key, (word, color) in sorted(data.table.items()):
+            label = gifti.GiftiLabel(key, *color)
+            label.label = word
+            table.labels.append(label)
+    arrays = []
+    for column, title in zip(data.values.T, data.names, strict=True):
+        array = gifti.GiftiDataArray(np.ascontiguousarray(column, dtype=array_type), intent, kind)
+        array.meta = gifti.GiftiMetaData({"Name": title})
+        arrays.append(array)
+    image = gifti.GiftiImage(darrays=arrays, meta=gifti.GiftiMetaData(meta), labeltable=table)
+    nibabel.save(image, file)
+
+
+def _write_annot(file: Path, data: VertexData) -> None:
+    assert data.table is not None
+    keys = [key for key in sorted(data.table) if key >= 0]
+    places = np.full(len(data.values), -1, dtype=np.int64)
+    for place, key in enumerate(keys):
+        places[data.values[:, 0] == key] = place
+    colors = np.zeros((len(keys), 4), dtype=np.int64)
+    for place, key in enumerate(keys):
+        red, green, blue, alpha = (round(255.0 * part) for part in data.table[key][1])
+        colors[place] = red, green, blue, 255 - alpha
+    # FreeSurfer tells labels by their colours: two labels of one colour would become one.
+    if len(np.unique(colors[:, :3], axis=0)) < len(keys):
+        raise OmtwarpError("two labels have the same colour, by which the .annot format tells them apart")
+    names = [data.table[key][0] for key in keys]
+    nibabel_module().freesurfer.write_annot(file, places, colors, names, fill_ctab=True)
+
+
+__all__ = ["DATA_SUFFIXES", "VertexData", "from_npy", "read_data", "to_npy", "write_data"]
