@@ -13,12 +13,14 @@ from collections.abc import Iterator
 
 import typer
 
+from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
 from omtwarp.commands.check import check_mesh
 from omtwarp.commands.demo import demo
 from omtwarp.commands.map import map_mesh
 from omtwarp.commands.preview import preview_mesh
 from omtwarp.commands.report import report_on_map
+from omtwarp.commands.resample import resample_map
 from omtwarp.commands.texture import texture_mesh
 from omtwarp.errors import OmtwarpError
 from omtwarp.version import package_version
@@ -35,6 +37,8 @@ app.command("map")(map_mesh)
 app.command("texture")(texture_mesh)
 app.command("preview")(preview_mesh)
 app.command("report")(report_on_map)
+app.command("align")(align_map)
+app.command("resample")(resample_map)
 app.command("check")(check_mesh)
 app.command("demo")(demo)
 app.command("benchmark")(benchmark)

@@ -20,6 +20,7 @@ from PIL import Image
 
 from omtwarp.cli import main
 from omtwarp.mesh import shapes
+from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.write import write_mesh
 
 ROOT = Path(__file__).parent.parent
@@ -82,6 +83,9 @@ def desk(tmp_path, monkeypatch) -> Path:
     picture = np.stack([x * 2, y * 4, 128 + 0 * x], axis=2).astype(np.uint8)
     Image.fromarray(picture).save(tmp_path / "earth.png")
     (tmp_path / "face.txt").write_text("\n".join(str(1 + k % 3) for k in range(surface.vertex_count)))
+    white = shapes.blob(seed=3, sphere=shapes.icosphere(8))
+    write_mesh(tmp_path / "lh.white", white.vertices, white.faces)
+    write_data(tmp_path / "lh.thickness", VertexData(2.5 + white.vertices[:, :1], ("thickness",)))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from omtwarp.alignment.rotation_search import best_rotation, complex_coefficient
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
 from omtwarp.resampling import SpherePoints, as_points
+from omtwarp.result import MapResult
 from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
@@ -172,6 +173,25 @@ def align(
     return max(candidates, key=lambda one: one.score)
 
 
+def turned_map(result: MapResult, alignment: Alignment) -> MapResult:
+    """A map in the position that an alignment found: every stage's sphere turned with it, and the report told.
+
+    After a mirror image has been aligned, the surface is mirrored in x and its faces are turned round as well.
+
+    Args:
+        result: the map that was aligned.
+        alignment: what :func:`align` returned for it.
+    """
+    spheres: dict[str, Any] = {}
+    for name in ("sphere", "conformal", "source", "moser", "transported"):
+        points = getattr(result, name, None)
+        if points is not None:
+            spheres[name] = points @ alignment.rotation.T
+    if alignment.mirrored:
+        spheres |= {"vertices": result.vertices @ MIRROR, "faces": np.ascontiguousarray(result.faces[:, ::-1])}
+    return replace(result, **spheres, report=result.report | {"alignment": alignment.to_dict()})
+
+
 def _by_vertices(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
     weights = sphere_weights(fixed)
     left, values, right = np.linalg.svd((moving.grid.points * weights[:, None]).T @ fixed.grid.points)
@@ -213,4 +233,4 @@ def common_features(
     return {name: ours[name] for name in names}, {name: theirs[name] for name in names}
 
 
-__all__ = ["Alignment", "align", "align_to_axes", "mirror_image"]
+__all__ = ["Alignment", "align", "align_to_axes", "mirror_image", "turned_map"]

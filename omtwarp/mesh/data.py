@@ -59,7 +59,7 @@ class VertexData:
         return self.table is not None
 
     def with_values(self, values: NDArray[Any]) -> VertexData:
-        """The same data at other vertices."""
+        """Put other values under the names, table and metadata of these data."""
         return replace(self, values=np.asarray(values).reshape(len(values), -1))
 
 

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from omtwarp.resampling.resample import Resampling, SpherePoints, as_points, resample
+from omtwarp.resampling.resample import Resampling, SpherePoints, as_points, file_points, resample
 
-__all__ = ["Resampling", "SpherePoints", "as_points", "resample"]
+__all__ = ["Resampling", "SpherePoints", "as_points", "file_points", "resample"]

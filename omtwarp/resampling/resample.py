@@ -77,6 +77,27 @@ def as_points(given: Any, name: str = "the sphere") -> SpherePoints:
     raise OmtwarpError(f"{name}: expected a map, a sphere, a file or a grid's name, got {type(given).__name__}")
 
 
+def file_points(given: str | os.PathLike[str], surface: Path | None) -> SpherePoints:
+    """One end of a resampling from a grid's name or a file, and the file of the surface that it is a sphere of.
+
+    Args:
+        given: see :func:`as_points`.
+        surface: the mesh whose sphere it is, with the same faces; None for a map, which has it.
+
+    Raises:
+        OmtwarpError: what :func:`as_points` raises, or a surface with other faces.
+    """
+    points = as_points(given, str(given))
+    if surface is None:
+        return points
+    if points.vertices is not None:
+        raise OmtwarpError(f"{given}: a map has its own surface: leave '{surface}' out")
+    mesh = read_mesh(surface)
+    if not np.array_equal(mesh.faces, points.grid.triangles):
+        raise OmtwarpError(f"'{surface}' and '{given}' have different faces: they are not one surface and its sphere")
+    return SpherePoints(points.grid, mesh.vertices)
+
+
 def _holds_map(path: Path) -> bool:
     try:
         with np.load(path, allow_pickle=False) as arrays:
@@ -255,4 +276,4 @@ def _areas(given: ArrayLike, points: SpherePoints, name: str) -> Floats:
     return areas
 
 
-__all__ = ["Resampling", "SpherePoints", "as_points", "resample"]
+__all__ = ["Resampling", "SpherePoints", "as_points", "file_points", "resample"]

@@ -1,0 +1,145 @@
+"""``omtwarp align``: a map's sphere turned into the position of another's, or of its shape's own axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from omtwarp.commands._options import QuietOption
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from omtwarp.alignment import Alignment
+
+
+def align_map(
+    source: Annotated[Path, typer.Argument(metavar="MAP", help="A map (.npz), or a sphere as a mesh.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", help=".npz for the whole map, or a mesh suffix for the sphere."),
+    ],
+    to: Annotated[
+        str, typer.Option(metavar="axes|FILE|GRID", help="The shape's own axes, another map or sphere, or fsaverage5.")
+    ] = "axes",
+    surface: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="The surface that MAP is a sphere of, where it is no .npz.")
+    ] = None,
+    to_surface: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="The same of the other sphere, where it is no .npz.")
+    ] = None,
+    feature: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Align by these data at MAP's vertices; again for more features."),
+    ] = None,
+    to_feature: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="The same data at the other's vertices, in this order.")
+    ] = None,
+    by: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|features|vertices", help="vertices needs equal faces; auto takes that where it can."
+        ),
+    ] = "auto",
+    mirror: Annotated[
+        bool, typer.Option("--mirror", help="Try the mirror image too, and take it where it fits better.")
+    ] = False,
+    degree: Annotated[int, typer.Option(min=1, max=64, help="Highest degree of the spherical harmonics.")] = 16,
+    radius: Annotated[
+        float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
+    ] = 1.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn a map's sphere: by its shape's own axes, or to another map.
+
+    By axes, the longest axis of the first-order ellipsoid points to longitude 0, the shortest to the north pole. To
+    another map, features are correlated over all rotations: distance from the centre of the surface, area over area on
+    the sphere, or those given.
+
+    Example: omtwarp align lh.npz --to template.npz -o lh_aligned.npz
+    """
+    from omtwarp.alignment import align
+    from omtwarp.commands._progress import progress_bar
+    from omtwarp.commands._work import report_text
+    from omtwarp.mesh.neuro import require_same_structure
+    from omtwarp.mesh.write import SUFFIXES, write_mesh
+    from omtwarp.resampling import as_points, file_points
+    from omtwarp.spheres import is_named
+
+    check_output(output, (".npz", *SUFFIXES), source, surface)
+    if output.suffix.lower() == ".npz" and source.suffix.lower() != ".npz":
+        raise OmtwarpError(f"cannot write '{output}': a whole map needs a map (.npz) to begin with")
+    other = None if to == "axes" or is_named(to) else Path(to)
+    for ours in (source, surface):
+        for theirs in (other, to_surface):
+            require_same_structure(ours, theirs)
+    with progress_bar(quiet) as progress:
+        moving = file_points(source, surface)
+        fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)
+        if progress is not None:
+            progress("align", 1, 3, {})
+        names, mine, others = _features(feature or [], to_feature or [])
+        found = align(
+            moving,
+            fixed,
+            features=dict(zip(names, mine, strict=True)) or None,
+            to_features=dict(zip(names, others, strict=True)) or None,
+            by=by,
+            mirror=mirror,
+            degree=degree,
+        )
+        if progress is not None:
+            progress("align", 2, 3, {})
+        if output.suffix.lower() == ".npz":
+            _save_map(source, output, found)
+        else:
+            faces = moving.grid.triangles[:, ::-1] if found.mirrored else moving.grid.triangles
+            write_mesh(output, radius * found.sphere, faces, spherical=True, like=source)
+        if progress is not None:
+            progress("align", 3, 3, {})
+    if as_json:
+        print(report_text({"output": str(output), **found.to_dict()}), end="")
+    elif not quiet:
+        mirrored = ", mirrored" * found.mirrored
+        print(
+            f"{output}: turned by {_degrees(found):.3f} degrees{mirrored}; by {found.method}, score {found.score:.6f}"
+        )
+
+
+def _features(ours: list[Path], theirs: list[Path]) -> tuple[list[str], list[NDArray], list[NDArray]]:
+    """Names and columns of the data of both sides."""
+    from omtwarp.mesh.data import read_data
+
+    if len(ours) != len(theirs):
+        raise OmtwarpError(f"{len(ours)} features here and {len(theirs)} there: give as many --to-feature as --feature")
+    names: list[str] = []
+    mine: list[NDArray] = []
+    others: list[NDArray] = []
+    for here, there in zip(ours, theirs, strict=True):
+        one, other = read_data(here).values, read_data(there).values
+        if one.shape[1] != other.shape[1]:
+            raise OmtwarpError(f"'{here}' and '{there}' hold different numbers of features")
+        names += [f"{here} ({len(names) + k + 1})" for k in range(one.shape[1])]
+        mine += list(one.T)
+        others += list(other.T)
+    return names, mine, others
+
+
+def _degrees(found: Alignment) -> float:
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    turn = found.rotation if not found.mirrored else found.rotation @ np.diag([-1.0, 1.0, 1.0])
+    return float(np.degrees(Rotation.from_matrix(turn).magnitude()))
+
+
+def _save_map(source: Path, output: Path, found: Alignment) -> None:
+    from omtwarp.alignment import turned_map
+    from omtwarp.commands._work import load_map
+
+    turned_map(load_map(source), found).save(output)

@@ -1,0 +1,149 @@
+"""``omtwarp resample``: a surface or data at its vertices, carried to another sphere."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from omtwarp.commands._options import DeviceOption, QuietOption, named
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output
+from omtwarp.options import Interpolation, MapOptions
+
+if TYPE_CHECKING:
+    from omtwarp.mesh.data import VertexData
+    from omtwarp.resampling import Resampling
+
+
+def resample_map(
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="A map (.npz), a sphere as a mesh, or a grid such as fsaverage5.")
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="TARGET",
+            help="A map, a sphere, or ico0..ico8, fsaverage3..7, healpix:NSIDE, equiangular:HxW, octahedral:N.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", help="The data there; without --data the surface; - for .npy."),
+    ],
+    data: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Data at SOURCE's points: .npy, GIFTI, .annot, curv, .ply; - for .npy."),
+    ] = None,
+    labels: Annotated[
+        bool, typer.Option("--labels", help="The data are labels; GIFTI and .annot files say so themselves.")
+    ] = False,
+    method: Annotated[
+        Interpolation | None,
+        named(Interpolation, "How; barycentric by default, and conservative (largest overlap) for labels."),
+    ] = None,
+    surface: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="The surface that SOURCE is a sphere of, where it is no .npz.")
+    ] = None,
+    sphere: Annotated[Path | None, typer.Option(metavar="MESH", help="Write the target sphere as well.")] = None,
+    matrix: Annotated[
+        Path | None, typer.Option(metavar="NPZ", help="Write the sparse matrix, for scipy.sparse.load_npz.")
+    ] = None,
+    device: DeviceOption = MapOptions.device,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Carry data, or the surface itself, from one sphere to another.
+
+    Both spheres are taken in the position they are in: see 'omtwarp align'. Conservative resampling keeps integrals,
+    bounds and signs. Without --data the surface is written with the target's triangles: the same mesh for all subjects.
+
+    Example: omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o thickness.shape.gii
+    """
+    from omtwarp.commands._progress import progress_bar
+    from omtwarp.commands._work import report_text, start_device
+    from omtwarp.mesh.data import DATA_SUFFIXES, from_npy, read_data
+    from omtwarp.mesh.neuro import require_same_structure
+    from omtwarp.mesh.write import SUFFIXES, write_mesh
+    from omtwarp.resampling import file_points, resample
+    from omtwarp.spheres import is_named
+
+    here, there = (None if is_named(text) else Path(text) for text in (source, to))
+    stream = str(output) == "-"
+    if stream and (as_json or data is None):
+        raise OmtwarpError("'-o -' writes data to standard output: it needs --data, and goes without --json")
+    inputs = [here, there, surface, None if data is None or str(data) == "-" else data]
+    if not stream:
+        check_output(output, DATA_SUFFIXES if data is not None else SUFFIXES, *inputs)
+    for extra, suffixes in ((sphere, SUFFIXES), (matrix, (".npz",))):
+        if extra is not None:
+            check_output(extra, suffixes, *inputs)
+    require_same_structure(here if surface is None else surface, there)
+    given: VertexData | None = None
+    if data is not None:
+        from_stream = str(data) == "-"
+        given = from_npy(io.BytesIO(sys.stdin.buffer.read()), "data") if from_stream else read_data(data)
+        if not from_stream:
+            require_same_structure(data, there)
+    as_labels = labels or (given is not None and given.is_labels)
+    chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
+    start_device(device)
+    with progress_bar(quiet or stream) as progress:
+        ends = [file_points(source, surface), file_points(to, None)]
+        if progress is not None:
+            progress("resample", 1, 3, {})
+        found = resample(*ends, method=chosen, device=device)
+        if progress is not None:
+            progress("resample", 2, 3, {})
+        if given is not None:
+            _write(output, found, given, as_labels)
+        else:
+            if found.target.grid.faces is None:
+                raise OmtwarpError(f"{to} has no triangles that a surface could have: give --data, or another target")
+            write_mesh(output, found.surface(), found.target.grid.faces, like=surface)
+        if sphere is not None:
+            write_mesh(sphere, found.target.grid.points, found.target.grid.triangles, spherical=True)
+        if matrix is not None:
+            found.save(matrix)
+        if progress is not None:
+            progress("resample", 3, 3, {})
+    if as_json:
+        print(report_text(_record(found, output, given)), end="")
+    elif not quiet and not stream:
+        kind = "labels" if as_labels else "data"
+        what = "the surface" if given is None else f"{kind} with {given.values.shape[1]} column(s)"
+        print(f"{output}: {what}, {chosen}, from {found.matrix.shape[1]} to {found.matrix.shape[0]} points")
+
+
+def _write(output: Path, found: Resampling, given: VertexData, as_labels: bool) -> None:
+    """Carry the data over and write them."""
+    import numpy as np
+
+    from omtwarp.mesh.data import to_npy, write_data
+
+    if as_labels:
+        values: Any = np.stack([found.labels(column) for column in given.values.T], axis=1)
+    else:
+        values = found.apply(given.values)
+    moved = given.with_values(values)
+    if str(output) == "-":
+        to_npy(sys.stdout.buffer, moved)
+        return
+    grid = found.target.grid
+    shown = found.target.vertices if found.target.vertices is not None else grid.points
+    write_data(output, moved, None if grid.faces is None else (shown, grid.faces))
+
+
+def _record(found: Resampling, output: Path, given: VertexData | None) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "output": str(output),
+        "method": str(found.method),
+        "source": found.source.grid.name,
+        "target": found.target.grid.name,
+        "shape": list(found.target.grid.shape),
+        "matrix": {"rows": found.matrix.shape[0], "columns": found.matrix.shape[1], "entries": int(found.matrix.nnz)},
+    }
+    return record if given is None else record | {"columns": list(given.names), "structure": given.structure}
