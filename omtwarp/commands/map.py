@@ -80,6 +80,9 @@ def map_mesh(
         Path | None, typer.Option(metavar="JSON", help="Write what was done and how good the map is.")
     ] = None,
     repair: RepairOption = False,
+    beside: Annotated[
+        bool, typer.Option("--beside", help="For .ply: the surface, with its sphere beside it as px, py, pz.")
+    ] = False,
     radius: Annotated[
         float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
     ] = 1.0,
@@ -101,7 +104,7 @@ def map_mesh(
     from omtwarp.mesh.write import SUFFIXES
     from omtwarp.texturing.density import as_target
 
-    check_output(output, (".npz", *SUFFIXES), mesh)
+    check_output(output, (".ply",) if beside else (".npz", *SUFFIXES), mesh)
     if report is not None:
         check_output(report, (".json",), mesh, output)
     any_surface = surface_options(
@@ -134,7 +137,7 @@ def map_mesh(
             face_origin=composed(result.face_origin, faces),
         )
     with staged(output) as file:
-        save(result, file, like=mesh, radius=radius)
+        save(result, file, like=mesh, radius=radius, beside=beside)
     if report is not None:
         source = {"path": str(mesh), "notes": sound.notes}
         with staged(report) as file:
@@ -189,12 +192,15 @@ def composed(origin: NDArray | None, before: NDArray) -> NDArray:
     return before if origin is None else np.where(origin >= 0, before[origin], -1)
 
 
-def save(result: MapResult, file: Path, like: Path | None = None, radius: float = 1.0) -> None:
+def save(result: MapResult, file: Path, like: Path | None = None, radius: float = 1.0, beside: bool = False) -> None:
     """Write a map as .npz, or its sphere as a mesh."""
     from omtwarp.mesh.write import write_mesh
 
     if file.suffix.lower() == ".npz":
         result.save(file)
+    elif beside:
+        places = dict(zip(("px", "py", "pz"), radius * image_of(result).T, strict=True))
+        write_mesh(file, result.vertices, result.faces, beside=places)
     else:
         write_mesh(file, radius * image_of(result), result.faces, spherical=True, like=like)
 

@@ -13,6 +13,9 @@ from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
+from omtwarp.inputs import read_bytes
+from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import Interpolation, choose
@@ -49,8 +52,8 @@ def as_points(given: Any, name: str = "the sphere") -> SpherePoints:
 
     Args:
         given: a :class:`~omtwarp.MapResult`; the name of a grid (see :mod:`omtwarp.spheres`); a file: a map in
-            ``.npz``, or a mesh that is a sphere about the origin of any radius; ``(points, faces)``; anything with
-            ``vertices`` and ``faces``; or a grid.
+            ``.npz``, a ``.ply`` with the sphere beside the surface as px, py and pz, or a mesh that is a sphere about
+            the origin, of any radius; ``(points, faces)``; anything with ``vertices`` and ``faces``; or a grid.
         name: how messages call it.
 
     Raises:
@@ -69,6 +72,9 @@ def as_points(given: Any, name: str = "the sphere") -> SpherePoints:
         if path.suffix.lower() == ".npz" and _holds_map(path):
             return as_points(MapResult.load(path), str(path))
         mesh = read_mesh(path)
+        beside = _sphere_beside(path)
+        if beside is not None:
+            return SpherePoints(mesh_grid(beside, mesh.faces, str(path)), mesh.vertices)
         return SpherePoints(mesh_grid(mesh.vertices, mesh.faces, str(path)))
     if isinstance(given, tuple | list) and len(given) == 2:
         return SpherePoints(mesh_grid(given[0], given[1], name))
@@ -96,6 +102,14 @@ def file_points(given: str | os.PathLike[str], surface: Path | None) -> SpherePo
     if not np.array_equal(mesh.faces, points.grid.triangles):
         raise OmtwarpError(f"'{surface}' and '{given}' have different faces: they are not one surface and its sphere")
     return SpherePoints(points.grid, mesh.vertices)
+
+
+def _sphere_beside(path: Path) -> Floats | None:
+    """The sphere that a .ply has beside its surface as px, py and pz, shape [V, 3]."""
+    if path.suffix.lower() != ".ply" or b" px\n" not in read_bytes(path, LARGEST_MESH_FILE, "mesh file")[:4096]:
+        return None
+    data = read_data(path)
+    return np.stack([data.values[:, data.names.index(name)] for name in ("px", "py", "pz")], axis=1)
 
 
 def _holds_map(path: Path) -> bool:

@@ -13,6 +13,7 @@ from sphere_truths import random_rotation
 
 from omtwarp.cli import main
 from omtwarp.mesh import shapes
+from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
 from omtwarp.result import MapResult
 
@@ -61,8 +62,6 @@ def test_align_to_another_map_and_back_again(desk, capsys):
 def test_align_by_axes_writes_a_sphere_of_radius_100(desk, capsys):
     assert run("align", "lh.sphere.ply", "--surface", "lh.white.ply", "-o", "lh.axes.ply", "--radius", "100") == 0
     assert "by axes" in capsys.readouterr().out
-    from omtwarp.mesh.read import read_mesh
-
     np.testing.assert_allclose(np.linalg.norm(read_mesh("lh.axes.ply").vertices, axis=1), 100.0)
 
 
@@ -74,8 +73,6 @@ def test_resample_writes_data_surface_sphere_and_matrix(desk, capsys):
     matrix = sparse.load_npz("weights.npz")
     np.testing.assert_array_equal(np.load("there.npy"), matrix @ np.load("thickness.npy"))
     assert run("resample", "lh.npz", "--to", "ico3", "-o", "lh_ico3.ply", "--sphere", "ico3.ply") == 0
-    from omtwarp.mesh.read import read_mesh
-
     surface, sphere = read_mesh("lh_ico3.ply"), read_mesh("ico3.ply")
     np.testing.assert_array_equal(surface.faces, sphere.faces)
     assert len(surface.vertices) == 642
@@ -87,6 +84,14 @@ def test_resample_in_a_pipe(desk, monkeypatch, capsysbinary):
     assert run("resample", "lh.npz", "--to", "equiangular:8x16", *words) == 0
     found = np.load(io.BytesIO(capsysbinary.readouterr().out))
     assert found.shape == (128,) and 1.0 <= found.min() <= found.max() <= 2.0
+
+
+def test_map_beside_its_surface_in_ply(desk):
+    assert run("map", "lh.white.ply", "-o", "both.ply", "--beside", "--until", "conformal", "-q") == 0
+    assert run("resample", "both.ply", "--to", "ico3", "-o", "same.ply", "-q") == 0
+    assert run("map", "lh.white.ply", "-o", "map.npz", "--until", "conformal", "-q") == 0
+    assert run("resample", "map.npz", "--to", "ico3", "-o", "other.ply", "-q") == 0
+    np.testing.assert_array_equal(read_mesh("same.ply").vertices, read_mesh("other.ply").vertices)
 
 
 def test_labels_keep_their_keys(desk):
