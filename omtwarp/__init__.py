@@ -38,7 +38,7 @@ _PUBLIC = {
     "paper_flow": "omtwarp.transport",
     "preview": "omtwarp.render",
     "read_mesh": "omtwarp.mesh.read",
-    "refine_map": "omtwarp.refine.solver",
+    "refine_map": "omtwarp.optimal.refinement",
     "repair": "omtwarp.mesh.repair",
     "resample": "omtwarp.resampling",
     "texture": "omtwarp.texturing",
@@ -72,8 +72,8 @@ if TYPE_CHECKING:
     from omtwarp.metrics.optimality import optimality as optimality
     from omtwarp.moser import moser_map as moser_map
     from omtwarp.optimal import optimal_map as optimal_map
+    from omtwarp.optimal.refinement import refine_map as refine_map
     from omtwarp.pipeline import map_to_sphere as map_to_sphere
-    from omtwarp.refine.solver import refine_map as refine_map
     from omtwarp.render import preview as preview
     from omtwarp.reporting import write_report as write_report
     from omtwarp.resampling import resample as resample

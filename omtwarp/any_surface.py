@@ -17,9 +17,9 @@ from omtwarp.open_surfaces.hemisphere import mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
 from omtwarp.open_surfaces.planar import mend_in_plane
 from omtwarp.optimal import optimal_map
+from omtwarp.optimal.refinement import refine_map
 from omtwarp.options import Cost, Domain, FillArea, MapOptions, Progress, Scheme, Stage, choose
 from omtwarp.pipeline import map_to_sphere
-from omtwarp.refine.solver import refine_map
 from omtwarp.result import MapResult
 from omtwarp.surface_map import SurfaceMap
 from omtwarp.topology.boundary import loop_length

@@ -128,23 +128,40 @@ def choose(kind: type[Kind], value: object, *, without: tuple[Kind, ...] = ()) -
     raise OmtwarpError(f"unknown {_NAMES[kind]} '{value}': use {', '.join(offered)}")
 
 
-def parse_refinement(value: object) -> Refinement | float | None:
-    """Return a named refinement or a positive weight; None for ``none`` and for None.
+@dataclass(frozen=True)
+class AreaMatch:
+    """A refinement to a mean area distortion, at least 2, whatever weight that takes."""
+
+    area: float
+
+    def __str__(self) -> str:
+        return f"match:{self.area:g}"
+
+
+def parse_refinement(value: object) -> Refinement | AreaMatch | float | None:
+    """Return a named refinement, an area distortion to match or a positive weight; None for ``none`` and for None.
 
     Raises:
-        OmtwarpError: neither a name nor a positive number.
+        OmtwarpError: nothing of the kind.
     """
     if value is None or value == Refinement.NONE.value:
         return None
+    if isinstance(value, AreaMatch):
+        return value
     if isinstance(value, str) and value in tuple(Refinement):
         return Refinement(value)
+    text = str(value)
+    matched = text.startswith("match:")
     try:
-        weight = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        weight = -1.0
-    if not 0.0 < weight < float("inf"):
-        raise OmtwarpError(f"unknown refinement '{value}': use {', '.join(Refinement)} or a positive number")
-    return weight
+        number = float(text.removeprefix("match:"))
+    except ValueError:
+        number = -1.0
+    if matched and 2.0 < number < float("inf"):
+        return AreaMatch(number)
+    if matched or not 0.0 < number < float("inf"):
+        names = ", ".join(Refinement)
+        raise OmtwarpError(f"unknown refinement '{value}': use {names}, a positive number, or match:AREA, AREA above 2")
+    return number
 
 
 def parse_device(value: object) -> str:
@@ -168,7 +185,8 @@ class MapOptions:
         until: the last stage that is run.
         cost: what transport minimises.
         scheme: how it does.
-        refine: a named refinement, the weight of area against angle, or None to leave refinement out.
+        refine: a named refinement, the weight of area against angle, an area distortion to match, or None to leave
+            refinement out.
         optimality: whether the map's distance from the optimum is bounded too.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         solver: how sparse systems are solved.
@@ -178,7 +196,7 @@ class MapOptions:
     until: Stage = Stage.REFINE
     cost: Cost = Cost.SQUARED
     scheme: Scheme = Scheme.DEFAULT
-    refine: Refinement | float | None = None
+    refine: Refinement | AreaMatch | float | None = None
     optimality: bool = True
     device: str = "auto"
     solver: Solver = Solver.AUTO
@@ -191,7 +209,7 @@ class MapOptions:
         until: str,
         cost: str,
         scheme: str,
-        refine: str | float | None,
+        refine: str | float | AreaMatch | None,
         optimality: bool,
         device: str | None,
         solver: str,
@@ -224,11 +242,12 @@ class MapOptions:
         """Return the options that shape a map, for a report; without those that the method does not use."""
         if self.method in (Method.TUTTE, Method.MEAN_VALUE):
             return {"method": str(self.method), "cost": "", "scheme": "", "refine": None}
-        weight = str(self.refine) if isinstance(self.refine, Refinement) else self.refine
+        weight = str(self.refine) if isinstance(self.refine, Refinement | AreaMatch) else self.refine
         return {"method": str(self.method), "cost": str(self.cost), "scheme": str(self.scheme), "refine": weight}
 
 
 __all__ = [
+    "AreaMatch",
     "Cost",
     "MapOptions",
     "Method",

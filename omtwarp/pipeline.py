@@ -32,8 +32,9 @@ from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import Optimality, surface_optimality
 from omtwarp.moser import moser_map
 from omtwarp.optimal import SHAPE_WEIGHT, optimal_map
-from omtwarp.options import Cost, MapOptions, Method, Progress, Scheme, Stage
-from omtwarp.refine.solver import Refiner, refine_map, refinement_weight
+from omtwarp.optimal.refinement import refine_map, refinement_weight
+from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Scheme, Stage
+from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapResult, StageRecord
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import as_target
@@ -86,7 +87,7 @@ def map_to_sphere(
     until: str = MapOptions.until,
     cost: str = MapOptions.cost,
     scheme: str = MapOptions.scheme,
-    refine: str | float | None = MapOptions.refine,
+    refine: str | float | AreaMatch | None = MapOptions.refine,
     optimality: bool = MapOptions.optimality,
     weights: ArrayLike | None = None,
     target: Any = None,
@@ -455,7 +456,8 @@ class _Run:
         assert weight is not None
 
         give_back()  # the largest matrices follow
-        sphere, repaired = self.least_distorted(refinement_weight(weight)), 0
+        sphere = self.sphere if isinstance(weight, AreaMatch) else self.least_distorted(refinement_weight(weight))
+        repaired = 0
         for _ in range(1 if self.target is None else TARGET_ROUNDS):
             refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=self.progress)
             sphere, flips = self.mend(sphere, refined.sphere)

@@ -22,7 +22,7 @@ from omtwarp.mesh.checks import as_unit_vectors
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.cell_kernels import cell_couplings, cell_gradient, vertex_squares
-from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import cost_metric
 from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, OptimalMap, minimise
 from omtwarp.options import Progress
@@ -119,7 +119,7 @@ class CellEnergy(TransportEnergy):
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
         """C' + Σ p_c (a_c - A_c) + β S."""
         cost = self.cost_weight * float(terms.ring @ self._means(terms)) / SPHERE_AREA
-        return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(AREA_WEIGHT)
+        return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
     def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
         count, device = self.surface.vertex_count, self.device
@@ -133,7 +133,7 @@ class CellEnergy(TransportEnergy):
             return inputs, [gradient]
 
         launch_parts(cell_gradient, count, around, device)
-        shape = self.shape.gradient(points, terms.shape, AREA_WEIGHT)
+        shape = self.shape.gradient(points, terms.shape, self.area_weight)
         return gradient.numpy() + self.shape_weight * shape.numpy()
 
     def blocks(
@@ -141,7 +141,7 @@ class CellEnergy(TransportEnergy):
     ) -> tuple[Numbers, Numbers, Numbers]:
         """As of the base; the derivatives of the areas are those of every cell by its vertices, shape [F, 6, 2]."""
         count, device = self.surface.vertex_count, self.device
-        hessians = self.shape.hessian(points, terms.shape, AREA_WEIGHT, curvature_share)
+        hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
         mass = wp.array(self._masses(terms), dtype=wp.float64, device=device, copy=False)
         numbers = [wp.float64(self.cost_weight * 2.0 / SPHERE_AREA), wp.float64(least)]

@@ -69,7 +69,8 @@ class TransportEnergy:
         start: x, unit vectors, vec3d, shape [V], on the device.
         device: a Warp device.
         shape_weight: β.
-        cost_weight: factor of the cost; 0 leaves the shape under the constraints alone.
+        cost_weight: factor of the cost; 0 leaves the shape alone.
+        area_weight: λ of the shape.
 
     Attributes:
         wanted: the areas that constraints ask for, 3 m_v, shape [V].
@@ -79,9 +80,16 @@ class TransportEnergy:
     area_tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
 
     def __init__(
-        self, surface: Surface, start: wp.array, device: wp.Device, shape_weight: float, cost_weight: float = 1.0
+        self,
+        surface: Surface,
+        start: wp.array,
+        device: wp.Device,
+        shape_weight: float,
+        cost_weight: float = 1.0,
+        area_weight: float = AREA_WEIGHT,
     ):
         self.surface, self.device, self.shape_weight, self.cost_weight = surface, device, shape_weight, cost_weight
+        self.area_weight = area_weight
         self.shape = DistortionEnergy(surface, device)
         self.wanted = 3.0 * surface.vertex_areas
         mesh = surface.on(device)
@@ -118,7 +126,7 @@ class TransportEnergy:
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
         """C' + Σ p_v (a_v - 3 m_v) + β S."""
         cost = self.cost_weight * float(terms.ring @ terms.square) / (3.0 * SPHERE_AREA)
-        return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(AREA_WEIGHT)
+        return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
     def missing(self, terms: MapTerms) -> Numbers:
         """a_v - 3 m_v, shape [V]."""
@@ -146,7 +154,7 @@ class TransportEnergy:
             return inputs, [gradient]
 
         launch_parts(transport_gradient, count, around, device)
-        shape = self.shape.gradient(points, terms.shape, AREA_WEIGHT)
+        shape = self.shape.gradient(points, terms.shape, self.area_weight)
         return gradient.numpy() + self.shape_weight * shape.numpy()
 
     def blocks(
@@ -165,7 +173,7 @@ class TransportEnergy:
             matrix; and the derivatives as :meth:`omtwarp.solvers.cholesky.SaddleFactor.factorise` takes them.
         """
         count, device = self.surface.vertex_count, self.device
-        hessians = self.shape.hessian(points, terms.shape, AREA_WEIGHT, curvature_share)
+        hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
         ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
         numbers = [wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA)), wp.float64(least)]

@@ -25,7 +25,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.options import Progress
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
@@ -36,6 +36,7 @@ Numbers = NDArray[np.float64]
 
 SHAPE_WEIGHT = 0.011  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: how heavily areas that are still wrong count beside cost
+MIN_COST = 1e-6  # radians²: of maps that move less than that the gain counts as if they moved that far
 REACH = 0.5  # radians: the farthest that a vertex goes in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix
 MAX_HALVINGS_OLD = 1  # of a step with an older one: where that is not enough a fresh one is worth more
@@ -64,9 +65,10 @@ class OptimalMap:
     Attributes:
         sphere: unit vectors, float64, shape [V, 3]; no triangle is flipped.
         multipliers: p_v of :mod:`omtwarp.optimal.energy`, -1/6π times Kantorovich's potential at the points x_v, [V].
-        history: one record per step: ``cost`` (Σ m d², masses 4π in all), ``ring_rms`` and ``ring_largest`` (errors of
-            the areas around vertices), ``decrement`` (what the step was expected to gain), ``length`` of the step,
-            ``factorised``, ``mended`` (vertices untangled or held back). The first record is the start.
+        history: one record per step: ``cost`` (Σ m d², masses 4π in all), ``energy`` (cost, shape and errors of areas
+            in one number), ``ring_rms`` and ``ring_largest`` (errors of the areas around vertices), ``area`` and
+            ``angle`` (distortions of triangles), ``decrement`` (what the step was expected to gain), ``length`` of the
+            step, ``factorised``, ``mended`` (vertices untangled or held back). The first record is the start.
         converged: whether gain and areas reached their tolerances.
         ended: how it ended, in words.
         factorisations: how many sparse matrices were factorised.
@@ -137,8 +139,16 @@ def minimise(
     gain: float,
     iterations: int,
     progress: Progress | None,
+    penalty: float | None = None,
 ) -> OptimalMap:
     """Minimise an energy under its constraints; arguments and result as of :func:`optimal_map`.
+
+    Args:
+        energy: what is minimised.
+        sphere, multipliers, iterations, progress: as of :func:`optimal_map`.
+        gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this.
+        penalty: μ, with which Σ (a_v - 3m_v)² / 3m_v, over 24π, is added to the energy in place of the constraints; the
+            history's stage is then ``refine``.
 
     Raises:
         OmtwarpError: the map given has flipped triangles.
@@ -148,19 +158,24 @@ def minimise(
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
     known = None if multipliers is None else np.array(multipliers, dtype=np.float64)
-    return _Newton(energy, gain).run(given, known, iterations, progress)
+    return _Newton(energy, gain, penalty).run(given, known, iterations, progress)
 
 
 class _Newton:
-    """One minimisation: the map, its multipliers, and the matrix of some earlier map."""
+    """One minimisation: the map, its multipliers, and the matrix of some earlier map.
 
-    def __init__(self, energy: TransportEnergy, gain: float):
+    Args:
+        energy, gain, penalty: as of :func:`minimise`.
+    """
+
+    def __init__(self, energy: TransportEnergy, gain: float, penalty: float | None = None):
+        self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
         self.surface = energy.surface
         self.steps = FlipFreeSteps(self.surface, self.device)
         self.factor = energy.saddle_factor()
         # Of the augmented Lagrangian: μ over the areas wanted, which sum to 12π for rings.
-        self.stiffness = PENALTY / energy.wanted.sum() / energy.wanted
+        self.stiffness = (PENALTY if penalty is None else penalty) / energy.wanted.sum() / energy.wanted
         self.multipliers = np.zeros(len(energy.wanted))
         self.max_rms, self.max_error = energy.area_tolerances
         self.curvature_share, self.damping = 1.0, LEAST_DAMPING
@@ -176,8 +191,10 @@ class _Newton:
         energy = self.energy
         points = vectors(sphere, self.device)
         terms = energy.terms(points)
-        # Where nothing is known they are estimated from a potential of zero.
-        self.multipliers = -energy.potential(terms, self.multipliers) if multipliers is None else multipliers
+        if multipliers is not None:
+            self.multipliers = multipliers
+        elif self.constrained:  # estimated from a potential of zero
+            self.multipliers = -energy.potential(terms, self.multipliers)
         first = self._worth(terms)
         history = [self._record(terms, 0.0, 0.0, False, 0)]
         ended, converged = "most steps taken", False
@@ -186,12 +203,10 @@ class _Newton:
             fresh = renew
             if renew:
                 self._factorise(points, terms)
-                if number == 0 and multipliers is None:
+                if number == 0 and multipliers is None and self.constrained:
                     self._estimate(points, terms)
             direction, q, decrement = self._direction(points, terms)
-            scale = max(energy.cost(terms) / SPHERE_AREA, 1e-6)
-            rms, largest = energy.ring_errors(terms)
-            if decrement <= self.gain * scale and rms <= self.max_rms and largest <= self.max_error:
+            if self._reached(terms, decrement):
                 ended, converged = "optimal", True
                 break
             if not fresh and decrement > (1.0 - MIN_GAIN_SHARE) * last:
@@ -208,12 +223,13 @@ class _Newton:
                 renew = True
                 continue
             points, after, length, mended, before, value = moved
-            self.multipliers = self.multipliers + length * q
+            if self.constrained:
+                self.multipliers = self.multipliers + length * q
             trust = (before - value) / (length * decrement)
             terms, last = after, decrement
             history.append(self._record(terms, decrement, length, fresh, mended))
             if progress is not None:
-                progress("omt", number + 1, iterations, history[-1])
+                progress(self.stage, number + 1, iterations, history[-1])
             if fresh and length == 1.0 and mended == 0 and trust > 0.4:
                 self.curvature_share = max(self.curvature_share / 3.0, MIN_CURVATURE_SHARE)
             elif fresh and (length < 1.0 or trust < 0.2):
@@ -235,12 +251,20 @@ class _Newton:
             points.numpy().copy(), self.multipliers, tuple(history), converged, ended, self.factorisations
         )
 
+    def _reached(self, terms: MapTerms, decrement: float) -> bool:
+        """Whether a map is as good as asked for."""
+        if not self.constrained:
+            return 0.5 * decrement <= self.gain
+        rms, largest = self.energy.ring_errors(terms)
+        gain = self.gain * max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST)
+        return decrement <= gain and rms <= self.max_rms and largest <= self.max_error
+
     def _worth(self, terms: MapTerms) -> float:
         """Cost, shape and area errors of a map in one number that does not depend on multipliers."""
         energy, missing = self.energy, self.energy.missing(terms)
         cost = energy.cost_weight * energy.cost(terms) / SPHERE_AREA
         penalty = 0.5 * float(self.stiffness @ missing**2)
-        return cost + energy.shape_weight * terms.shape.total(AREA_WEIGHT) + penalty
+        return cost + energy.shape_weight * terms.shape.total(energy.area_weight) + penalty
 
     def _merit(self, terms: MapTerms) -> float:
         missing = self.energy.missing(terms)
@@ -297,7 +321,7 @@ class _Newton:
         for attempt in range(halvings + 1):
             tried = []
             if attempt < UNTANGLED:
-                found = self.steps.untangled(points, direction, volume, length, AREA_WEIGHT)
+                found = self.steps.untangled(points, direction, volume, length, self.energy.area_weight)
                 if found is not None:
                     tried.append(found)
             if not tried or tried[0][1] > 0:
@@ -318,8 +342,11 @@ class _Newton:
         rms, largest = self.energy.ring_errors(terms)
         return {
             "cost": self.energy.cost(terms),
+            "energy": self._worth(terms),
             "ring_rms": rms,
             "ring_largest": largest,
+            "area": terms.shape.area + 2.0,
+            "angle": terms.shape.angle + 2.0,
             "decrement": decrement,
             "length": length,
             "factorised": factorised,

@@ -12,35 +12,19 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
-from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.options import Progress, Refinement, parse_refinement
+from omtwarp.options import Progress
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.triangle_newton.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.untangling.untangle import Schedule, untangle_patches
-
-# λ: how much area counts against angle
-WEIGHTS = {
-    Refinement.AREA: 100.0,
-    Refinement.BALANCED: 10.0,
-    Refinement.ANGLE: 2.0,
-}
-# "area" promises a mean and a 95th percentile of area distortion. λ is multiplied by WEIGHT_GROWTH until both are met,
-# up to MAX_WEIGHT; and up to MAX_WEIGHT_IN_REACH where both are then within MAX_EXCESS_IN_REACH times the promised
-# distance from 2. Most such maps still meet the promise; on maps farther away a larger λ only costs angle.
-AREA_MEAN, AREA_P95 = 2.002, 2.01
-WEIGHT_GROWTH, MAX_WEIGHT, MAX_WEIGHT_IN_REACH = 3.0, 900.0, 8100.0
-MAX_EXCESS_IN_REACH = 4.0
 
 MAX_HALVINGS = 25  # of the whole step, in a line search
 MAX_HALVINGS_CORRECTED = 2  # of a step with an older matrix: after that a new matrix gains more
@@ -80,104 +64,6 @@ class RefineResult:
     history: list[dict[str, Any]] = field(default_factory=list)
     converged: bool = False
     factorisations: int = 0
-
-
-def refinement_weight(weight: str | float) -> float:
-    """λ of a name or number.
-
-    Raises:
-        OmtwarpError: neither one of the names nor a positive number.
-    """
-    parsed = parse_refinement(weight)
-    if parsed is None:
-        raise OmtwarpError("the refinement 'none' leaves nothing to minimise: use area, balanced, angle or a weight")
-    return WEIGHTS[parsed] if isinstance(parsed, Refinement) else parsed
-
-
-@blas_threads(1)
-def refine_map(
-    surface: MeshLike,
-    sphere: ArrayLike,
-    *,
-    weight: str | float = Refinement.AREA,
-    iterations: int = 200,
-    tolerance: float = 2e-3,
-    device: str | None = "auto",
-    progress: Progress | None = None,
-) -> RefineResult:
-    """Move the vertices of a flip-free map to a minimum of angle + λ area distortion.
-
-    Both are means over triangles weighted by original area, of s1/s2 + s2/s1 and of s1 s2 + 1/(s1 s2), exactly as
-    :func:`omtwarp.metrics.distortion.distortion` measures them.
-
-    Args:
-        surface: the original surface in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
-        sphere: images of its vertices, unit vectors, shape [V, 3], no triangle flipped.
-        weight: λ, or ``area``, ``balanced`` or ``angle`` for the values in ``WEIGHTS``. With ``area``, λ is raised
-            from there where the mean area distortion is above 2.002 or its 95th percentile above 2.01: threefold,
-            twice, and twice more where that is seen to bring both below.
-        device: where the kernels run; :func:`omtwarp.device.policy.on_device` says where sparse systems are solved.
-        iterations: most steps taken.
-        tolerance: stop when the expected decrease of angle + λ area falls below this and below a hundredth of what
-            that is above its least possible value, 2 + 2 λ.
-        progress: called as ``progress("refine", step, most, details)`` after every step; the details are ``area`` and
-            ``angle``, the distortions reached.
-
-    Returns:
-        The refined map and how it was reached.
-
-    Raises:
-        OmtwarpError: the mesh or the map cannot be used, the map has flipped triangles, or the weight is unknown.
-
-    Example:
-        >>> import omtwarp
-        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
-        >>> start = omtwarp.conformal_map(surface, device="cpu").sphere
-        >>> refined = omtwarp.refine_map(surface, start, weight="balanced", device="cpu")
-        >>> refined.converged, refined.weight
-        (True, 10.0)
-        >>> measured = omtwarp.distortion(surface.vertices, surface.faces, refined.sphere, device="cpu")
-        >>> measured.flips, measured.area["mean"] < 2.01
-        (0, True)
-    """
-    value = refinement_weight(weight)
-    surface = as_surface(surface)
-    start = np.array(as_sphere(sphere, surface))
-    flipped = flipped_faces(start, surface.faces)
-    if flipped.any():
-        raise OmtwarpError(
-            f"the map to refine has {int(flipped.sum())} flipped triangles, "
-            f"the first is face {int(np.argmax(flipped))}: untangle it first"
-        )
-    refiner = Refiner(surface, resolve_device(device))
-    result = refiner.minimise(start, value, iterations=iterations, tolerance=tolerance, progress=progress)
-    kept = result
-    while weight == "area" and result.converged:
-        excess = _area_excess(refiner, result.sphere)
-        if excess <= 1.0:
-            return result
-        if result.weight <= MAX_WEIGHT:
-            kept = result
-        next_weight = WEIGHT_GROWTH * result.weight
-        if next_weight > (MAX_WEIGHT_IN_REACH if excess <= MAX_EXCESS_IN_REACH else MAX_WEIGHT):
-            break
-        # Up to MAX_WEIGHT all λ have the same tolerance; beyond, only the promise counts.
-        loose = tolerance * (next_weight / value if next_weight <= MAX_WEIGHT else 1.0)
-        again = refiner.minimise(result.sphere, next_weight, iterations=iterations, tolerance=loose, progress=progress)
-        result = replace(
-            again,
-            history=result.history + again.history[1:],
-            factorisations=result.factorisations + again.factorisations,
-        )
-    return result if result.weight <= MAX_WEIGHT else kept
-
-
-def _area_excess(refiner: Refiner, sphere: NDArray[np.float64]) -> float:
-    """How far the area distortion is from 2, as a multiple of what is promised: at most 1 where the promise is kept."""
-    terms = refiner.energy.terms(refiner.energy.upload(sphere))
-    scaled = terms.scale * terms.ratio
-    p95 = float(np.percentile(scaled + 1.0 / scaled, 95))
-    return max(terms.area / (AREA_MEAN - 2.0), (p95 - 2.0) / (AREA_P95 - 2.0))
 
 
 class Refiner:

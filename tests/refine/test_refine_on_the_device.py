@@ -9,9 +9,9 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, noisy
+from omtwarp.optimal.refinement import refine_map
 from omtwarp.refine import steps
 from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.solver import refine_map
 from omtwarp.refine.steps import DeviceSteps, HostSteps, flat
 from omtwarp.refine.sums import DistortionSums
 from omtwarp.solvers.multigrid import MultigridSolver, Outcome

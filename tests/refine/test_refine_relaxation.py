@@ -11,9 +11,9 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.patches import grow
 from omtwarp.mesh.shapes import blob, noisy
+from omtwarp.optimal.refinement import refine_map
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.relaxation import FREED_RINGS, MAX_CHOSEN_SHARE, relax, stiff_vertices
-from omtwarp.refine.solver import refine_map
 from omtwarp.refine.steps import HostSteps
 from omtwarp.start.tube import tube_map
 from omtwarp.untangling.untangle import untangle
