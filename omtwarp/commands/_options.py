@@ -33,7 +33,7 @@ def named(kind: type[Kind], help: str) -> Any:
 
 
 def refine_weight(text: str) -> str:
-    """Check what --refine is given, and leave it as it is: a name, or a positive number."""
+    """Check what --refine is given, and leave it as it is: a name, a positive number, or an area to match."""
     usage(parse_refinement)(text)
     return text
 
@@ -64,9 +64,9 @@ SchemeOption = Annotated[Scheme, named(Scheme, "How the transport descends; pape
 RefineOption = Annotated[
     str,
     typer.Option(
-        metavar="none|area|balanced|angle|NUMBER",
+        metavar="none|area|balanced|angle|NUMBER|match:AREA",
         callback=refine_weight,
-        help="Last stage: the weight of area against angle.",
+        help="Go on from the optimal map towards less distortion: how much area counts against angle.",
     ),
 ]
 SolverOption = Annotated[Solver, named(Solver, "How sparse systems are solved; scipy is the plain way.")]
