@@ -16,6 +16,7 @@ import typer
 from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
 from omtwarp.commands.check import check_mesh
+from omtwarp.commands.cohort import cohort
 from omtwarp.commands.demo import demo
 from omtwarp.commands.map import map_mesh
 from omtwarp.commands.preview import preview_mesh
@@ -40,6 +41,7 @@ app.command("report")(report_on_map)
 app.command("align")(align_map)
 app.command("resample")(resample_map)
 app.command("check")(check_mesh)
+app.command("cohort")(cohort)
 app.command("demo")(demo)
 app.command("benchmark")(benchmark)
 

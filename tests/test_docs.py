@@ -82,6 +82,10 @@ def desk(tmp_path, monkeypatch) -> Path:
     y, x = np.mgrid[0:64, 0:128]
     picture = np.stack([x * 2, y * 4, 128 + 0 * x], axis=2).astype(np.uint8)
     Image.fromarray(picture).save(tmp_path / "earth.png")
+    (tmp_path / "shapes").mkdir()
+    for name in ("a", "b"):
+        write_mesh(tmp_path / "shapes" / f"{name}.ply", surface.vertices, surface.faces)
+    (tmp_path / "cohort.csv").write_text("path,group\nshapes/a.ply,control\nshapes/b.ply,patient\n")
     (tmp_path / "face.txt").write_text("\n".join(str(1 + k % 3) for k in range(surface.vertex_count)))
     white = shapes.blob(seed=3, sphere=shapes.icosphere(8))
     write_mesh(tmp_path / "lh.white", white.vertices, white.faces)

@@ -15,13 +15,18 @@ HEAVY = {
     "IPython",
     "OpenGL",
     "PIL",
+    "distributed",
+    "fcntl",  # not on Windows, and so is resource
     "imageio_ffmpeg",
     "matplotlib",
     "nibabel",
     "ot",
+    "pyarrow",
     "pyrender",
+    "resource",
     "rich",
     "scipy",  # parts of it that few maps need; scipy.linalg once BLAS is told how many threads to use
+    "submitit",
     "threadpoolctl",
     "trimesh",
 }

@@ -1,0 +1,6 @@
+"""Many surfaces at once: one process each, limits, a record of every item whatever becomes of it, and resumption."""
+
+from omtwarp.cohort.manifest import Item, read_manifest
+from omtwarp.cohort.run import CohortResult, run_cohort
+
+__all__ = ["CohortResult", "Item", "read_manifest", "run_cohort"]

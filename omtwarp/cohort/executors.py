@@ -1,0 +1,299 @@
+"""Where items are worked on: processes here, a Dask cluster, or Slurm through submitit, behind one interface."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, read_record, write_record
+from omtwarp.errors import OmtwarpError
+
+Record = dict[str, Any]
+
+ATTEMPTS = 2  # an item whose process was killed from outside is tried once more
+GRACE = 30.0  # seconds that a host may take to load, and to end an item that is out of time
+
+
+class Executor(Protocol):
+    """Works on items somewhere."""
+
+    def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
+        """The records of all jobs, in the order in which they are done."""
+        ...
+
+
+class Host:
+    """A process that forks for every item, see :mod:`omtwarp.cohort.host`; started when it is first needed.
+
+    Args:
+        threads: that an item may use.
+    """
+
+    def __init__(self, threads: int = 1):
+        self._threads = threads
+        self._process: subprocess.Popen[str] | None = None
+
+    def run(self, job: Job) -> Record:
+        """Work on an item in a process of its own and return its record, whatever became of it."""
+        died = 0
+        for _ in range(ATTEMPTS):
+            exit_status, late = self._attempt(job)
+            record = read_record(job)
+            if record is not None:
+                return record
+            if late:
+                return write_record(job, TIMEOUT, f"took longer than {job.time_limit:g} s", seconds=job.time_limit)
+            died = -exit_status
+        if died == 9 and job.memory_limit:
+            return write_record(job, MEMORY, "was killed twice, most likely for want of memory")
+        return write_record(job, CRASHED, f"its process ended by signal {died}, {ATTEMPTS} times")
+
+    def _attempt(self, job: Job) -> tuple[int, bool]:
+        process = self._started()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        overdue = threading.Event()
+
+        def end() -> None:
+            overdue.set()
+            process.kill()
+
+        timer = threading.Timer(job.time_limit + GRACE, end)
+        timer.daemon = True
+        timer.start()
+        try:
+            process.stdin.write(job.to_json() + "\n")
+            process.stdin.flush()
+            line = process.stdout.readline()
+        except OSError:  # it has died before
+            line = ""
+        finally:
+            timer.cancel()
+        if line:
+            answer = json.loads(line)
+            return int(answer["exit"]), bool(answer["timeout"])
+        self.close()
+        return -9, overdue.is_set()
+
+    def _started(self) -> subprocess.Popen[str]:
+        if self._process is not None and self._process.poll() is not None:
+            self.close()
+        if self._process is None:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "omtwarp.cohort.host"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                start_new_session=True,  # an interruption is the driver's to handle
+                env=os.environ | {"OMTWARP_THREADS": str(self._threads)},
+            )
+        return self._process
+
+    def close(self) -> None:
+        """End the process."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        for stream in (process.stdin, process.stdout):
+            with contextlib.suppress(OSError):
+                if stream is not None:
+                    stream.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(2.0)
+        process.kill()
+        process.wait()
+
+
+class LocalPool:
+    """Processes on this machine.
+
+    Args:
+        workers: how many items are worked on at once.
+        threads: that each may use.
+    """
+
+    def __init__(self, workers: int, threads: int = 1):
+        self._workers, self._threads = workers, threads
+
+    def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
+        waiting: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        done: queue.SimpleQueue[Record | BaseException] = queue.SimpleQueue()
+        for job in jobs:
+            waiting.put(job)
+        hosts = [Host(self._threads) for _ in range(min(self._workers, len(jobs)))]
+        for _ in hosts:
+            waiting.put(None)
+
+        def serve(host: Host) -> None:
+            try:
+                while (job := waiting.get()) is not None:
+                    done.put(host.run(job))
+            except BaseException as error:
+                done.put(error)
+            finally:
+                host.close()
+
+        threads = [threading.Thread(target=serve, args=(host,), daemon=True) for host in hosts]
+        for thread in threads:
+            thread.start()
+        try:
+            for _ in jobs:
+                record = done.get()
+                if isinstance(record, BaseException):
+                    raise record
+                yield record
+        finally:
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    waiting.get_nowait()
+            for _ in hosts:
+                waiting.put(None)
+            for host in hosts:
+                if host._process is not None:
+                    host._process.kill()
+            for thread in threads:
+                thread.join(5.0)
+
+
+_own = threading.local()
+
+
+def run_job(line: str) -> Record:
+    """Work on one job on a machine of a cluster, in a process of its own; the thread keeps its host for the next."""
+    if not hasattr(_own, "host"):
+        _own.host = Host()
+    job = Job.from_json(line)
+    make_folders(Path(job.folder))
+    record: Record = _own.host.run(job)
+    return record
+
+
+def run_jobs(lines: list[str]) -> list[Record]:
+    """Work on several jobs one after the other, and leave nothing running."""
+    try:
+        return [run_job(line) for line in lines]
+    finally:
+        _own.host.close()
+
+
+def make_folders(folder: Path) -> None:
+    """Make the folders of a cohort's results.
+
+    Raises:
+        OmtwarpError: they cannot be made.
+    """
+    try:
+        for name in ("records", "maps", "locks"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OmtwarpError(f"cannot write to '{folder}': {error.strerror or error}") from None
+
+
+class DaskCluster:
+    """A Dask cluster, which hands the items of a worker that dies to another.
+
+    Args:
+        address: of its scheduler; empty for a cluster of processes here.
+        workers: of the cluster here.
+
+    Raises:
+        OmtwarpError: Dask is not installed, or there is no scheduler.
+    """
+
+    def __init__(self, address: str, workers: int):
+        try:
+            from distributed import Client, LocalCluster
+        except ImportError:
+            raise OmtwarpError("Dask is not installed: pip install 'omtwarp[dask]'") from None
+        try:
+            if address:
+                self._client = Client(address, timeout=20)
+            else:
+                cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+                self._client = Client(cluster)
+        except (OSError, ValueError) as error:
+            raise OmtwarpError(f"no Dask scheduler answers at '{address}': {str(error).splitlines()[0]}") from None
+
+    def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
+        from distributed import as_completed
+
+        futures = self._client.map(run_job, [job.to_json() for job in jobs], pure=False, retries=ATTEMPTS)
+        by_key = {future.key: job for future, job in zip(futures, jobs, strict=True)}
+        try:
+            for future in as_completed(futures):
+                job = by_key[future.key]
+                if future.status == "finished":
+                    yield future.result()
+                else:
+                    yield read_record(job) or write_record(job, CRASHED, f"Dask gave it up: {future.exception()}")
+                future.release()
+        finally:
+            self._client.close()
+
+
+class SubmititArray:
+    """Jobs of Slurm through submitit, or its local executor.
+
+    Args:
+        cluster: ``slurm`` or ``local``.
+        folder: where submitit keeps its files.
+        workers: the most jobs at once; each works on its share of the items, one after the other.
+
+    Raises:
+        OmtwarpError: submitit is not installed, or there is no Slurm here.
+    """
+
+    def __init__(self, cluster: str, folder: Path, workers: int):
+        try:
+            import submitit
+        except ImportError:
+            raise OmtwarpError("submitit is not installed: pip install 'omtwarp[slurm]'") from None
+        try:
+            self._executor = submitit.AutoExecutor(folder=folder / "submitit", cluster=cluster)
+        except Exception as error:
+            raise OmtwarpError(f"submitit cannot use '{cluster}': {error}") from None
+        self._workers = workers
+
+    def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
+        import submitit
+
+        shares = [share for k in range(self._workers) if (share := list(jobs[k :: self._workers]))]
+        longest = max(sum(job.time_limit for job in share) for share in shares)
+        memory = max(job.memory_limit for job in jobs)
+        limits: dict[str, Any] = {"timeout_min": max(1, round(longest / 60) + 2), "cpus_per_task": 1}
+        if memory:
+            limits["mem_gb"] = memory / 2**30 + 2.0
+        self._executor.update_parameters(name="omtwarp-cohort", **limits)
+        running = self._executor.map_array(run_jobs, [[job.to_json() for job in share] for share in shares])
+        by_id = {task.job_id: share for task, share in zip(running, shares, strict=True)}
+        for task in submitit.helpers.as_completed(running, poll_frequency=1):
+            failed = task.exception()
+            for job in by_id[task.job_id]:
+                yield read_record(job) or write_record(job, CRASHED, f"its job {task.job_id} ended: {failed}")
+
+
+def executor_for(name: str, folder: Path, workers: int) -> Executor:
+    """The executor of a name: ``local``, ``dask``, ``dask:ADDRESS``, ``slurm`` or ``submitit-local``.
+
+    Raises:
+        OmtwarpError: another name, or what it needs is not installed.
+    """
+    if name == "local":
+        return LocalPool(workers)
+    if name == "dask" or name.startswith("dask:"):
+        return DaskCluster(name.partition(":")[2], workers)
+    if name in ("slurm", "submitit-local"):
+        return SubmititArray("local" if name == "submitit-local" else "slurm", folder, workers)
+    raise OmtwarpError(f"unknown executor '{name}': use local, dask, dask:ADDRESS, slurm or submitit-local")
+
+
+__all__ = ["Executor", "Host", "LocalPool", "executor_for", "make_folders", "run_job", "run_jobs"]

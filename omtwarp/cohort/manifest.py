@@ -1,0 +1,120 @@
+"""Which surfaces a cohort has: a table, a pattern of file names, or names as BIDS has them."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.inputs import read_bytes
+
+LARGEST_MANIFEST = 2**28  # bytes; a million rows of 256
+MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf", ".gii", ".vtk", ".white", ".pial", ".orig")
+
+
+@dataclass(frozen=True)
+class Item:
+    """One surface of a cohort.
+
+    Attributes:
+        id: its name among the others, which names its files; letters, digits, and any of ``._-``.
+        path: of the mesh.
+        fields: what else is known about it, such as a group or BIDS entities; columns of the table.
+    """
+
+    id: str
+    path: Path
+    fields: dict[str, str] = field(default_factory=dict)
+
+
+def read_manifest(source: str | Path) -> list[Item]:
+    """List the items of a cohort.
+
+    Args:
+        source: a table (.csv or .tsv) with a column ``path`` (relative to the table), and perhaps ``id`` and others; a
+            folder; or a pattern such as ``sub-*/surf/lh.white``, quoted. Without a column ``id`` items are named after
+            their files, and parts such as ``sub-01`` and ``hemi-L`` of BIDS names become columns.
+
+    Raises:
+        OmtwarpError: no such file, no item, no column ``path``, or two items of one name.
+    """
+    text = str(source)
+    path = Path(text)
+    if any(sign in text for sign in "*?[") and not path.exists():
+        paths = sorted(Path(name) for name in glob.glob(text, recursive=True))
+        items = _named([(p, {}) for p in paths if p.is_file()])
+    elif path.is_dir():
+        items = _named([(p, {}) for p in sorted(path.iterdir()) if p.suffix.lower() in MESH_SUFFIXES])
+    else:
+        items = _from_table(path)
+    if not items:
+        raise OmtwarpError(f"'{source}' names no surface")
+    twice = [name for name, count in Counter(item.id.casefold() for item in items).items() if count > 1]
+    if twice:
+        raise OmtwarpError(f"{len(twice)} items of '{source}' have the name of another, the first is '{twice[0]}'")
+    return items
+
+
+def _from_table(path: Path) -> list[Item]:
+    try:
+        text = read_bytes(path, LARGEST_MANIFEST, "table").decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise OmtwarpError(f"'{path}' is no text: give a table (.csv, .tsv), a folder or a pattern in quotes") from None
+    rows = csv.DictReader(io.StringIO(text), delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
+    names = rows.fieldnames or []
+    if "path" not in names:
+        raise OmtwarpError(f"'{path}' has no column 'path': its first line is '{text.splitlines()[0][:80]}'")
+    found: list[tuple[Path, dict[str, str]]] = []
+    for row in rows:
+        number = rows.line_num
+        if None in row or any(value is None for value in row.values()):
+            raise OmtwarpError(f"'{path}', line {number}: not {len(names)} columns as the first line has")
+        if not row["path"].strip():
+            raise OmtwarpError(f"'{path}', line {number}: the path is empty")
+        fields = {name: value for name, value in row.items() if name != "path"}
+        found.append((path.parent / row["path"].strip(), fields))
+    if "id" not in names:
+        return _named(found)
+    return [Item(_safe(fields.pop("id")), mesh, fields) for mesh, fields in found]
+
+
+def _named(found: list[tuple[Path, dict[str, str]]]) -> list[Item]:
+    """Name items after their files, with as many folders in front as it takes to tell them apart."""
+    for depth in range(1, 8):
+        names = [_safe("_".join(path.absolute().parts[-depth:-1] + (_stem(path),))) for path, _ in found]
+        if len({name.casefold() for name in names}) == len(names):
+            break
+    return [
+        Item(name, path, _entities(path.name) | fields)
+        for name, (path, fields) in zip(names if found else [], found, strict=True)
+    ]
+
+
+def _stem(path: Path) -> str:
+    stem = path.name
+    while Path(stem).suffix.lower() in (*MESH_SUFFIXES, ".surf", ".gz") and Path(stem).stem:
+        suffix = Path(stem).suffix.lower()
+        if suffix in (".white", ".pial", ".orig"):
+            break
+        stem = Path(stem).stem
+    return stem
+
+
+def _safe(name: str) -> str:
+    cleaned = re.sub(r"[^\w.-]+", "_", name.strip(), flags=re.ASCII).strip("._")
+    if not cleaned:
+        raise OmtwarpError(f"the item name '{name}' has no letter or digit")
+    return cleaned[:120]
+
+
+def _entities(name: str) -> dict[str, str]:
+    """Entities of a BIDS name: ``sub-01_hemi-L_white.surf.gii`` has sub 01 and hemi L."""
+    return dict(re.findall(r"(?:^|_)([a-zA-Z]+)-([a-zA-Z0-9]+)", name))
+
+
+__all__ = ["Item", "read_manifest"]

@@ -1,0 +1,168 @@
+"""Run a cohort: what is not done yet is worked on, and everything ends up in one table and one page."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omtwarp.cohort.executors import executor_for, make_folders
+from omtwarp.cohort.item import OK, Job, key_of, read_record
+from omtwarp.cohort.manifest import Item
+from omtwarp.cohort.page import write_page
+from omtwarp.cohort.table import write_table
+from omtwarp.device.threads import core_count
+from omtwarp.errors import OmtwarpError
+from omtwarp.options import MapOptions, Progress
+
+TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
+
+
+@dataclass(frozen=True)
+class CohortResult:
+    """What became of a cohort.
+
+    Attributes:
+        counts: items by status: ``ok``, ``error``, ``timeout``, ``memory``, ``crashed``, and ``waiting`` for items of
+            other shards that have no record yet.
+        computed: how many items were worked on in this run; the others were done before.
+        table: the table of all items, ``.parquet`` where pyarrow is installed, else ``.csv``.
+        page: the report page.
+    """
+
+    counts: dict[str, int]
+    computed: int
+    table: Path
+    page: Path
+
+
+def run_cohort(
+    items: Sequence[Item],
+    folder: str | os.PathLike[str],
+    *,
+    executor: str = "local",
+    workers: int | None = None,
+    shard: tuple[int, int] = (1, 1),
+    time_limit: float = TIME_LIMIT,
+    memory_limit: float = 0.0,
+    retry: bool = False,
+    collect: bool = False,
+    progress: Progress | None = None,
+    repair: bool = False,
+    **options: Any,
+) -> CohortResult:
+    """Map many surfaces, each in a process of its own; a surface that fails is a row of the table, never the end.
+
+    The run may be ended in any way and started again: items that have a record for the same input, options and version
+    are not worked on twice.
+
+    Args:
+        items: the surfaces, see :func:`omtwarp.cohort.read_manifest`.
+        folder: of the results: ``maps/ID.npz``, ``records/ID.json``, ``journal.jsonl``, the table and ``report.html``.
+        executor: ``local``, ``dask``, ``dask:ADDRESS``, ``slurm`` or ``submitit-local``.
+        workers: items at once; one for each core by default.
+        shard: (i, n) works on every n-th item, the i-th first, counting from 1.
+        time_limit: seconds that an item may take.
+        memory_limit: GiB that it may allocate (on Linux); 0 for no limit.
+        retry: work again on items that failed.
+        collect: only write the table and the page of what is there.
+        progress: called as ``progress("cohort", done, total, {"failed": ...})``.
+        repair: mend meshes first, as ``omtwarp map --repair`` does.
+        options: of :func:`omtwarp.map_to_sphere`.
+
+    Raises:
+        OmtwarpError: an unknown option or executor, or a folder that cannot be written to.
+
+    Example:
+        >>> import tempfile, omtwarp
+        >>> from omtwarp.cohort import read_manifest, run_cohort
+        >>> from omtwarp.mesh.write import write_mesh
+        >>> folder = tempfile.mkdtemp()
+        >>> for k in range(2):
+        ...     surface = omtwarp.shapes.blob(k, sphere=320)
+        ...     write_mesh(f"{folder}/shape{k}.ply", surface.vertices, surface.faces)
+        >>> run_cohort(read_manifest(f"{folder}/*.ply"), folder + "/out", workers=1, until="moser").counts
+        {'ok': 2}
+    """
+    part, parts = shard
+    if not 1 <= part <= parts:
+        raise OmtwarpError(f"shard {part}/{parts}: give i/n with i from 1 to n")
+    if not time_limit > 0.0 or memory_limit < 0.0:
+        raise OmtwarpError("the time limit must be above 0 seconds, the memory limit 0 GiB or above")
+    workers = core_count() if workers is None else workers
+    if workers < 1:
+        raise OmtwarpError(f"{workers} workers: there must be one at least")
+    known = vars(MapOptions())
+    unknown = [name for name in options if name not in known]
+    if unknown:
+        raise OmtwarpError(f"unknown option '{unknown[0]}': use {', '.join(known)}")
+    chosen = known | options
+    parsed = vars(MapOptions.parse(**chosen))
+    asked = {name: str(value) if isinstance(value, str) else value for name, value in parsed.items()} | {
+        "repair": repair
+    }
+    target = Path(folder).absolute()
+    make_folders(target)
+    jobs = [
+        Job(
+            item.id,
+            str(item.path.absolute()),
+            str(target),
+            key_of(item.path, asked),
+            asked,
+            time_limit,
+            int(memory_limit * 2**30),
+        )
+        for item in items
+    ]
+    mine = [] if collect else jobs[part - 1 :: parts]
+    todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]
+    for job in todo:
+        job.record_file.unlink(missing_ok=True)
+    failed = 0
+    if todo:
+        with _only_driver(target, part, parts):
+            done = len(mine) - len(todo)
+            for record in executor_for(executor, target, workers).records(todo):
+                done += 1
+                failed += record["status"] != OK
+                if progress is not None:
+                    progress("cohort", done, len(mine), {"failed": failed})
+    rows = [_row(item, job) for item, job in zip(items, jobs, strict=True)]
+    table = write_table(rows, target)
+    page = write_page(rows, target)
+    return CohortResult(dict(Counter(row["status"] for row in rows)), len(todo), table, page)
+
+
+def _row(item: Item, job: Job) -> dict[str, Any]:
+    record = read_record(job) or {"status": "waiting", "message": ""}
+    return (
+        {"id": item.id, "path": str(item.path)}
+        | item.fields
+        | {k: v for k, v in record.items() if k not in ("id", "path")}
+    )
+
+
+@contextlib.contextmanager
+def _only_driver(folder: Path, part: int, parts: int) -> Iterator[None]:
+    """Refuse to run twice on the same folder and shard at once."""
+    try:
+        import fcntl
+    except ImportError:  # on Windows
+        yield
+        return
+    with open(folder / "locks" / f".driver-{part}-{parts}", "a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OmtwarpError(f"another process is working on '{folder}': wait for it, or use --shard i/n") from None
+        except OSError:  # no locks on this file system
+            pass
+        yield
+
+
+__all__ = ["CohortResult", "run_cohort"]

@@ -1,0 +1,69 @@
+"""One table of a cohort: Parquet where pyarrow is installed, else CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from omtwarp.files import staged
+
+TEXTS = ("id", "path", "status", "version", "message", "key")
+WHOLE = ("vertices", "faces", "flips", "memory")
+NUMBERS = ("degree", "area", "area_p95", "angle", "ring", "gap", "seconds", "cpu_seconds")
+ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "key")
+
+
+def columns_of(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The columns of a table: the manifest's own behind ``path``, the others in a fixed order."""
+    own = list(dict.fromkeys(name for row in rows for name in row if name not in ORDER))
+    return [*ORDER[:2], *own, *ORDER[2:]]
+
+
+def write_table(rows: Sequence[dict[str, Any]], folder: Path) -> Path:
+    """Write ``table.parquet``, or ``table.csv`` where there is no pyarrow; whichever is older is removed.
+
+    Args:
+        rows: one per item; missing values are left out.
+        folder: where the table goes.
+    """
+    names = columns_of(rows)
+    try:
+        import pyarrow as arrow
+        import pyarrow.parquet as parquet
+    except ImportError:
+        target = folder / "table.csv"
+        with staged(target) as file, open(file, "w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(names)
+            writer.writerows([["" if row.get(name) is None else row[name] for name in names] for row in rows])
+    else:
+        target = folder / "table.parquet"
+        kinds = {name: arrow.int64() for name in WHOLE} | {name: arrow.float64() for name in NUMBERS}
+        columns = [arrow.array([row.get(name) for row in rows], kinds.get(name, arrow.string())) for name in names]
+        with staged(target) as file:
+            parquet.write_table(arrow.table(columns, names=names), file)
+    other = folder / ("table.csv" if target.suffix == ".parquet" else "table.parquet")
+    other.unlink(missing_ok=True)
+    return target
+
+
+def read_table(path: Path) -> list[dict[str, Any]]:
+    """Read a table back; numbers of a CSV come as numbers, empty fields as None."""
+    if path.suffix == ".parquet":
+        import pyarrow.parquet as parquet
+
+        rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
+        return rows
+    with open(path, encoding="utf-8", newline="") as stream:
+        return [
+            {
+                name: (int(value) if name in WHOLE else float(value) if name in NUMBERS else value) if value else None
+                for name, value in row.items()
+            }
+            for row in csv.DictReader(stream)
+        ]
+
+
+__all__ = ["columns_of", "read_table", "write_table"]

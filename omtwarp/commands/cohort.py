@@ -1,0 +1,159 @@
+"""``omtwarp cohort``: many meshes in, their maps, one table and one page out."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from omtwarp.commands._options import (
+    CostOption,
+    DeviceOption,
+    MethodOption,
+    QuietOption,
+    RefineOption,
+    RepairOption,
+    SchemeOption,
+    UntilOption,
+)
+from omtwarp.errors import OmtwarpError
+from omtwarp.options import MapOptions, Refinement
+
+if TYPE_CHECKING:
+    from omtwarp.options import Progress
+
+LINES_EVERY = 30.0  # seconds between lines on how far a cohort is, where there is no terminal
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """Read i/n.
+
+    Raises:
+        OmtwarpError: it is something else.
+    """
+    part, _, parts = text.partition("/")
+    if not (part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
+        raise OmtwarpError(f"unknown shard '{text}': give i/n with i from 1 to n, such as 2/8")
+    return int(part), int(parts)
+
+
+def cohort(
+    manifest: Annotated[
+        str, typer.Argument(metavar="MANIFEST", help="A table with a column 'path', a folder, or a pattern in quotes.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")],
+    executor: Annotated[
+        str,
+        typer.Option(
+            metavar="local|dask|dask:ADDRESS|slurm|submitit-local",
+            help="Where to compute: processes here, or a cluster.",
+        ),
+    ] = "local",
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Items at once; one for each core by default.")
+    ] = None,
+    shard: Annotated[str, typer.Option(metavar="I/N", help="Work on every N-th item, the I-th first.")] = "1/1",
+    time_limit: Annotated[
+        float, typer.Option(metavar="SECONDS", help="An item that takes longer has failed.")
+    ] = 3600.0,
+    memory_limit: Annotated[
+        float, typer.Option(metavar="GIB", help="Memory that an item may allocate; 0 for no limit. On Linux.")
+    ] = 0.0,
+    retry: Annotated[bool, typer.Option("--retry", help="Work again on items that failed.")] = False,
+    collect: Annotated[bool, typer.Option("--collect", help="Only write the table and the page.")] = False,
+    optimality: Annotated[
+        bool, typer.Option(help="Also bound the cost from below (column gap).")
+    ] = MapOptions.optimality,
+    method: MethodOption = MapOptions.method,
+    until: UntilOption = MapOptions.until,
+    cost: CostOption = MapOptions.cost,
+    scheme: SchemeOption = MapOptions.scheme,
+    refine: RefineOption = str(Refinement.NONE),
+    repair: RepairOption = False,
+    device: DeviceOption = MapOptions.device,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what became of the cohort as JSON.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun goes on.
+
+    DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html. Example:
+    omtwarp cohort 'sub-*/surf/lh.white' -o out --time-limit 600 --memory-limit 4
+    """
+    from omtwarp.cohort import read_manifest, run_cohort
+
+    part = parse_shard(shard)
+    items = read_manifest(manifest)
+    with _telling(quiet) as progress:
+        result = run_cohort(
+            items,
+            output,
+            executor=executor,
+            workers=workers,
+            shard=part,
+            time_limit=time_limit,
+            memory_limit=memory_limit,
+            retry=retry,
+            collect=collect,
+            progress=progress,
+            repair=repair,
+            method=method,
+            until=until,
+            cost=cost,
+            scheme=scheme,
+            refine=refine,
+            optimality=optimality,
+            device=device,
+        )
+    if as_json:
+        known = {
+            "counts": result.counts,
+            "computed": result.computed,
+            "table": str(result.table),
+            "page": str(result.page),
+        }
+        print(json.dumps(known))
+    elif not quiet:
+        counts = ", ".join(f"{count} {status}" for status, count in sorted(result.counts.items()))
+        print(f"{result.table}: {counts}; {result.computed} computed in this run; {result.page}")
+
+
+@contextmanager
+def _telling(quiet: bool) -> Iterator[Progress | None]:
+    """Tell how far a cohort is and how long it will take: a bar on a terminal, else a line now and then."""
+    if quiet:
+        yield None
+        return
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bars
+
+        columns = (BarColumn(30), MofNCompleteColumn(), TextColumn("{task.fields[failed]} failed"), TimeElapsedColumn())
+        with Bars(*columns, TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True)) as bars:
+            task = bars.add_task("cohort", total=None, failed=0)
+
+            def draw(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
+                bars.update(task, completed=done, total=total, failed=info["failed"])
+
+            yield draw
+        return
+    begun = last = time.monotonic()
+    first: list[int] = []
+
+    def tell(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
+        nonlocal last
+        first.append(done - 1) if not first else None
+        now = time.monotonic()
+        if now - last >= LINES_EVERY or done == total:
+            last = now
+            left = (now - begun) / (done - first[0]) * (total - done)
+            words = f"{done} of {total} done, {info['failed']} failed, about {left:.0f} s left"
+            print(f"omtwarp: {words}", file=sys.stderr, flush=True)
+
+    yield tell

@@ -1,0 +1,283 @@
+"""Cohorts: bad cases are rows, any death is survived, nothing is computed twice, and one table comes out."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from omtwarp.cli import main
+from omtwarp.cohort import read_manifest, run_cohort
+from omtwarp.cohort.executors import Host, make_folders
+from omtwarp.cohort.item import Job, key_of
+from omtwarp.cohort.page import outliers
+from omtwarp.cohort.table import read_table
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.shapes import blob, demo_shape
+from omtwarp.mesh.write import write_mesh
+from omtwarp.result import MapResult
+
+PATIENCE = 240.0  # seconds; only a machine that does nothing for us makes a test wait so long
+linux = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
+
+
+def write_shapes(folder: Path, count: int, faces: int = 80) -> list[Path]:
+    folder.mkdir(exist_ok=True)
+    paths = [folder / f"sub-{k:03d}_hemi-L.ply" for k in range(count)]
+    for k, path in enumerate(paths):
+        surface = blob(k, amplitude=0.2, degree=3, sphere=faces)
+        write_mesh(path, surface.vertices, surface.faces)
+    return paths
+
+
+def spoil(paths: list[Path]) -> None:
+    """Ten ways of being no surface that can be mapped."""
+    surface = blob(0, sphere=80)
+    vertices, faces = surface.vertices, surface.faces
+    nan = vertices.copy()
+    nan[3] = np.nan
+    paths[0].unlink()
+    paths[1].write_bytes(b"")
+    paths[2].write_text("nonsense")
+    paths[3].write_bytes(paths[3].read_bytes()[:300])
+    write_mesh(paths[4], nan, faces)
+    write_mesh(paths[5], vertices, faces[1:])
+    write_mesh(paths[6], vertices, np.vstack([faces, faces[:1]]))
+    write_mesh(paths[7], np.vstack([vertices, vertices + 5]), np.vstack([faces, faces + len(vertices)]))
+    write_mesh(paths[8], np.zeros_like(vertices), faces)
+    paths[9].unlink()
+    paths[9].mkdir()
+
+
+def journal(folder: Path) -> list[tuple[str, str]]:
+    file = folder / "journal.jsonl"
+    lines = file.read_text().splitlines() if file.exists() else []
+    return [(entry["id"], entry["key"]) for entry in map(json.loads, lines)]
+
+
+def wait_for(condition, what: str):
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        if value := condition():
+            return value
+        time.sleep(0.01)
+    raise AssertionError(f"{what} did not come about")
+
+
+def children(process: int) -> list[int]:
+    found = []
+    for task in Path(f"/proc/{process}/task").glob("*/children"):
+        found += [int(word) for word in task.read_text().split()]
+    return found
+
+
+def manifest_of(paths: list[Path], file: Path) -> Path:
+    rows = [f"{path},{'patient' if k % 2 else 'control'}" for k, path in enumerate(paths)]
+    file.write_text("path,group\n" + "\n".join(rows) + "\n")
+    return file
+
+
+@linux
+def test_forty_surfaces_ten_of_them_bad_and_the_driver_killed_twice(tmp_path):
+    paths = write_shapes(tmp_path / "in", 40)
+    spoil(paths[::4])
+    manifest, out = manifest_of(paths, tmp_path / "cohort.csv"), tmp_path / "out"
+    command = [sys.executable, "-m", "omtwarp", "cohort", str(manifest), "-o", str(out)]
+    command += ["--workers", "1", "--until", "moser", "--device", "cpu"]
+    for kill in range(2):
+        driver = subprocess.Popen([*command, "-q"])
+        wait_for(lambda: len(journal(out)) >= 12 * (kill + 1) or driver.poll() is not None, "progress")  # noqa: B023
+        assert driver.poll() is None
+        driver.send_signal(signal.SIGKILL)
+        driver.wait()
+        assert not (out / "table.parquet").exists()
+    ended = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
+    said = json.loads(ended.stdout)
+    assert said["counts"] == {"ok": 30, "error": 10}
+    assert "of 40 done" in ended.stderr
+    done = journal(out)
+    assert len(done) == len(set(done)) == 40  # nothing lost, nothing twice
+    assert said["computed"] <= 40 - 24
+    rows = {row["id"]: row for row in read_table(Path(said["table"]))}
+    assert len(rows) == 40
+    assert [rows[f"sub-{k:03d}_hemi-L"]["status"] == "ok" for k in range(40)] == [k % 4 != 0 for k in range(40)]
+    assert all(row["message"] and "\n" not in row["message"] for row in rows.values() if row["status"] == "error")
+    assert not any("internal error" in row["message"] for row in rows.values())
+    good = rows["sub-001_hemi-L"]
+    assert (good["group"], good["sub"], good["flips"], good["faces"]) == ("patient", "001", 0, 80)
+    assert MapResult.load(out / "maps" / "sub-001_hemi-L.npz").bijective
+    page = (out / "report.html").read_text()
+    assert page.count("<figure>") == 6
+    assert page.count("data:image/webp") == 6
+    # Again: nothing to do. Another option: all of it, but only in the other shard here.
+    again = run_cohort(read_manifest(manifest), out, until="moser", device="cpu", workers=1)
+    assert again.computed == 0
+
+
+def test_a_table_without_pyarrow_says_the_same(tmp_path, monkeypatch):
+    write_shapes(tmp_path / "in", 3)
+    (tmp_path / "in" / "bad.ply").write_text("no mesh, with a comma")
+    items = read_manifest(tmp_path / "in")
+    options = {"workers": 1, "until": "conformal", "device": "cpu"}
+    first = run_cohort(items, tmp_path / "out", shard=(1, 2), **options)
+    assert first.counts == {"ok": 1, "error": 1, "waiting": 2}
+    both = run_cohort(items, tmp_path / "out", shard=(2, 2), **options)
+    assert both.counts == {"ok": 3, "error": 1}
+    assert both.computed == 2
+    pytest.importorskip("pyarrow")
+    assert both.table.suffix == ".parquet"
+    rows = read_table(both.table)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    plain = run_cohort(items, tmp_path / "out", collect=True, **options)
+    assert plain.table.name == "table.csv"
+    assert not both.table.exists()
+    assert read_table(plain.table) == [{k: v or None if v == "" else v for k, v in row.items()} for row in rows]
+    assert run_cohort(items, tmp_path / "out", retry=True, **options).computed == 1  # failures alone
+
+
+def job_for(folder: Path, faces: int, **limits) -> Job:
+    surface = demo_shape(faces)
+    write_mesh(folder / "mesh.ply", surface.vertices, surface.faces)
+    options = {"device": "cpu", "repair": False}
+    make_folders(folder)
+    path = str(folder / "mesh.ply")
+    return Job("mesh", path, str(folder), key_of(path, options), options, **{"time_limit": PATIENCE} | limits)
+
+
+@pytest.fixture(scope="module")
+def host():
+    made = Host()
+    yield made
+    made.close()
+
+
+def test_an_item_that_takes_too_long_is_ended(tmp_path, host):
+    job = job_for(tmp_path, 12000, time_limit=0.05)
+    record = host.run(job)
+    assert record["status"] == "timeout"
+    assert "longer than 0.05 s" in record["message"]
+    assert not job.map_file.exists()
+    assert [file.name for file in (tmp_path / "maps").iterdir()] == []
+
+
+@linux
+def test_an_item_that_takes_too_much_memory_is_ended(tmp_path, host):
+    record = host.run(job_for(tmp_path, 12000, memory_limit=2**23))
+    assert record["status"] == "memory"
+    assert "0.00781 GiB" in record["message"]
+
+
+@linux
+def test_an_item_whose_process_is_killed_is_tried_again(tmp_path):
+    job, host = job_for(tmp_path, 6000), Host()
+    found: list[dict] = []
+    thread = threading.Thread(target=lambda: found.append(host.run(job)))
+    thread.start()
+    try:
+        process = wait_for(lambda: host._process, "the host").pid
+        os.kill(wait_for(lambda: children(process), "the item")[0], signal.SIGKILL)
+        thread.join(PATIENCE)
+        assert found[0]["status"] == "ok"
+        assert len(journal(tmp_path)) == 1
+    finally:
+        host.close()
+
+
+@linux
+def test_nothing_is_left_running_when_the_driver_has_gone(tmp_path):
+    job, host = job_for(tmp_path, 12000), Host()
+    thread = threading.Thread(target=lambda: host.run(job), daemon=True)
+    thread.start()
+    process = wait_for(lambda: host._process, "the host")
+    item = wait_for(lambda: children(process.pid), "the item")[0]
+    process.stdin.close()  # as the system does for a driver that dies
+    wait_for(lambda: not Path(f"/proc/{item}").exists(), "the end of the item")
+    thread.join(PATIENCE)
+
+
+def test_keys_follow_input_options_and_version(tmp_path, monkeypatch):
+    file = tmp_path / "a.ply"
+    file.write_text("1")
+    first = key_of(file, {"refine": "area"})
+    assert key_of(file, {"refine": "area"}) == first
+    assert key_of(file, {"refine": "angle"}) != first
+    monkeypatch.setattr("omtwarp.cohort.item.package_version", lambda: "9.9")
+    assert key_of(file, {"refine": "area"}) != first
+    monkeypatch.undo()
+    file.write_text("2")
+    assert key_of(file, {"refine": "area"}) != first
+    assert key_of(tmp_path / "missing", {}) != first
+
+
+def test_what_lies_furthest_out_is_found():
+    rows = [{"id": str(k), "area": 2.0 + 0.001 * (k % 5), "angle": 3.0, "seconds": None} for k in range(20)]
+    rows[7]["area"] = 2.5
+    assert outliers(rows, 1)[0][0]["id"] == "7"
+    assert "area distortion 2.5" in outliers(rows, 1)[0][1]
+
+
+class TestManifest:
+    def test_patterns_and_folders_name_items_after_files_and_folders(self, tmp_path):
+        for name in ("sub-01/surf/lh.white", "sub-02/surf/lh.white"):
+            (tmp_path / name).parent.mkdir(parents=True)
+            (tmp_path / name).write_text("x")
+        items = read_manifest(str(tmp_path / "sub-*" / "surf" / "*"))
+        assert [item.id for item in items] == ["sub-01_surf_lh.white", "sub-02_surf_lh.white"]
+        with pytest.raises(OmtwarpError, match="names no surface"):
+            read_manifest(tmp_path)
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("file\na.ply\n", "no column 'path'"),
+            ("path,group\na.ply\n", "line 2: not 2 columns"),
+            ("path\n\n \n", "line 3: the path is empty"),
+            ("id,path\nA,a.ply\na,b.ply\n", "1 items .* have the name of another, the first is 'a'"),
+            ("id,path\n../..,a.ply\n", "has no letter or digit"),
+            ("path\n", "names no surface"),
+        ],
+    )
+    def test_tables_that_cannot_be_used(self, tmp_path, text, message):
+        (tmp_path / "m.csv").write_text(text)
+        with pytest.raises(OmtwarpError, match=message):
+            read_manifest(tmp_path / "m.csv")
+
+    def test_no_name_leaves_the_folder_of_results(self, tmp_path):
+        (tmp_path / "m.tsv").write_text("id\tpath\n../../etc/x y\ta.ply\n")
+        (item,) = read_manifest(tmp_path / "m.tsv")
+        assert item.id == "etc_x_y"
+        assert item.path == tmp_path / "a.ply"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--shard", "3/2"], "unknown shard '3/2'"),
+        (["--executor", "cloud"], "unknown executor 'cloud'"),
+        (["--time-limit", "0"], "time limit must be above 0"),
+        (["--executor", "dask:tcp://127.0.0.1:1"], "no Dask scheduler answers"),
+    ],
+)
+def test_requests_that_cannot_be_met(tmp_path, capsys, monkeypatch, words, message):
+    write_shapes(tmp_path / "in", 1)
+    if "dask" in words[1]:
+        distributed = pytest.importorskip("distributed")
+
+        def refuse(*_, **__):
+            raise OSError("refused")
+
+        monkeypatch.setattr(distributed, "Client", refuse)
+    with pytest.raises(SystemExit) as ended:
+        main(["cohort", str(tmp_path / "in"), "-o", str(tmp_path / "out"), *words])
+    assert ended.value.code == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
