@@ -22,6 +22,7 @@ from omtwarp.commands.map import map_mesh
 from omtwarp.commands.preview import preview_mesh
 from omtwarp.commands.report import report_on_map
 from omtwarp.commands.resample import resample_map
+from omtwarp.commands.spharm import spharm
 from omtwarp.commands.texture import texture_mesh
 from omtwarp.errors import OmtwarpError
 from omtwarp.version import package_version
@@ -42,6 +43,7 @@ app.command("align")(align_map)
 app.command("resample")(resample_map)
 app.command("check")(check_mesh)
 app.command("cohort")(cohort)
+app.command("spharm")(spharm)
 app.command("demo")(demo)
 app.command("benchmark")(benchmark)
 

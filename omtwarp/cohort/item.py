@@ -30,7 +30,7 @@ OK, ERROR, TIMEOUT, MEMORY, CRASHED = "ok", "error", "timeout", "memory", "crash
 
 @dataclass(frozen=True)
 class Job:
-    """What a process needs to know to work on an item.
+    """Everything that a process needs to know to work on an item.
 
     Attributes:
         id: the item's name.
@@ -138,7 +138,7 @@ def _map(job: Job) -> dict[str, Any]:
 
 
 def numbers_of(result: MapResult) -> dict[str, Any]:
-    """What a table says of a map: sizes, flips, degree, distortions and the part of the cost above the lower bound."""
+    """Collect a table's numbers of a map: sizes, flips, degree, distortions, and the cost above its lower bound."""
     last = result.report["stages"][-1]
     surface = Surface(result.vertices, result.faces, result.measure)
     image = triangle_areas(result.sphere, surface.faces)

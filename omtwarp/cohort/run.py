@@ -24,7 +24,7 @@ TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces
 
 @dataclass(frozen=True)
 class CohortResult:
-    """What became of a cohort.
+    """The outcome of a cohort.
 
     Attributes:
         counts: items by status: ``ok``, ``error``, ``timeout``, ``memory``, ``crashed``, and ``waiting`` for items of

@@ -89,7 +89,7 @@ def cohort(
 
     part = parse_shard(shard)
     items = read_manifest(manifest)
-    with _telling(quiet) as progress:
+    with _reporting(quiet) as progress:
         result = run_cohort(
             items,
             output,
@@ -124,8 +124,8 @@ def cohort(
 
 
 @contextmanager
-def _telling(quiet: bool) -> Iterator[Progress | None]:
-    """Tell how far a cohort is and how long it will take: a bar on a terminal, else a line now and then."""
+def _reporting(quiet: bool) -> Iterator[Progress | None]:
+    """Say how far a cohort is and how long it will take: a bar on a terminal, else a line now and then."""
     if quiet:
         yield None
         return
@@ -146,7 +146,7 @@ def _telling(quiet: bool) -> Iterator[Progress | None]:
     begun = last = time.monotonic()
     first: list[int] = []
 
-    def tell(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
+    def report(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
         nonlocal last
         first.append(done - 1) if not first else None
         now = time.monotonic()
@@ -156,4 +156,4 @@ def _telling(quiet: bool) -> Iterator[Progress | None]:
             words = f"{done} of {total} done, {info['failed']} failed, about {left:.0f} s left"
             print(f"omtwarp: {words}", file=sys.stderr, flush=True)
 
-    yield tell
+    yield report

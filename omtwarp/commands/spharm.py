@@ -1,0 +1,103 @@
+"""``omtwarp spharm``: a surface as spherical harmonics."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from omtwarp.commands._options import DeviceOption, MapOption, OptionalMesh, QuietOption, RepairOption
+from omtwarp.files import check_output, staged
+
+if TYPE_CHECKING:
+    from omtwarp.shape_analysis.expansion import Expansion
+
+SUFFIXES = (".coef", ".csv", ".npz")
+
+
+class Fit(StrEnum):
+    """How coefficients are found; the values are those of :func:`omtwarp.shape_analysis.expansion.expand`."""
+
+    LEAST_SQUARES = "least-squares"
+    QUADRATURE = "quadrature"
+
+
+def spharm(
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help=".coef as SPHARM-PDM has it, .csv, or .npz with everything."
+        ),
+    ],
+    mesh: OptionalMesh = None,
+    finished: MapOption = None,
+    degree: Annotated[int, typer.Option(metavar="L", min=0, max=500, help="The highest degree.")] = 15,
+    fit: Annotated[Fit, typer.Option(help="Least squares at the vertices, or integrals over the triangles.")] = (
+        Fit.LEAST_SQUARES
+    ),
+    reconstruction: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="Also write the surface that the coefficients describe.")
+    ] = None,
+    repair: RepairOption = False,
+    device: DeviceOption = "auto",
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the error and the power of every degree as JSON.")
+    ] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Expand a surface in spherical harmonics over its map to the sphere (SPHARM).
+
+    Harmonics are real and orthonormal, without the Condon-Shortley phase; a .coef file has SPHARM-PDM's own order and
+    signs. Example: omtwarp spharm hippocampus.npz -o hippocampus.coef --degree 15 --reconstruction smooth.ply
+    """
+    import numpy as np
+
+    from omtwarp.commands._work import map_from, start_device
+    from omtwarp.mesh.surface import Surface
+    from omtwarp.mesh.write import SUFFIXES as MESH_SUFFIXES
+    from omtwarp.mesh.write import write_mesh
+    from omtwarp.shape_analysis.expansion import expand
+
+    check_output(output, SUFFIXES, mesh, finished)
+    if reconstruction is not None:
+        check_output(reconstruction, tuple(MESH_SUFFIXES), mesh, finished, output)
+    start_device(device)
+    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device)
+    found = expand(result.sphere, result.vertices, degree, faces=result.faces, method=fit.value)
+    again = found.at(result.sphere)
+    areas = Surface(result.vertices, result.faces).vertex_areas
+    error = float(np.sqrt(areas @ ((again - result.vertices) ** 2).sum(axis=1) / areas.sum()))
+    save(output, found)
+    if reconstruction is not None:
+        write_mesh(reconstruction, again, result.faces)
+    if as_json:
+        print(json.dumps({"degree": degree, "rms_error": error, "power": found.power().tolist()}))
+    elif not quiet:
+        size = float(np.sqrt(found.power()[1:].sum() / (4.0 * np.pi)))
+        print(f"{output}: degree {degree}, root mean square error {error:.6g} of a size of {size:.6g}")
+
+
+def save(path: Path, found: Expansion) -> None:
+    """Write coefficients in the format of the file's suffix."""
+    import numpy as np
+
+    from omtwarp.harmonics import degrees
+    from omtwarp.shape_analysis.coef_file import write_coef
+
+    suffix = path.suffix.lower()
+    if suffix == ".coef":
+        write_coef(path, found)
+        return
+    degree = degrees(found.degree)
+    order = np.arange(len(degree)) - degree * (degree + 1)
+    with staged(path) as file:
+        if suffix == ".npz":
+            with open(file, "wb") as stream:
+                np.savez(stream, coefficients=found.coefficients, degree=degree, order=order, power=found.power())
+            return
+        rows = zip(degree.tolist(), order.tolist(), found.coefficients.tolist(), strict=True)
+        lines = [f"{n},{m}," + ",".join(map(repr, row)) for n, m, row in rows]
+        file.write_text("degree,order,x,y,z\n" + "\n".join(lines) + "\n", "utf-8")

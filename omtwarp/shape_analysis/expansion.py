@@ -1,0 +1,192 @@
+"""A surface, or any data on a sphere, as a sum of real orthonormal spherical harmonics (SPHARM)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
+from omtwarp.mesh.shapes import icosphere
+from omtwarp.mesh.surface import Surface, triangle_areas
+
+Floats = NDArray[np.float64]
+
+METHODS = ("least-squares", "quadrature")
+# Least squares whose normal matrix is worse conditioned than this determine the highest degrees by rounding alone.
+WORST_CONDITION = 1e10
+_AT_ONCE = 2**22  # harmonics at points that are held at once
+# Dunavant's rule of degree 4 (1985): barycentric coordinates (1 - 2 a, a, a) in all orders, and weights.
+_RULE = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """Coefficients of real orthonormal spherical harmonics, in the convention of :mod:`omtwarp.harmonics`.
+
+    Attributes:
+        coefficients: float64, shape [(L + 1)², C]; row l² + l + m belongs to Y_lm. For a surface C is 3: x, y, z.
+    """
+
+    coefficients: Floats
+
+    def __post_init__(self) -> None:
+        given = np.array(self.coefficients, dtype=np.float64)
+        given = given[:, None] if given.ndim == 1 else given
+        if given.ndim != 2 or not np.isfinite(given).all():
+            raise OmtwarpError(f"coefficients of shape {list(given.shape)}: expected finite numbers, [(L + 1)², C]")
+        degree_of(len(given))
+        given.flags.writeable = False
+        object.__setattr__(self, "coefficients", given)
+
+    @property
+    def degree(self) -> int:
+        """L, the highest degree."""
+        return degree_of(len(self.coefficients))
+
+    def at(self, points: ArrayLike) -> Floats:
+        """Evaluate the sum at unit vectors, shape [N, 3]; returns shape [N, C]."""
+        directions = np.asarray(points, dtype=np.float64)
+        out = np.empty((len(directions), self.coefficients.shape[1]))
+        chunk = max(1, _AT_ONCE // len(self.coefficients))
+        for first in range(0, len(directions), chunk):
+            part = slice(first, first + chunk)
+            out[part] = real_harmonics(directions[part], self.degree) @ self.coefficients
+        return out
+
+    def truncated(self, degree: int) -> Expansion:
+        """Leave out all degrees above one.
+
+        Raises:
+            OmtwarpError: the expansion does not reach that degree.
+        """
+        if check_degree(degree) > self.degree:
+            raise OmtwarpError(f"cannot cut coefficients of degree {self.degree} at degree {degree}")
+        return Expansion(self.coefficients[: (degree + 1) ** 2])
+
+    def power(self) -> Floats:
+        """Power of every degree, shape [L + 1]; the sum is the integral of the square over the unit sphere."""
+        return power_per_degree(self.coefficients)
+
+    def surface(self, sphere: Surface | int = 24) -> Surface:
+        """Reconstruct the surface over a triangulated unit sphere, or a geodesic one of that frequency.
+
+        Raises:
+            OmtwarpError: the expansion is not of three coordinates.
+        """
+        if self.coefficients.shape[1] != 3:
+            raise OmtwarpError(f"an expansion of {self.coefficients.shape[1]} components is no surface: it needs 3")
+        grid = icosphere(sphere) if isinstance(sphere, int) else sphere
+        return Surface(self.at(grid.vertices), grid.faces)
+
+
+def expand(
+    sphere: ArrayLike,
+    values: ArrayLike,
+    degree: int,
+    *,
+    faces: ArrayLike | None = None,
+    method: str = "least-squares",
+) -> Expansion:
+    """Expand data at points of the unit sphere in spherical harmonics.
+
+    Args:
+        sphere: unit vectors, such as a map, shape [V, 3].
+        values: the data: the surface's vertices, shape [V, 3], or any, shape [V] or [V, C].
+        degree: the highest degree L.
+        faces: triangles of the sphere, shape [F, 3]. With them points weigh as much as the area around them; needed for
+            quadrature.
+        method: ``least-squares``: the sum nearest to the data at the points, as SPHARM-PDM and most others have it;
+            ``quadrature``: integrals over the spherical triangles of the data, linear on each, times every harmonic
+            (Dunavant's rule of degree 4): needs no system to be solved, and sees the surface between its vertices.
+
+    Raises:
+        OmtwarpError: arrays that do not fit together, or more coefficients than the points determine.
+
+    Example:
+        >>> import omtwarp
+        >>> from omtwarp.shape_analysis import expand
+        >>> sphere = omtwarp.shapes.icosphere(8)
+        >>> ellipsoid = sphere.vertices * [3.0, 2.0, 1.0]
+        >>> (expand(sphere.vertices, ellipsoid, 4).power() / (4 * 3.141592653589793)).round(6).tolist()
+        [0.0, 4.666667, 0.0, 0.0, 0.0]
+    """
+    degree = check_degree(degree)
+    points, data = np.asarray(sphere, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    data = data[:, None] if data.ndim == 1 else data
+    if points.ndim != 2 or points.shape[1] != 3 or data.ndim != 2 or len(data) != len(points):
+        raise OmtwarpError(f"data of shape {list(data.shape)} at points of shape {list(points.shape)}: they do not fit")
+    if not (np.isfinite(points).all() and np.isfinite(data).all()):
+        raise OmtwarpError("the points or the data on them are not all finite")
+    lengths = np.linalg.norm(points, axis=1)
+    if np.abs(lengths - 1.0).max() > 1e-3:
+        span = f"{lengths.min():.4g} to {lengths.max():.4g}"
+        raise OmtwarpError(f"the points do not lie on the unit sphere: their lengths go from {span}")
+    triangles = None if faces is None else np.asarray(faces, dtype=np.int64)
+    if method == "quadrature":
+        if triangles is None:
+            raise OmtwarpError("quadrature integrates over triangles: give faces")
+        return Expansion(_integrals(points, data, triangles, degree))
+    if method != "least-squares":
+        raise OmtwarpError(f"unknown method '{method}': use {' or '.join(METHODS)}")
+    weights: Floats = np.ones(len(points))
+    if triangles is not None:
+        areas = np.repeat(triangle_areas(points, triangles.astype(np.int32)), 3)
+        weights = np.bincount(triangles.ravel(), areas, minlength=len(points)).astype(np.float64)
+    return Expansion(_least_squares(points, data, weights, degree))
+
+
+def _least_squares(points: Floats, data: Floats, weights: Floats, degree: int) -> Floats:
+    """Minimise the weighted sum of squares through the normal equations, which harmonics make well conditioned."""
+    count = (degree + 1) ** 2
+    too_many = OmtwarpError(
+        f"{len(points)} points do not determine the {count} coefficients of degree {degree}: use a lower degree"
+    )
+    if len(points) < count:
+        raise too_many
+    normal, right = np.zeros((count, count)), np.zeros((count, data.shape[1]))
+    for part, basis in _chunks(points, degree):
+        weighted = basis * weights[part, None]
+        normal += weighted.T @ basis
+        right += weighted.T @ data[part]
+    spectrum = np.linalg.eigvalsh(normal)
+    if spectrum[0] * WORST_CONDITION <= spectrum[-1]:
+        raise too_many
+    try:
+        solved: Floats = cho_solve(cho_factor(normal, lower=True), right)
+    except LinAlgError:
+        raise too_many from None
+    return solved
+
+
+def _integrals(points: Floats, data: Floats, faces: NDArray[np.int64], degree: int) -> Floats:
+    """∫ f Y_lm over spherical triangles, f linear in the barycentric coordinates of the flat ones."""
+    corners, at_corners = points[faces], data[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0  # its length is the area
+    right = np.zeros(((degree + 1) ** 2, data.shape[1]))
+    for a, weight in _RULE:
+        for k in range(3):
+            shares = np.full(3, a)
+            shares[k] = 1.0 - 2.0 * a
+            inner = np.einsum("k,fkc->fc", shares, corners)
+            # The ray's projection stretches the flat area by cos / r² = (n · p) / r³.
+            stretch = np.einsum("fc,fc->f", normal, inner) / np.linalg.norm(inner, axis=1) ** 3
+            values = np.einsum("k,fkc->fc", shares, at_corners) * (weight * stretch)[:, None]
+            for part, basis in _chunks(inner, degree):
+                right += basis.T @ values[part]
+    return right
+
+
+def _chunks(points: Floats, degree: int) -> Iterator[tuple[slice, Floats]]:
+    """Harmonics at some points at a time."""
+    chunk = max(1, _AT_ONCE // (degree + 1) ** 2)
+    for first in range(0, len(points), chunk):
+        part = slice(first, first + chunk)
+        yield part, real_harmonics(points[part], degree)
+
+
+__all__ = ["METHODS", "Expansion", "expand"]
