@@ -128,7 +128,7 @@ def map_to_sphere(
         >>> result = omtwarp.map_to_sphere(omtwarp.shapes.blob(seed=3, sphere=320), device="cpu")
         >>> result.sphere.shape == result.vertices.shape, result.report["certificate"]["bijective"]
         (True, True)
-        >>> result.distortion().area["mean"] < 2.01
+        >>> result.distortion().area["mean"] < 2.05
         True
     """
     options = MapOptions.parse(

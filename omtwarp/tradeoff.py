@@ -23,6 +23,7 @@ from omtwarp.untangling.untangle import untangle
 WEIGHT = 10.0
 ITERATIONS = 100
 TOLERANCE = 1e-4
+TINY = 1e-300  # keeps divisors from zero
 
 
 def map_with_density_exponent(
@@ -52,7 +53,7 @@ def map_with_density_exponent(
     if not 0.0 <= exponent <= 1.0:
         raise OmtwarpError(f"the density exponent is {exponent}: it must be between 0 and 1")
     start = np.array(conformal, dtype=np.float64)
-    on_sphere = np.maximum(triangle_areas(start, surface.faces), 1e-300)
+    on_sphere = np.maximum(triangle_areas(start, surface.faces), TINY)
     # a μ^p = A^p a^(1-p), in logarithms since a may be as good as zero.
     areas = np.exp(exponent * np.log(surface.face_areas) + (1.0 - exponent) * np.log(on_sphere))
     target = surface.with_areas(areas)

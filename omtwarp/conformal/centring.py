@@ -22,6 +22,9 @@ from omtwarp.mesh.checks import as_unit_vectors
 
 TOLERANCE = 1e-13
 MAXIMUM_STEPS = 100
+MAX_CENTRE = 0.7  # of the ball's radius: Newton's centre can lie outside the ball, where there is no transformation
+MIN_CENTRE = 1e-16  # a step halved to less than this moves nothing in float64
+FULL_STEP_MEAN = 1e-10  # below this size of the mean the decrease is lost in round-off: steps are taken whole
 
 
 def mobius_centring(
@@ -73,15 +76,15 @@ def mobius_centring(
         except np.linalg.LinAlgError:
             break
         length = np.linalg.norm(centre)
-        if length > 0.7:  # stay inside the ball, where the transformation is one
-            centre *= 0.7 / length
+        if length > MAX_CENTRE:
+            centre *= MAX_CENTRE / length
         while True:
             wp.launch(apply_ball_inversion, dim=len(points), inputs=[points, wp.vec3d(*centre), moved], device=where)
             new_mean = means.of(moved)
-            if np.linalg.norm(new_mean) < size or size < 1e-10:
+            if np.linalg.norm(new_mean) < size or size < FULL_STEP_MEAN:
                 break
             centre *= 0.5
-            if np.linalg.norm(centre) < 1e-16:
+            if np.linalg.norm(centre) < MIN_CENTRE:
                 raise OmtwarpError("Möbius centring stalled: the conformal map crowds half of the surface into a point")
         if np.linalg.norm(new_mean) >= size:
             return points.numpy().copy(), step  # at round-off

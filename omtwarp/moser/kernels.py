@@ -1,11 +1,14 @@
 """Moser's flow on a triangulated sphere: every particle integrates its own path, walking from triangle to triangle."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, ZERO, wp
+from omtwarp.geometry.spherical import TINY
 from omtwarp.location.kernels import walk
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 LONGEST_STEP = wp.constant(wp.float64(2.0))
+SHORTEST_STEP = wp.constant(wp.float64(1e-3))  # where slivers would ask for less: a path has 14 units of time
+MAX_STEPS = wp.constant(20000)  # of a path: more than FINAL_TIME / SHORTEST_STEP, so that every path ends
 QUARTER = wp.constant(wp.float64(0.25))
 THREE_QUARTERS = wp.constant(wp.float64(0.75))
 TWO_NINTHS = wp.constant(wp.float64(2.0 / 9.0))
@@ -130,7 +133,7 @@ def vertex_field(
             angle = wp.atan2(double_area, wp.dot(side, other))
             total += angle / double_area * wp.cross(normal / double_area, slope)
             weight += angle
-    mean = total / wp.max(weight, wp.float64(1e-300))
+    mean = total / wp.max(weight, TINY)
     field[v] = -(mean - wp.dot(mean, points[v]) * points[v])
 
 
@@ -163,16 +166,15 @@ def integrate_particles(
     s = wp.float64(0.0)
     grown = wp.float64(1.0)  # e^s
     count = int(0)
-    while s < final and count < 20000:
+    while s < final and count < MAX_STEPS:
         k1, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu, excess)
         face = faces[f]
         p0 = points[face[0]]
         size = wp.sqrt(wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0)))
         # What is left of the motion falls as e^-s, and the error of a step goes as its fourth power.
         longest = wp.min(largest_step * wp.sqrt(wp.sqrt(grown)), LONGEST_STEP)
-        step = wp.min(longest, courant * size / wp.max(wp.length(k1), wp.float64(1e-300)))
-        # Never crawl: where a sliver would ask for steps without end, a thousandth of the path's time is fine enough.
-        step = wp.min(wp.max(step, wp.float64(1e-3)), final - s)
+        step = wp.min(longest, courant * size / wp.max(wp.length(k1), TINY))
+        step = wp.min(wp.max(step, SHORTEST_STEP), final - s)
         quarter = wp.exp(QUARTER * step)
         later = grown * quarter * quarter
         # One call for both other stages, not two: it is inlined, and half of the kernel.

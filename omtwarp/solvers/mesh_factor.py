@@ -195,7 +195,7 @@ def surface_saddle_factor(surface: Surface) -> SaddlePointFactor:
 
 
 def cell_saddle_factor(surface: Surface, cells: NDArray[np.int32]) -> SaddlePointFactor:
-    """The same with a multiplier for every cell, a group of vertices; shape [N, K]."""
+    """Solve with a multiplier for every cell, a group of vertices; shape [N, K]."""
     if solves_with_scipy():
         multipliers = np.repeat(np.arange(len(cells)), cells.shape[1])
         return SparseSaddleFactor(surface.vertex_count, surface.edges, multipliers, cells.ravel())

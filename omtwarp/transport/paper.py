@@ -52,13 +52,14 @@ from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
 V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)
-COURANT = 0.1
-WITHIN_COURANT = 0.999
-HOLDING_ROUNDS = 8
-FIRST_STEP = 0.1
-GROWTH = 1.5
-SMALLEST_DISPLACEMENT = 0.1
-_STALLED = 1e-6
+COURANT = 0.1  # of the size of the triangle that a point crosses: the longest way it goes in a step
+WITHIN_COURANT = 0.999  # share of the points that COURANT is kept for; the others are held back
+HOLDING_ROUNDS = 8  # in which points around flipped triangles are held back before a step is refused
+FIRST_STEP = 0.1  # times the squared spacing of the level's nodes
+GROWTH = 1.5  # of the step after one that was accepted; it is halved after one that was not
+SMALLEST_DISPLACEMENT = 0.1  # of the mean displacement: the geodesic cost has no gradient at zero
+STALLED = 1e-6  # of the first step: a level whose step has become shorter is left out
+TINY = 1e-300  # keeps divisors from zero
 
 
 @dataclass(frozen=True)
@@ -328,7 +329,7 @@ def paper_flow(
     # The plain distance's gradient has length one, so its flow is faster than the squared one's by the displacement.
     scale = FIRST_STEP * (0.5 if flow.squared else max(flow.mean_displacement, 1e-12))
     steps = {r: scale * flow.wavelets.hierarchy.node_spacing(r + 1) ** 2 for r in set(resolutions)}
-    least = {r: _STALLED * step for r, step in steps.items()}
+    least = {r: STALLED * step for r, step in steps.items()}
     current, area = flow.cost_of(flow.dual_map), flow.area_of(flow.map)
     largest_area = area + (0.002 + 0.15 * max(area - 2.0, 0.0) if area_loss is None else area_loss)
     begun = {"cycle": 0, "level": 0, "cost": current, "step": 0.0, "accepted": True, "area": area}
@@ -343,7 +344,7 @@ def paper_flow(
             if flow.hamiltonian_norm() <= smallest_hamiltonian:
                 stopped = "hamiltonian"
                 break
-            step = min(steps[resolution], COURANT / max(flow.set_velocity(), 1e-300))
+            step = min(steps[resolution], COURANT / max(flow.set_velocity(), TINY))
             accepted = flow.advance(step)
             reached = flow.advanced_cost()
             accepted = accepted and reached < current

@@ -39,6 +39,7 @@ from omtwarp.transport.polish_kernels import (
 )
 
 MAX_ROUNDS = 18
+TINY = 1e-300  # keeps divisors from zero
 # The part of the way that a round goes: where the map contracts strongly a full step overshoots. A round that does not
 # lower the curl, or is paid for with area, is taken back and tried again at half of it; the area is restored with twice
 # the step.
@@ -135,7 +136,7 @@ def polish_transport(
         removable, size = np.sqrt(np.maximum(squares.numpy(), 0.0)).tolist()
         relative = removable / max(size, 1e-150)
         cost, *errors = measure()
-        slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, 1e-300))
+        slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, TINY))
         tried = step
         if removable < least and errors[0] <= largest[0] + slack and errors[1] <= largest[1] + slack:
             last = removable > (1.0 - MIN_CURL_REDUCTION) * least

@@ -57,6 +57,7 @@ class Schedule:
     most: float = np.inf
 
 
+# Attempts from cheap to thorough: each frees more rings and lowers ε more slowly; the last one frees the whole sphere.
 SCHEDULES = (
     Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, most=30),
     Schedule(rings=3, factor=0.5, steps=3, thinnest=0.02, most=100),
@@ -65,10 +66,10 @@ SCHEDULES = (
     Schedule(rings=17, factor=0.7, steps=8, thinnest=0.3),
     Schedule(rings=10**9, factor=0.7, steps=10, thinnest=0.3),
 )
-SMALLEST_EPSILON = 1e-4
+SMALLEST_EPSILON = 1e-4  # of the area ratio D: where ε is this small the energy is a barrier, and a flip left stays
 # Of the sphere: a patch whose triangles cover nothing in sum is not taken for one that covers everything.
 SHARE_ROUND_OFF = 1e-9
-MAX_HALVINGS = 20
+MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
 SETTLED_GAIN = 0.01  # of a patch's energy: where a step is expected to gain less than half of it, ε is lowered
 MAX_ACTIVE_SHARE = 0.7  # of the triangles: where fewer are in tangled patches, the solved patches are dropped
 
