@@ -21,6 +21,7 @@ _PUBLIC = {
     "Surface": "omtwarp.mesh.surface",
     "TargetDensity": "omtwarp.measures",
     "align": "omtwarp.alignment",
+    "TorusMap": "omtwarp.torus.torus_map",
     "barycentric_map": "omtwarp.baselines",
     "certify": "omtwarp.metrics.certificate",
     "check": "omtwarp.mesh.validate",
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
     from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
     from omtwarp.surface_map import SurfaceMap as SurfaceMap
     from omtwarp.texturing import texture as texture
+    from omtwarp.torus.torus_map import TorusMap as TorusMap
     from omtwarp.transport import optimal_transport as optimal_transport
     from omtwarp.transport import paper_flow as paper_flow
     from omtwarp.transport import transport_cost as transport_cost

@@ -27,6 +27,7 @@ from omtwarp.topology.doubling import double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
 from omtwarp.topology.handles import cut_handles
 from omtwarp.topology.kind import Part, described, options_for, parts_of
+from omtwarp.torus.torus_map import TorusMap, map_to_torus
 
 # Of the surface's area, all fillings together, where they are to be small. With a tenth of that, triangles on both
 # sides of the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.
@@ -44,12 +45,13 @@ def map_surface(
     cut: bool = True,
     progress: Progress | None = None,
     **options: Any,
-) -> MapResult:
+) -> MapResult | TorusMap:
     """Map a surface with holes, with handles, or of several parts, to its natural domain.
 
     A closed surface of genus 0 goes to the sphere, as by :func:`omtwarp.map_to_sphere`; one with a single boundary loop
-    to the hemisphere, the boundary on the equator; one with several holes to the sphere, the holes filled. Handles
-    are cut open. Each part of a surface is mapped by itself, to a domain of its own.
+    to the hemisphere, the boundary on the equator; one with several holes to the sphere, the holes filled. A closed
+    surface of genus 1 goes to a flat torus; other handles are cut open. Each part of a surface is mapped by itself, to
+    a domain of its own.
 
     The map to the hemisphere is half of the map of the surface glued to its mirror copy along the boundary. Its
     boundary lies on the equator to the last bit, and no triangle is flipped.
@@ -59,6 +61,7 @@ def map_surface(
             any unit, any position. Faces agree in their orientation.
         domain: ``auto`` for the choice above; ``sphere``, holes filled; ``hemisphere``, the longest boundary loop on
             the equator and other holes filled; ``disk``, the hemisphere laid flat by Lambert's equal-area projection;
+            ``torus``, the flat torus that a surface of genus 1 is conformal to;
             ``cap``, a spherical cap of the area that the longest hole, filled, leaves.
         fill_area: of filled holes on the sphere: ``natural`` (where left out), that of a minimal surface in the hole;
             ``small``, at most a hundredth of the surface's area.
@@ -69,7 +72,8 @@ def map_surface(
             ``device``, ...
 
     Returns:
-        The map; a :class:`omtwarp.surface_map.SurfaceMap` unless the surface is closed, connected and of genus 0.
+        The map: a :class:`omtwarp.MapResult` for a closed, connected surface of genus 0, a :class:`omtwarp.TorusMap`
+        for one that goes to a torus, and a :class:`omtwarp.SurfaceMap` for all others.
 
     Raises:
         OmtwarpError: the mesh has other defects, or is not of the kind that the domain takes.
@@ -90,6 +94,10 @@ def map_surface(
     measures = [options.pop(name, None) for name in ("weights", "target")]
     if any(measure is not None for measure in measures):
         raise OmtwarpError("weights and a target density are for closed, connected surfaces of genus 0")
+    if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
+        return map_to_torus(Surface(parts[0].vertices, parts[0].faces), progress=progress)
+    if domain == Domain.TORUS:
+        raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
     if len(parts) > 1 and not components:
         raise OmtwarpError(f"the surface has {len(parts)} parts: components=True maps each by itself")
     maps = [_map_part(part, domain, fill_area, cut, progress, options) for part in parts]

@@ -77,6 +77,7 @@ class Domain(StrEnum):
     HEMISPHERE = "hemisphere"
     DISK = "disk"
     CAP = "cap"
+    TORUS = "torus"
 
 
 class FillArea(StrEnum):

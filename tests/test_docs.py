@@ -75,6 +75,8 @@ def desk(tmp_path, monkeypatch) -> Path:
     both = np.concatenate([surface.faces, kept + len(surface.vertices)])
     write_mesh(tmp_path / "parts.ply", np.concatenate([surface.vertices, part + 4.0]), both)
     double = shapes.rings(2, cell=0.3)
+    ring = shapes.rings(1, cell=0.35)
+    write_mesh(tmp_path / "ring.ply", ring.vertices, ring.faces)
     write_mesh(tmp_path / "pretzel.ply", double.vertices, double.faces)
     turned = surface.faces.copy()
     turned[::7] = turned[::7, ::-1]  # some triangles face inwards

@@ -99,6 +99,7 @@ CutOption = Annotated[
     bool,
     typer.Option("--cut", help="Cut handles open along short loops and map to the sphere; a texture breaks there."),
 ]
+TorusOption = Annotated[bool, typer.Option("--torus", help="Map a closed surface of genus 1 to a flat torus.")]
 SizeOption = Annotated[
     str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size, help="Size of the picture in pixels.")
 ]

@@ -116,7 +116,7 @@ def report_text(report: dict[str, Any]) -> str:
     return json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
 
 
-def make_map(surface: Surface, *, quiet: bool, any_surface: dict[str, Any] | None = None, **options: Any) -> MapResult:
+def make_map(surface: Surface, *, quiet: bool, any_surface: dict[str, Any] | None = None, **options: Any) -> Any:
     """Map a mesh with a progress bar.
 
     Args:

@@ -24,6 +24,7 @@ from omtwarp.commands._options import (
     RepairOption,
     SchemeOption,
     SolverOption,
+    TorusOption,
     UntilOption,
 )
 from omtwarp.errors import OmtwarpError
@@ -36,8 +37,9 @@ if TYPE_CHECKING:
 
     from omtwarp.commands._work import Input
     from omtwarp.result import MapResult
+    from omtwarp.torus.torus_map import TorusMap
 
-RIMS = (Domain.HEMISPHERE, Domain.DISK, Domain.CAP)
+RIMS = (Domain.HEMISPHERE, Domain.DISK, Domain.CAP, Domain.TORUS)
 
 
 def map_mesh(
@@ -57,6 +59,7 @@ def map_mesh(
     fill_area: FillAreaOption = None,
     components: ComponentsOption = False,
     cut: CutOption = False,
+    torus: TorusOption = False,
     device: DeviceOption = MapOptions.device,
     solver: SolverOption = MapOptions.solver,
     weights: Annotated[
@@ -107,8 +110,10 @@ def map_mesh(
     check_output(output, (".ply",) if beside else (".npz", *SUFFIXES), mesh)
     if report is not None:
         check_output(report, (".json",), mesh, output)
+    if torus and output.suffix.lower() not in (".npz", ".glb"):
+        raise OmtwarpError("a map to a torus is written as .npz, or as .glb with a texture that repeats")
     any_surface = surface_options(
-        hemisphere=hemisphere, disk=disk, cap=cap, fill_area=fill_area, components=components, cut=cut
+        hemisphere=hemisphere, disk=disk, cap=cap, fill_area=fill_area, components=components, cut=cut, torus=torus
     )
     sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
     per_part = None if weights is None else weights_of(weights, sound)
@@ -165,14 +170,14 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
 
 
 def surface_options(
-    *, hemisphere: bool, disk: bool, cap: bool, fill_area: FillArea | None, components: bool, cut: bool
+    *, hemisphere: bool, disk: bool, cap: bool, fill_area: FillArea | None, components: bool, cut: bool, torus: bool
 ) -> dict[str, Any] | None:
     """Options of :func:`omtwarp.map_surface`, None where none was given: the surface has to be a sphere then.
 
     Raises:
         OmtwarpError: more than one domain.
     """
-    rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap), strict=True) if given]
+    rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap, torus), strict=True) if given]
     if len(rims) > 1:
         raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
     if not (rims or fill_area or components or cut):
@@ -192,12 +197,17 @@ def composed(origin: NDArray | None, before: NDArray) -> NDArray:
     return before if origin is None else np.where(origin >= 0, before[origin], -1)
 
 
-def save(result: MapResult, file: Path, like: Path | None = None, radius: float = 1.0, beside: bool = False) -> None:
-    """Write a map as .npz, or its sphere as a mesh."""
+def save(
+    result: MapResult | TorusMap, file: Path, like: Path | None = None, radius: float = 1.0, beside: bool = False
+) -> None:
+    """Write a map as .npz, or its sphere as a mesh; of a map to a torus the textured surface."""
     from omtwarp.mesh.write import write_mesh
+    from omtwarp.torus.torus_map import TorusMap
 
     if file.suffix.lower() == ".npz":
         result.save(file)
+    elif isinstance(result, TorusMap):
+        result.trimesh().export(file)
     elif beside:
         places = dict(zip(("px", "py", "pz"), radius * image_of(result).T, strict=True))
         write_mesh(file, result.vertices, result.faces, beside=places)
@@ -213,7 +223,7 @@ def image_of(result: MapResult) -> NDArray:
     return result.sphere if disk is None else np.concatenate([disk, np.zeros((len(disk), 1))], axis=1)
 
 
-def summary(result: MapResult, output: Path) -> str:
+def summary(result: MapResult | TorusMap, output: Path) -> str:
     """One line about a finished map, out of its report."""
     last = result.report["stages"][-1]
     area, angle = last["area"]["surface"], last["angle"]["surface"]

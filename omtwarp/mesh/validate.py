@@ -271,7 +271,7 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
             a, b = (int(end) for end in topology.handle_edge)
             handles = number(genus, "handle")
             text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
-            remedy = "only genus 0 maps to the sphere: cut the handles with --cut (map_surface in Python)"
+            remedy = "only genus 0 maps to the sphere: cut the handles with --cut, or map genus 1 with --torus"
             found.append(Defect("genus", genus, a, text, remedy))
 
     if sound and not found and _signed_volume(points, faces) < 0:

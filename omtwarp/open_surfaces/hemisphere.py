@@ -77,11 +77,11 @@ def symmetric_map(
         OmtwarpError: it is still not one to one after several repairs.
     """
     image = symmetrised(double, sphere)
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         if is_bijective(image, surface.faces, device=device):
             return image
         mended = untangle(surface, image, device=device).sphere
-        if is_bijective(mended, surface.faces, device=device):
+        if number == 0 and is_bijective(mended, surface.faces, device=device):
             mended = improve(mended)
         image = symmetrised(double, mended @ mirror_frame(double, mended, surface.vertex_areas))
     if not is_bijective(image, surface.faces, device=device):

@@ -41,13 +41,16 @@ class CutSurface:
     sides: list[tuple[NDArray[np.int64], NDArray[np.int64]]]
 
 
-def cut_handles(vertices: NDArray[np.float64], faces: NDArray, genus: int) -> CutSurface:
+def cut_handles(
+    vertices: NDArray[np.float64], faces: NDArray, genus: int, loops: list[NDArray[np.int64]] | None = None
+) -> CutSurface:
     """Cut a surface along one short loop around each handle; what is left has genus 0.
 
     Args:
         vertices: float64, shape [V, 3].
         faces: a connected, oriented manifold mesh, shape [F, 3].
         genus: number of its handles.
+        loops: where to cut, closed loops of vertices that do not touch; short ones are sought by default.
 
     Raises:
         OmtwarpError: the mesh is too coarse for loops that do not touch.
@@ -55,7 +58,7 @@ def cut_handles(vertices: NDArray[np.float64], faces: NDArray, genus: int) -> Cu
     points, triangles, origin = vertices, np.asarray(faces, dtype=np.int64), np.arange(len(vertices))
     sides = []
     for number in range(genus):
-        loop = shortest_handle_loop(points, triangles)
+        loop = shortest_handle_loop(points, triangles) if loops is None else loops[number]
         if loop is None:
             raise OmtwarpError(
                 f"no loop around handle {number + 1} of {genus} keeps clear of holes and other cuts: use a finer mesh"

@@ -40,6 +40,11 @@ class Part:
         """Whether it is closed and without handles."""
         return not self.loops and self.genus == 0
 
+    @property
+    def is_torus(self) -> bool:
+        """Whether it is closed and has one handle."""
+        return not self.loops and self.genus == 1
+
 
 def parts_of(vertices: NDArray[np.float64], faces: NDArray, name: str = "") -> list[Part]:
     """The connected pieces of an oriented manifold mesh, in the order of their first faces.
@@ -96,6 +101,8 @@ def options_for(parts: list[Part]) -> list[str]:
         lines.append(
             f"--fill-area natural or small: {number(loops, 'hole')} filled, the rest of the sphere covered{cut}"
         )
+    if len(parts) == 1 and parts[0].is_torus:
+        lines.append("--torus: map the surface to the flat torus that it is conformal to")
     if genus:
         lines.append(f"--cut: cut {number(genus, 'handle')} open along short loops, the cuts filled small")
     return lines

@@ -79,3 +79,17 @@ def test_handles(capsys, tmp_path):
     status, _, err = run(capsys, "map", tmp_path / "pretzel.ply", "-o", tmp_path / "m.npz", "--cut", "--quiet")
     assert status == 0, err
     assert len(omtwarp.SurfaceMap.load(tmp_path / "m.npz").loop_pairs) == 2
+
+
+def test_torus(capsys, tmp_path):
+    surface = shapes.rings(1, cell=0.35)
+    write_mesh(tmp_path / "ring.ply", surface.vertices, surface.faces)
+    for name in ("m.npz", "m.glb"):
+        status, out, err = run(capsys, "map", tmp_path / "ring.ply", "-o", tmp_path / name, "--torus")
+        assert status == 0, err
+        assert "flips 0, degree 1" in out
+    assert omtwarp.TorusMap.load(tmp_path / "m.npz").bijective
+    status, _, err = run(capsys, "preview", tmp_path / "m.glb", "-o", tmp_path / "m.png", "--quiet")
+    assert status == 0, err
+    status, _, err = run(capsys, "map", tmp_path / "ring.ply", "-o", tmp_path / "m.ply", "--torus")
+    assert status == 1 and "written as .npz" in err

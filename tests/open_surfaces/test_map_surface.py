@@ -57,11 +57,11 @@ def test_bowl_of_revolution_against_its_closed_form(depth):
 
     own = result.vertex_origin >= 0
     wanted = np.sqrt(area_within(radius) / area_within(1.0))
-    assert np.abs(np.linalg.norm(result.disk[own], axis=1) - wanted).max() < 0.02
+    assert np.abs(np.linalg.norm(result.disk[own], axis=1) - wanted).max() < 0.03  # rings are 0.07 apart
     # The direction up to one rotation of the whole disk.
     at, to = flat @ [1, 1j], result.disk[own] @ [1, 1j]
     turn = np.vdot(at, to)
-    assert np.abs(to * np.conj(turn) / abs(turn) - at / np.maximum(radius, 1e-9) * wanted).max() < 0.025
+    assert np.abs(to * np.conj(turn) / abs(turn) - at / np.maximum(radius, 1e-9) * wanted).max() < 0.035
 
 
 def test_half_of_a_symmetric_shape_agrees_with_half_of_its_map():

@@ -1,0 +1,1 @@
+"""Maps of surfaces of genus 1 to flat tori."""

@@ -1,0 +1,287 @@
+"""A finished map of a surface of genus 1 to a flat torus, and its file."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.inputs import open_input, read_arrays
+from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.metrics.distortion import Distortion, summarize
+from omtwarp.texturing.image import as_bytes, read_image
+from omtwarp.torus.harmonic import QUANTUM, conformal_torus, quantised
+from omtwarp.torus.transport import transport_on_torus
+
+if TYPE_CHECKING:
+    import trimesh
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TorusCertificate:
+    """What was established about a map to a torus.
+
+    Attributes:
+        flips: triangles that are not counter-clockwise in the universal cover, decided exactly.
+        first_flip: index of the first of them, or -1.
+        degree: how often the torus is covered: the triangles' signed area over the torus's, rounded.
+    """
+
+    flips: int
+    first_flip: int
+    degree: int
+
+    @property
+    def bijective(self) -> bool:
+        """No flip and degree 1: a point that is covered once by triangles of one orientation has one preimage."""
+        return self.flips == 0 and self.degree == 1
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain values, ready for JSON."""
+        return vars(self) | {"bijective": self.bijective}
+
+    def __str__(self) -> str:
+        where = f" (the first is face {self.first_flip})" if self.flips else ""
+        return f"{self.flips} flipped triangles{where}, degree {self.degree}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TorusMap:
+    """A surface and its map to the flat torus R² / Λ.
+
+    The corner ``k`` of triangle ``f`` lies at ``corners[f, k] @ lattice`` in the plane.
+
+    Attributes:
+        vertices: the surface as given, float64, shape [V, 3].
+        faces: int32, shape [F, 3].
+        coordinates: of the vertices, in multiples of the lattice's vectors, float64, shape [V, 2].
+        wraps: whole numbers that are added at the corners of triangles, int64, shape [F, 3, 2].
+        lattice: the vectors that the torus repeats along, as rows, shape [2, 2]; the torus has the surface's area.
+        conformal: the conformal map that distances are measured from, as ``coordinates``, shape [V, 2].
+        vertex_origin: after a repair, the index of every vertex in the mesh before it, shape [V].
+        face_origin: the same of the faces, shape [F].
+        history: one record per step of the transport.
+        report: how the map was made, ready for JSON.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.int32]
+    coordinates: Floats
+    wraps: NDArray[np.int64]
+    lattice: Floats
+    conformal: Floats
+    vertex_origin: NDArray[np.int64] | None = None
+    face_origin: NDArray[np.int64] | None = None
+    history: list[dict[str, Any]] = field(default_factory=list)
+    report: dict[str, Any] = field(default_factory=dict)
+
+    domain = "torus"
+
+    def __repr__(self) -> str:
+        return f"TorusMap({len(self.vertices)} vertices, {len(self.faces)} faces)"
+
+    @property
+    def corners(self) -> Floats:
+        """Corners of the triangles in multiples of the lattice's vectors, shape [F, 3, 2]; the sums are exact."""
+        return self.coordinates[self.faces] + self.wraps
+
+    @cached_property
+    def certificate(self) -> TorusCertificate:
+        """What is certain about the map, established from its arrays when first asked for."""
+        corner = self.corners.reshape(-1, 2)
+        lifted = np.concatenate([corner, np.ones((len(corner), 1))], axis=1)
+        flipped = np.flatnonzero(flipped_faces(lifted, np.arange(len(corner)).reshape(-1, 3)))
+        whole = _areas(self.corners).sum()
+        first = int(flipped[0]) if len(flipped) else -1
+        return TorusCertificate(len(flipped), first, round(float(whole)) if np.isfinite(whole) else 0)
+
+    @property
+    def bijective(self) -> bool:
+        """Whether the map is one to one and onto: see :attr:`certificate`."""
+        return self.certificate.bijective
+
+    def distortion(self, stage: str = "torus") -> Distortion:
+        """Distortion of the map, or with ``conformal`` of the conformal map, as of maps to the sphere.
+
+        Raises:
+            OmtwarpError: another stage.
+        """
+        if stage not in ("torus", "conformal"):
+            raise OmtwarpError(f"this map has no stage '{stage}'")
+        places = self.coordinates if stage == "torus" else self.conformal
+        corner = (places[self.faces] + self.wraps) @ self.lattice
+        space = self.vertices[self.faces]
+        areas = _areas(corner)
+        surface = triangle_areas(self.vertices, self.faces)
+        one, two = space[:, 1] - space[:, 0], space[:, 2] - space[:, 0]
+        base = np.linalg.norm(one, axis=1)
+        foot = np.einsum("ij,ij->i", one, two) / base
+        height = 2.0 * surface / base
+        first = (corner[:, 1] - corner[:, 0]) / base[:, None]
+        second = (corner[:, 2] - corner[:, 0] - foot[:, None] * first) / height[:, None]
+        determinant = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        with np.errstate(all="ignore"):
+            angle = ((first**2).sum(axis=1) + (second**2).sum(axis=1)) / determinant
+        whole = abs(np.linalg.det(self.lattice))
+        solid = areas * (SPHERE_AREA / whole)
+        return summarize(surface, areas, determinant, angle, areas, solid, bool(np.isfinite(corner).all()))
+
+    def trimesh(self, image: Any = None) -> trimesh.Trimesh:
+        """The surface with a texture that closes up both ways, corners apart, as a :class:`trimesh.Trimesh`.
+
+        Args:
+            image: a picture that repeats, path or array, shown once on the torus; a checker by default.
+        """
+        import trimesh
+        from PIL import Image
+
+        picture = Image.fromarray(_checker(self.lattice) if image is None else as_bytes(read_image(image)))
+        material = trimesh.visual.material.PBRMaterial(
+            name="texture", baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.65
+        )
+        uv = self.corners - np.floor(self.corners.min(axis=1, keepdims=True))
+        whole = trimesh.Trimesh(self.vertices, self.faces, process=False)
+        return trimesh.Trimesh(
+            vertices=self.vertices[self.faces].reshape(-1, 3),
+            faces=np.arange(3 * len(self.faces)).reshape(-1, 3),
+            vertex_normals=whole.vertex_normals[self.faces].reshape(-1, 3),
+            visual=trimesh.visual.TextureVisuals(uv=uv.reshape(-1, 2), material=material),
+            process=False,
+            validate=False,
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map as ``.npz``: arrays of the attributes' names, and the report as JSON text under ``report``.
+
+        Raises:
+            OmtwarpError: the file cannot be written; nothing is left of it.
+        """
+        target = Path(path)
+        arrays = {name: getattr(self, name) for name in _LAYOUT if getattr(self, name) is not None}
+        arrays["report"] = np.array(json.dumps(self.report | {"history": self.history}))
+        with staged(target) as file, open(file, "wb") as stream:
+            np.savez(stream, **arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> TorusMap:
+        """Read a map written by :meth:`save`.
+
+        Raises:
+            OmtwarpError: the file is missing, or is no map to a torus.
+        """
+        with open_input(Path(path), LARGEST_MESH_FILE, "map") as stream:
+            arrays = read_arrays(stream, (*_LAYOUT, "report"))
+        missing = [name for name in _LAYOUT if name not in arrays and name not in ("vertex_origin", "face_origin")]
+        if missing:
+            raise OmtwarpError(f"'{path}' is not a map to a torus: it has no '{missing[0]}'")
+        counts = {"V": len(arrays["vertices"]), "F": len(arrays["faces"])}
+        for name, (kinds, letters) in _LAYOUT.items():
+            shape = tuple(counts[letter] if isinstance(letter, str) else letter for letter in letters)
+            if name in arrays and (arrays[name].dtype.kind not in kinds or arrays[name].shape != shape):
+                raise OmtwarpError(
+                    f"'{path}' is not a map to a torus: '{name}' is not an array of numbers, shape {shape}"
+                )
+        faces = arrays["faces"].astype(np.int32)
+        if faces.size and (faces.min() < 0 or faces.max() >= counts["V"]):
+            raise OmtwarpError(f"'{path}' is not a map to a torus: its faces name vertices that it does not have")
+        try:
+            report = json.loads(str(arrays.pop("report", "{}")))
+        except (ValueError, RecursionError):
+            report = {}
+        report = report if isinstance(report, dict) else {}
+        history = report.pop("history", [])
+        return cls(**(arrays | {"faces": faces}), history=history, report=report)
+
+
+_LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "vertices": ("f", ("V", 3)),
+    "faces": ("iu", ("F", 3)),
+    "coordinates": ("f", ("V", 2)),
+    "wraps": ("iu", ("F", 3, 2)),
+    "lattice": ("f", (2, 2)),
+    "conformal": ("f", ("V", 2)),
+    "vertex_origin": ("iu", ("V",)),
+    "face_origin": ("iu", ("F",)),
+}
+
+
+def map_to_torus(surface: Surface, *, progress: Any = None) -> TorusMap:
+    """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
+
+    Args:
+        surface: closed, connected, of genus 1.
+        progress: called as ``progress(stage, done, total, details)``.
+
+    Raises:
+        OmtwarpError: the mesh is too coarse, or no map without flips was found.
+    """
+    if progress is not None:
+        progress("conformal", 0, 1, {})
+    start = conformal_torus(surface)
+
+    def tell(done: int, total: int, details: dict[str, Any]) -> None:
+        if progress is not None:
+            progress("omt", done, total, details)
+
+    moved = transport_on_torus(surface, start, progress=tell)
+    coordinates = quantised(start.coordinates + moved.displacement @ np.linalg.inv(start.lattice))
+    area = float(triangle_areas(surface.vertices, surface.faces).sum())
+    result = TorusMap(
+        vertices=surface.vertices,
+        faces=surface.faces,
+        coordinates=coordinates,
+        wraps=start.wraps,
+        lattice=start.lattice * np.sqrt(area / SPHERE_AREA),
+        conformal=start.coordinates,
+        history=moved.history,
+    )
+    measured = result.distortion().to_dict()
+    last = moved.history[-1]
+    result.report.update(
+        {
+            "domain": "torus",
+            "mesh": {"vertices": surface.vertex_count, "faces": surface.face_count},
+            "quantum": QUANTUM,
+            "stages": [
+                {"name": "omt", "iterations": len(moved.history), "converged": moved.converged}
+                | {"transport_cost": last["cost"], "area_error": last["area_error"]}
+                | measured
+            ],
+            "certificate": result.certificate.to_dict(),
+        }
+    )
+    if not result.bijective:
+        raise OmtwarpError(f"the map to the torus is not one to one: {result.certificate}")
+    return result
+
+
+def _areas(corner: Floats) -> Floats:
+    """Signed areas of plane triangles, shape [F], from corners [F, 3, 2]."""
+    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+
+
+def _checker(lattice: Floats, cell: int = 32) -> NDArray[np.uint8]:
+    """A checker that repeats both ways, its cells as nearly square as even numbers of them allow."""
+    long = np.linalg.norm(lattice, axis=1)
+    counts = [max(2, 2 * round(6.0 * float(side / long.min()))) for side in long]
+    column, row = np.arange(counts[0] * cell) // cell, np.arange(counts[1] * cell) // cell
+    turn = 2.0 * np.pi * column / counts[0]
+    dark = np.stack([0.33 + 0.22 * np.cos(turn + shift) for shift in (0.4, -1.9, 2.6)], axis=-1)
+    chosen = ((row[:, None] + column[None, :]) % 2)[..., None]
+    return np.rint(255.0 * np.where(chosen == 1, np.array([0.96, 0.94, 0.90]), dark[None])).astype(np.uint8)
+
+
+__all__ = ["TorusCertificate", "TorusMap", "map_to_torus"]

@@ -1,0 +1,106 @@
+"""Surfaces of genus 1 on flat tori: conformal lattices, transport in closed form, exact orientation, files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import omtwarp
+from omtwarp.mesh import shapes
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
+from omtwarp.torus.transport import transport_on_torus
+
+
+def grid_torus(columns: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A periodic grid, its triangles cut along alternating diagonals: places [V, 2] in [0, 1)², faces, wraps."""
+    i, j = np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij")
+    places = np.stack([i.ravel() / columns, j.ravel() / rows], axis=1)
+    faces, wraps = [], []
+    for a, b in zip(i.ravel().tolist(), j.ravel().tolist(), strict=True):
+        square = [(a, b), (a + 1, b), (a + 1, b + 1), (a, b + 1)]
+        halves = ((0, 1, 2), (0, 2, 3)) if (a + b) % 2 else ((0, 1, 3), (1, 2, 3))
+        for half in halves:
+            corner = [square[k] for k in half]
+            faces.append([(x % columns) * rows + y % rows for x, y in corner])
+            wraps.append([(x // columns, y // rows) for x, y in corner])
+    return places, np.array(faces), np.array(wraps)
+
+
+def ring_torus(large: float, columns: int, rows: int) -> Surface:
+    """A ring torus of tube radius 1, a grid in its two angles."""
+    places, faces, _ = grid_torus(columns, rows)
+    turn, tilt = 2.0 * np.pi * places.T
+    reach = large + np.cos(tilt)
+    return Surface(np.stack([reach * np.cos(turn), reach * np.sin(turn), np.sin(tilt)], axis=1), faces)
+
+
+def test_lattice_of_a_ring_torus_is_the_one_it_is_conformal_to():
+    """The ring torus of radii R and 1 is conformal to the rectangle of sides 1 and sqrt(R² - 1)."""
+    torus = conformal_torus(ring_torus(2.0, 60, 36))
+    one, two = torus.lattice
+    assert np.linalg.norm(two) / np.linalg.norm(one) == pytest.approx(np.sqrt(3.0), rel=0.01)
+    assert abs(one @ two) < 0.02 * np.linalg.norm(one) * np.linalg.norm(two)
+    assert np.linalg.det(torus.lattice) == pytest.approx(SPHERE_AREA)
+
+
+def test_transport_of_a_density_of_one_coordinate_is_monotone_rearrangement():
+    """Masses that depend on x alone move along x to where as much mass lies before them as area."""
+    columns, rows = 40, 8
+    places, faces, wraps = grid_torus(columns, rows)
+    side = np.sqrt(SPHERE_AREA)
+    # The surface's points say nothing but which triangles there are: masses are given, and shapes are of right angles.
+    flat = FlatTorus(quantised(places), wraps, side * np.eye(2))
+    middle = flat.corners(faces)[..., 0].mean(axis=1)
+    density = 1.0 + 0.5 * np.sin(2.0 * np.pi * middle)
+    bent = ring_torus(3.0, columns, rows)
+    surface = Surface(bent.vertices, faces, density)
+    moved = transport_on_torus(surface, flat)
+    assert moved.converged
+    columns_of_mass = surface.vertex_areas.reshape(columns, rows).sum(axis=1) / SPHERE_AREA
+    goal = np.cumsum(columns_of_mass) - 0.5 * columns_of_mass  # up to one constant
+    x = (places[:, 0] + moved.displacement[:, 0] / side).reshape(columns, rows).mean(axis=1)
+    apart = x - goal
+    assert np.ptp(apart) < 0.02 * np.ptp(goal - places[::rows, 0]) + 0.01
+    assert np.abs(moved.displacement[:, 1] / side).max() < 0.02
+
+
+@pytest.mark.parametrize("surface", [ring_torus(2.0, 36, 20), shapes.rings(1, cell=0.3)], ids=["ring", "implicit"])
+def test_map_is_one_to_one_keeps_areas_and_closes_up(surface, tmp_path):
+    result = omtwarp.map_surface(surface)
+    assert isinstance(result, omtwarp.TorusMap) and result.bijective and result.certificate.flips == 0
+    measured = result.distortion()
+    assert measured.area["surface"] < 2.01 and measured.degree == pytest.approx(1.0)
+    corner = result.corners @ result.lattice
+    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    own = triangle_areas(surface.vertices, surface.faces)
+    assert areas.min() > 0.0 and areas.sum() == pytest.approx(own.sum())
+    around = [np.bincount(surface.faces.ravel(), np.repeat(values, 3)) for values in (areas, own)]
+    assert np.abs(around[0] / around[1] - 1.0).max() < 1e-4
+    # Neighbouring triangles differ along their edge by whole numbers, the same at both ends: a texture repeats there.
+    steps = result.corners[:, [1, 2, 0]] - result.corners
+    ends = np.stack([surface.faces, surface.faces[:, [1, 2, 0]]], axis=2)
+    forward = {tuple(pair): step for pair, step in zip(ends.reshape(-1, 2).tolist(), steps.reshape(-1, 2), strict=True)}
+    assert all(np.array_equal(step, -forward[b, a]) for (a, b), step in forward.items())
+    result.save(tmp_path / "torus.npz")
+    again = omtwarp.TorusMap.load(tmp_path / "torus.npz")
+    assert np.array_equal(again.corners, result.corners) and np.array_equal(again.lattice, result.lattice)
+    textured = result.trimesh()
+    assert np.allclose(textured.area, own.sum()) and len(textured.visual.uv) == 3 * len(surface.faces)
+
+
+def test_a_flip_is_seen_in_the_universal_cover():
+    result = omtwarp.map_surface(ring_torus(2.0, 12, 8))
+    moved = result.coordinates.copy()
+    moved[5] += [0.4, 0.3]
+    broken = omtwarp.TorusMap(result.vertices, result.faces, moved, result.wraps, result.lattice, result.conformal)
+    assert broken.certificate.flips > 0 and not broken.bijective
+
+
+def test_other_surfaces_do_not_go_to_a_torus(tmp_path):
+    with pytest.raises(omtwarp.OmtwarpError, match="genus 1"):
+        omtwarp.map_surface(shapes.icosphere(4), domain="torus")
+    np.savez(tmp_path / "not.npz", vertices=np.zeros((3, 3)))
+    with pytest.raises(omtwarp.OmtwarpError, match="no 'faces'"):
+        omtwarp.TorusMap.load(tmp_path / "not.npz")
