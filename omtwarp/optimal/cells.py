@@ -9,6 +9,7 @@ multipliers p_c belong to what does not move.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.cell_kernels import cell_couplings, cell_gradient, vertex_squares
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import cost_metric
+from omtwarp.optimal.restoration import restore_areas
 from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, OptimalMap, minimise
 from omtwarp.options import Progress
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor
@@ -32,9 +34,11 @@ from omtwarp.untangling.kernels import solid_angles
 Numbers = NDArray[np.float64]
 
 CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a cell's mass
-ITERATIONS = 120
-# The largest relative error of a triangle's area, and the root mean square, up to which it counts as kept.
-CELL_LARGEST, CELL_RMS = 1e-6, 1e-6
+ITERATIONS = 60
+# Root mean square and largest relative error of the triangles' areas with which the minimisation ends, and the largest
+# after what is left of them was made right.
+MAX_CELL_RMS, MAX_CELL_ERROR = 1e-3, 0.05
+EXACT = 1e-6
 
 
 def exact_map(
@@ -69,7 +73,18 @@ def exact_map(
     where = resolve_device(device)
     given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
     energy = CellEnergy(quartered, vectors(x, where), where, shape_weight)
-    return minimise(energy, given, gain=gain, iterations=iterations, progress=progress)
+    found = minimise(energy, given, gain=gain, iterations=iterations, progress=progress)
+    history = list(found.history)
+
+    def tell(number: int, terms: MapTerms) -> None:
+        rms, largest = energy.ring_errors(terms)
+        history.append({**history[-1], "cost": energy.cost(terms), "ring_rms": rms, "ring_largest": largest})
+        if progress is not None:
+            progress("omt", min(len(history) - 1, iterations), iterations, history[-1])
+
+    restored, right = restore_areas(energy, found.sphere, tell=tell)
+    ended = found.ended if right else f"{found.ended}; areas are not right to {EXACT:g}"
+    return replace(found, sphere=restored, history=tuple(history), converged=found.converged and right, ended=ended)
 
 
 class CellEnergy(TransportEnergy):
@@ -82,7 +97,8 @@ class CellEnergy(TransportEnergy):
         shape_weight: of the distortion of the parts.
     """
 
-    area_tolerances = (CELL_RMS, CELL_LARGEST)
+    area_tolerances = (MAX_CELL_RMS, MAX_CELL_ERROR)
+    exact_tolerance = EXACT
 
     def __init__(self, quartered: QuarteredSurface, start: wp.array, device: wp.Device, shape_weight: float):
         super().__init__(quartered.surface, start, device, shape_weight)
@@ -93,9 +109,13 @@ class CellEnergy(TransportEnergy):
         self.wanted = quartered.sum_of_parts(quartered.surface.face_areas)
         self._shares = np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3)
         self._couplings = wp.empty(self.cells.shape, dtype=wp.vec2d, device=device)
+        self._factor: SaddlePointFactor | None = None
 
     def saddle_factor(self) -> SaddlePointFactor:
-        return cell_saddle_factor(self.surface, self.cells)
+        """What factorises the matrices that :meth:`blocks` gives; the same one at every call."""
+        if self._factor is None:
+            self._factor = cell_saddle_factor(self.surface, self.cells)
+        return self._factor
 
     def terms(self, points: wp.array) -> MapTerms:
         """Areas of the cells, shape [F], in place of those around vertices."""

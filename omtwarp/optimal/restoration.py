@@ -1,0 +1,112 @@
+"""Make areas right that a minimisation has left nearly right, by Newton's method on the areas themselves.
+
+Every step is the least one, in the metric of the second derivative of cost and shape, that makes the areas right to
+first order; so what was optimal stays so up to the square of what is corrected. Where parts of a mesh are slivers the
+multipliers of neighbouring cells differ strongly, and a minimisation that leaves the curvature of the areas out of its
+matrix ends there with errors of some 1e-3; the areas alone are right to round-off after a few steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import wp
+from omtwarp.optimal.energy import MapTerms, TransportEnergy
+from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.triangle_newton.motion_kernels import from_tangent
+from omtwarp.untangling.steps import FlipFreeSteps
+
+Numbers = NDArray[np.float64]
+
+ROUNDS = 30
+STIFFNESS = 1e7  # of the areas beside cost and shape, which only choose among the steps that make areas right
+MAX_HALVINGS = 12
+SUFFICIENT = 0.1  # of what the first derivative promises of the areas' errors
+LEAST = 1e-3  # see omtwarp.optimal.kernels.cost_metric
+# Relative to the diagonal: what makes the matrix definite, and what it grows by where rounding asks for more.
+REGULARISATION = (1e-8, 1e-6, 1e-4, 1e-2)
+
+
+def restore_areas(
+    energy: TransportEnergy,
+    sphere: Numbers,
+    *,
+    rounds: int = ROUNDS,
+    tell: Callable[[int, MapTerms], None] | None = None,
+) -> tuple[Numbers, bool]:
+    """Move a map without flips to the nearest one whose areas are right.
+
+    Args:
+        energy: says which areas are wanted, to which tolerances, and what near means.
+        sphere: unit vectors, shape [V, 3], no triangle flipped.
+        rounds: most steps.
+        tell: called after each step with its number and the terms of the map.
+
+    Returns:
+        The map of the last step that made areas better, without flips, and whether they are right.
+    """
+    surface, device = energy.surface, energy.device
+    points = vectors(sphere, device)
+    terms = energy.terms(points)
+    steps = FlipFreeSteps(surface, device)
+    factor = energy.saddle_factor()
+    compliance = energy.wanted * energy.wanted.sum() / STIFFNESS
+    for number in range(rounds):
+        if _right(energy, terms):
+            return points.numpy().copy(), True
+        diagonal, off_diagonal, gradients = energy.blocks(points, terms, 1.0, LEAST)
+        own = diagonal[:, [0, 1], [0, 1]]
+        for part in REGULARISATION:
+            diagonal[:, [0, 1], [0, 1]] = own + part * own.mean()
+            try:
+                factor.factorise(diagonal, off_diagonal, gradients, compliance)
+                break
+            except NotPositiveDefinite:
+                continue
+        else:
+            break
+        moved = _step(energy, steps, factor, points, terms)
+        if moved is None:
+            break
+        points, terms = moved
+        if tell is not None:
+            tell(number + 1, terms)
+    return points.numpy().copy(), _right(energy, terms)
+
+
+def _step(
+    energy: TransportEnergy, steps: FlipFreeSteps, factor: Any, points: wp.array, terms: MapTerms
+) -> tuple[wp.array, MapTerms] | None:
+    """The map and its terms after the longest share of a Newton step that makes areas better; None if none does."""
+    count, device = energy.surface.vertex_count, energy.device
+    coordinates, _ = factor.solve(np.zeros((count, 2)), -energy.missing(terms))
+    direction = wp.empty(count, dtype=wp.vec3d, device=device)
+    inputs = [points, wp.array(coordinates, dtype=wp.float64, device=device)]
+    wp.launch(from_tangent, dim=count, inputs=inputs, outputs=[direction], device=device)
+    before, length = _error(energy, terms), 1.0
+    for _ in range(MAX_HALVINGS):
+        held = steps.held_back(points, direction, terms.shape.d_volume, length)
+        if held is not None:
+            after = energy.terms(held[0])
+            if _error(energy, after) <= (1.0 - SUFFICIENT * length) * before:
+                return held[0], after
+        length *= 0.5
+    return None
+
+
+def _error(energy: TransportEnergy, terms: MapTerms) -> float:
+    """Norm of the areas' errors, each relative to the root of the area wanted."""
+    return float(np.sqrt((energy.missing(terms) ** 2 / energy.wanted).sum()))
+
+
+def _right(energy: TransportEnergy, terms: MapTerms) -> bool:
+    rms, largest = energy.ring_errors(terms)
+    return rms <= energy.exact_tolerance and largest <= energy.exact_tolerance
+
+
+__all__ = ["restore_areas"]
