@@ -91,6 +91,8 @@ def map_surface(
     parts = parts_of(vertices, faces)
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
         return map_to_sphere(mesh, progress=progress, **options)
+    if options.pop("exact", False):
+        raise OmtwarpError("exact areas are for closed, connected surfaces of genus 0")
     measures = [options.pop(name, None) for name in ("weights", "target")]
     if any(measure is not None for measure in measures):
         raise OmtwarpError("weights and a target density are for closed, connected surfaces of genus 0")

@@ -188,6 +188,7 @@ class MapOptions:
         scheme: how it does.
         refine: a named refinement, the weight of area against angle, an area distortion to match, or None to leave
             refinement out.
+        exact: whether the triangles are quartered, and each keeps its area, the sum of its parts, to 1e-6.
         optimality: whether the map's distance from the optimum is bounded too.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         solver: how sparse systems are solved.
@@ -198,6 +199,7 @@ class MapOptions:
     cost: Cost = Cost.SQUARED
     scheme: Scheme = Scheme.DEFAULT
     refine: Refinement | AreaMatch | float | None = None
+    exact: bool = False
     optimality: bool = True
     device: str = "auto"
     solver: Solver = Solver.AUTO
@@ -211,6 +213,7 @@ class MapOptions:
         cost: str,
         scheme: str,
         refine: str | float | AreaMatch | None,
+        exact: bool = False,
         optimality: bool,
         device: str | None,
         solver: str,
@@ -220,16 +223,23 @@ class MapOptions:
         Raises:
             OmtwarpError: an option has no such value.
         """
-        return cls(
+        options = cls(
             method=choose(Method, method),
             until=choose(Stage, until),
             cost=choose(Cost, cost),
             scheme=choose(Scheme, scheme),
             refine=parse_refinement(refine),
+            exact=bool(exact),
             optimality=bool(optimality),
             device=parse_device(device),
             solver=choose(Solver, solver),
         )
+        optimal = options.method is Method.OMT and Stage.OMT in options.stages and options.refine is None
+        if options.exact and not (optimal and options.cost is Cost.SQUARED and options.scheme is Scheme.DEFAULT):
+            raise OmtwarpError(
+                "exact areas are those of the optimal map: leave method, cost, scheme and refine as they are"
+            )
+        return options
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -244,7 +254,8 @@ class MapOptions:
         if self.method in (Method.TUTTE, Method.MEAN_VALUE):
             return {"method": str(self.method), "cost": "", "scheme": "", "refine": None}
         weight = str(self.refine) if isinstance(self.refine, Refinement | AreaMatch) else self.refine
-        return {"method": str(self.method), "cost": str(self.cost), "scheme": str(self.scheme), "refine": weight}
+        told = {"method": str(self.method), "cost": str(self.cost), "scheme": str(self.scheme), "refine": weight}
+        return told | ({"exact": True} if self.exact else {})
 
 
 __all__ = [

@@ -26,12 +26,14 @@ from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.checks import as_surface
+from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify
 from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import Optimality, surface_optimality
 from omtwarp.moser import moser_map
 from omtwarp.optimal import SHAPE_WEIGHT, optimal_map
+from omtwarp.optimal.cells import exact_map
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Scheme, Stage
 from omtwarp.refine.solver import Refiner
@@ -62,6 +64,8 @@ ASCENT_STEPS = 0
 MINIMUM_COST = 1e-300  # keeps quotients of costs finite
 # What the measurement after the last stage is called in progress and in the records of stages.
 OPTIMALITY = "optimality"
+# What the map of the quartered mesh is called there.
+EXACT = "exact"
 # Moser's map is freed of slivers before transport is optimised: angle distortion beside this weight of area distortion,
 # to this tolerance. On scans that takes two or three factorisations and saves several larger ones.
 SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 20
@@ -88,6 +92,7 @@ def map_to_sphere(
     cost: str = MapOptions.cost,
     scheme: str = MapOptions.scheme,
     refine: str | float | AreaMatch | None = MapOptions.refine,
+    exact: bool = MapOptions.exact,
     optimality: bool = MapOptions.optimality,
     weights: ArrayLike | None = None,
     target: Any = None,
@@ -106,6 +111,9 @@ def map_to_sphere(
         scheme: how transport is optimised: ``default``, ``plain`` or ``paper`` (Algorithms 1 and 2 as written).
         refine: ``none``, or go on from the optimal map towards less distortion: ``area``, ``balanced``, ``angle`` or
             the weight of area against angle.
+        exact: keep the area of every triangle to 1e-6: the map of the mesh with its triangles cut into four, whose
+            parts add up to it. The result holds that mesh; ``face_origin`` and ``vertex_origin`` say what came from
+            where in the input (-1 for new vertices).
         optimality: also measure how far the map is from optimal, by a lower bound on the cost of every map.
         weights: positive, per vertex [V] or per triangle [F]: parts of twice the weight cover twice as much of the
             sphere for their area, see :func:`omtwarp.measures.weighted_surface`.
@@ -137,6 +145,7 @@ def map_to_sphere(
         cost=cost,
         scheme=scheme,
         refine=refine,
+        exact=exact,
         optimality=optimality,
         device=device,
         solver=solver,
@@ -145,6 +154,8 @@ def map_to_sphere(
     density = as_target(target, device=str(where))
     if density is not None and (options.method not in (Method.OMT, Method.MOSER) or options.scheme is Scheme.PAPER):
         raise OmtwarpError("a target density needs the methods omt or moser, and the schemes default or plain")
+    if density is not None and options.exact:
+        raise OmtwarpError("exact areas are for the uniform sphere: leave the target density out")
     surface = weighted_surface(as_surface(mesh), weights)
     with solving_with(options.solver):
         return _Run(surface, options, str(where), progress, density).result()
@@ -181,6 +192,7 @@ class _Run:
         self.maps: dict[str, NDArray[np.float64]] = {}
         self.history: list[dict[str, Any]] = []
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
+        self.origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where the mesh was quartered
         self.first: wp.array | None = None
         self.source: NDArray[np.float64] | None = None
         self.measured: Optimality | None = None  # of the map by Newton's method
@@ -236,7 +248,7 @@ class _Run:
 
     def result(self) -> MapResult:
         """Run the stages asked for, and put together what they made."""
-        options, surface = self.options, self.surface
+        options = self.options
         if options.method in (Method.TUTTE, Method.MEAN_VALUE):
             self.barycentric()
         else:
@@ -248,6 +260,9 @@ class _Run:
             }
             for stage in options.stages:
                 stages[stage]()
+            if options.exact:
+                self.keep_every_area()
+        surface = self.surface
         optimality = self.optimality() if options.optimality and len(self.maps) > 1 else None
         first = next(iter(self.maps.values()))
         transported = self.maps.get(Stage.OMT)
@@ -268,6 +283,8 @@ class _Run:
             transported=transported,
             history=self.history,
             report=report,
+            vertex_origin=self.origins.get("vertex_origin"),
+            face_origin=self.origins.get("face_origin"),
             measure=surface.face_areas if surface.weighted else None,
             target=None if self.target is None else self.target.at(self.sphere),
         )
@@ -434,6 +451,42 @@ class _Run:
             if excess <= 1.0:
                 break
         return float(excess)
+
+    def keep_every_area(self) -> None:
+        """The optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
+
+        def tell(stage: str, done: int, total: int, details: dict[str, Any]) -> None:
+            self.notify(EXACT, done, total, details)
+
+        give_back()
+        optimal = self.record_of(Stage.OMT)
+        assert self.source is not None and optimal is not None
+        weight = float(optimal.details["shape_weight"] or 0.0)
+        quartered = quarter(self.surface)
+        self.surface = quartered.surface
+        self.origins = {
+            "vertex_origin": quartered.vertex_origin,
+            "face_origin": quartered.parents.astype(np.int64),
+        }
+        self.source = quartered.on_sphere(self.source)
+        self.first = vectors(self.source, resolve_device(self.device))
+        # Great circles cut what is one to one into what is one to one, but for rounding.
+        self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
+        before, crowded = self.mend(self.sphere, self.sphere)
+        found = exact_map(quartered, before, start=self.source, shape_weight=weight, device=self.device, progress=tell)
+        known = len(self.history)
+        self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
+        sphere, repaired = self.mend(before, found.sphere)
+        self.measured = None  # that was of the map before
+        self.finish(
+            EXACT,
+            sphere,
+            len(found.history) - 1,
+            repaired=crowded + repaired,
+            converged=found.converged,
+            ended=found.ended,
+            largest_area_error=found.history[-1]["ring_largest"],
+        )
 
     def transport_as_published(self) -> None:
         """The optimal map by Algorithms 1 and 2 as the paper prints them."""

@@ -154,6 +154,51 @@ def test_refinement_ends_below_every_map_before_it(weight):
     assert stages[-1]["converged"]
 
 
+def test_exact_areas_of_every_triangle():
+    """Of the input's triangles, each made of four; optimal, one to one, all arrays in the quartered mesh's order."""
+    surface = blob(seed=6, amplitude=0.3, degree=5, sphere=320)
+    plain, result = mapped(surface), mapped(surface, exact=True, optimality=True)
+    assert len(result.faces) == 4 * surface.face_count and result.bijective
+    a, b, c = (result.sphere[result.faces[:, k]] for k in range(3))
+    dots = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
+    parts = 2 * np.arctan2((a * np.cross(b, c)).sum(1), dots)
+    np.testing.assert_allclose(np.bincount(result.face_origin, parts), surface.face_areas, rtol=1e-6)
+    old = result.vertex_origin >= 0
+    np.testing.assert_array_equal(result.vertices[old], surface.vertices[result.vertex_origin[old]])
+    assert rms(apart(result.sphere[old], plain.sphere)) < 0.03
+    np.testing.assert_array_equal(result.transported[old], plain.transported)
+    assert [stage["name"] for stage in result.report["stages"]] == ["conformal", "moser", "omt", "exact", "optimality"]
+    exact = result.report["stages"][3]
+    assert exact["converged"] and exact["largest_area_error"] <= 1e-6 and exact["flips"] == 0
+    assert result.report["optimality"]["gap"] < 0.02 and result.report["exact"] is True
+    assert [record["iteration"] for record in result.history] == list(range(len(result.history)))
+    weights = np.linspace(1.0, 3.0, surface.face_count)
+    weighted = mapped(surface, exact=True, weights=weights)
+    wanted = surface.face_areas * weights
+    a, b, c = (weighted.sphere[weighted.faces[:, k]] for k in range(3))
+    dots = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
+    parts = np.bincount(weighted.face_origin, 2 * np.arctan2((a * np.cross(b, c)).sum(1), dots))
+    np.testing.assert_allclose(parts / wanted * wanted.sum(), 4 * np.pi, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"refine": "angle", "until": "refine"},
+        {"cost": "geodesic"},
+        {"scheme": "plain"},
+        {"method": "moser"},
+        {"until": "moser"},
+    ],
+    ids=str,
+)
+def test_exact_areas_are_those_of_the_optimal_map(options):
+    with pytest.raises(OmtwarpError, match="exact areas"):
+        mapped(blob(seed=2, sphere=320), exact=True, **options)
+    with pytest.raises(OmtwarpError, match="exact areas"):
+        mapped(blob(seed=2, sphere=320), exact=True, target=lambda points: 1.0 + points[:, 2] ** 2)
+
+
 def test_the_report_tells_how_far_the_map_is_from_optimal():
     """Of the map that is handed over, in a stage of its own, and what refinement added to the cost."""
     surface = blob(seed=6, amplitude=0.3, degree=5, sphere=1280)

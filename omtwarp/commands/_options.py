@@ -79,6 +79,12 @@ RepairOption = Annotated[
         help="Mend the mesh first: equal vertices, orientation, small holes, the largest component; says what it did.",
     ),
 ]
+ExactOption = Annotated[
+    bool,
+    typer.Option(
+        "--exact", help="Cut every triangle into four and keep the area of each to 1e-6; the map is that of the parts."
+    ),
+]
 HemisphereOption = Annotated[
     bool, typer.Option("--hemisphere", help="Map a surface with a hole to the hemisphere, the boundary on the equator.")
 ]

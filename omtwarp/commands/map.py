@@ -15,6 +15,7 @@ from omtwarp.commands._options import (
     CutOption,
     DeviceOption,
     DiskOption,
+    ExactOption,
     FillAreaOption,
     HemisphereOption,
     MeshArgument,
@@ -53,6 +54,7 @@ def map_mesh(
     cost: CostOption = MapOptions.cost,
     scheme: SchemeOption = MapOptions.scheme,
     refine: RefineOption = str(Refinement.NONE),
+    exact: ExactOption = MapOptions.exact,
     hemisphere: HemisphereOption = False,
     disk: DiskOption = False,
     cap: CapOption = False,
@@ -97,6 +99,9 @@ def map_mesh(
     (.ply, .obj, .off, .stl, .glb, .vtk, GIFTI's .surf.gii, FreeSurfer's lh.sphere) holds the sphere with the input's
     faces.
 
+    With --exact the map is that of the mesh with its triangles cut into four, and OUTPUT.npz says which triangle every
+    part comes from (face_origin) and which vertices are new (vertex_origin is -1).
+
     With --weights parts of the surface cover more of the sphere than their area; with --target the sphere is not filled
     evenly but as a picture says. Example: omtwarp map head.ply -o head.npz --weights face.npy --target importance.png
 
@@ -128,6 +133,7 @@ def map_mesh(
         cost=cost,
         scheme=scheme,
         refine=refine,
+        exact=exact,
         solver=solver,
         weights=per_part,
         target=goal,
@@ -230,5 +236,8 @@ def summary(result: MapResult | TorusMap, output: Path) -> str:
     size = f"{len(result.vertices)} vertices, {len(result.faces)} faces"
     flips = result.certificate.flips
     line = f"{output}: {size}; flips {flips}, degree {last['degree']:.6f}, area {area:.4f}, angle {angle:.4f}"
+    exact = next((stage for stage in result.report["stages"] if "largest_area_error" in stage), None)
+    if exact is not None:
+        line += f", areas of all triangles right to {exact['largest_area_error']:.1e}"
     gap = result.report.get("optimality", {}).get("gap")
     return line if gap is None else f"{line}, cost within {gap:.3%} of the least"

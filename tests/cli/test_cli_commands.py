@@ -78,6 +78,7 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
         **expected,
         "device": "cpu",
         "solver": "auto",
+        "exact": False,
         "weights": None,
         "target": None,
         "any_surface": None,
