@@ -187,9 +187,9 @@ def map_optimality(
     if points is None:
         raise OmtwarpError(f"this map has no stage '{stage}'")
     surface = Surface(result.vertices, result.faces)
-    return surface_optimality(
-        surface, result.conformal, points, ascent_steps=ascent_steps, device=device, progress=progress
-    )
+    source = getattr(result, "source", None)
+    start = result.conformal if source is None else source
+    return surface_optimality(surface, start, points, ascent_steps=ascent_steps, device=device, progress=progress)
 
 
 def surface_optimality(

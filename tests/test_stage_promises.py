@@ -1,0 +1,69 @@
+"""Every stage keeps what it promises on a random shape of each kind, and hands on no worse a map."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import omtwarp
+from omtwarp.device.arrays import vectors
+from omtwarp.device.policy import resolve_device
+from omtwarp.mesh.surface import Surface
+from omtwarp.metrics.certificate import certify
+from omtwarp.optimal.energy import MAX_RING_ERROR, MAX_RING_RMS
+from omtwarp.transport.area import AreaMonitor
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+
+from random_shapes import KINDS, random_shape
+
+VERTICES = 600
+REFINED = 10.0  # the weight of "balanced"
+# The least energy of a flip-free map may be missed by what refinement leaves: its tolerance.
+LEFT = 2e-3
+
+
+def ring_errors(surface: Surface, sphere: np.ndarray) -> np.ndarray:
+    """Solid angle around every vertex over three times its mass, less 1, by van Oosterom and Strackee's formula."""
+    a, b, c = (sphere[surface.faces[:, k]] for k in range(3))
+    dots = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
+    solid = 2 * np.arctan2((a * np.cross(b, c)).sum(1), dots)
+    return surface.sum_to_vertices(solid) / (3 * surface.vertex_areas) - 1
+
+
+def ring_rms(surface: Surface, sphere: np.ndarray) -> float:
+    return float(np.sqrt(surface.vertex_areas @ ring_errors(surface, sphere) ** 2 / (4 * np.pi)))
+
+
+@pytest.mark.parametrize("seed", range(len(KINDS)), ids=list(KINDS))
+def test_no_stage_makes_a_map_worse(seed):
+    """By the measure that the stage is for; and what is said to have converged has."""
+    _, surface = random_shape(seed, VERTICES)
+    result = omtwarp.map_to_sphere(surface, until="refine", refine=REFINED, device="cpu")
+    stages = {stage["name"]: stage for stage in result.report["stages"]}
+    maps = {"conformal": result.conformal, "moser": result.moser, "omt": result.transported, "refine": result.sphere}
+    for name, sphere in maps.items():
+        assert certify(surface.faces, sphere).bijective, name
+        assert np.abs(np.linalg.norm(sphere, axis=1) - 1).max() < 1e-12
+    # Moser's flow is for the areas of triangles.
+    monitor = AreaMonitor(surface, resolve_device("cpu"))
+    errors = {name: monitor.error(vectors(maps[name], resolve_device("cpu"))) for name in ("conformal", "moser")}
+    assert errors["moser"] <= errors["conformal"]
+    # Transport is for the areas around vertices, and for the cost among the maps that keep them.
+    assert ring_rms(surface, result.transported) <= ring_rms(surface, result.moser)
+    if stages["omt"]["converged"]:
+        assert stages["omt"]["ended"] == "optimal"
+        assert ring_rms(surface, result.transported) <= MAX_RING_RMS * (1 + 1e-6)
+        assert np.abs(ring_errors(surface, result.transported)).max() <= MAX_RING_ERROR * (1 + 1e-6)
+    else:
+        assert stages["omt"]["ended"] != "optimal"
+    # Refinement is for angle plus weighted area distortion.
+    energies = [
+        stages[name]["angle"]["surface"] - 2 + REFINED * (stages[name]["area"]["surface"] - 2)
+        for name in ("conformal", "moser", "omt", "refine")
+    ]
+    assert energies[3] <= min(energies[:3]) + LEFT
+    # What the report says of the map that is handed over is so.
+    found = result.report["optimality"]
+    assert found["lower_bound"] <= found["cost"] and 0.0 <= found["relative_curl"]
