@@ -45,7 +45,7 @@ from omtwarp.transport.flow import optimal_transport, transport_cost
 from omtwarp.transport.paper import paper_flow
 from omtwarp.transport.polish import MAX_ROUNDS as POLISH_ROUNDS
 from omtwarp.transport.polish import polish_transport
-from omtwarp.untangling.untangle import untangle
+from omtwarp.untangling.untangle import RepairBudget, untangle
 from omtwarp.version import package_version
 
 # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended, about
@@ -191,6 +191,7 @@ class _Run:
         self.records: list[StageRecord] = []
         self.maps: dict[str, NDArray[np.float64]] = {}
         self.history: list[dict[str, Any]] = []
+        self.given_up = ""  # what the stage at work could not do
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
         self.origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where the mesh was quartered
         self.first: wp.array | None = None
@@ -235,6 +236,9 @@ class _Run:
             self.source = sphere if self.source is None else self.source
             self.first = vectors(self.source, resolve_device(self.device))
         self.maps[name] = sphere
+        if self.given_up:
+            details["gave_up"] = self.given_up
+            self.given_up = ""
         mesh = self.surface.on(self.device)
         measured = measure(mesh.vertices, mesh.faces, self.points(sphere), device=self.device)
         cost = transport_cost(self.surface, self.points(sphere), start=self.first, device=self.device)
@@ -586,9 +590,12 @@ class _Run:
         if is_bijective(self.points(after), faces, device=self.device):
             return after, 0
         flips = count_flips(self.points(after), faces, device=self.device)
-        repaired = untangle(self.goal(before), after, device=self.device).sphere
+        budget = RepairBudget(self.surface)
+        repaired = untangle(self.goal(before), after, budget=budget, device=self.device).sphere
         if is_bijective(self.points(repaired), faces, device=self.device):
             return repaired, flips
+        why = "what repair may take was spent" if budget.exhausted else "repair failed"
+        self.given_up = f"{flips} flipped triangles were held back towards the map before: {why}"
         return hold_back(self.surface, before, after, device=self.device), flips
 
     def report(self) -> dict[str, Any]:

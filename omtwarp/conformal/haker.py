@@ -19,10 +19,14 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.axes import principal_axes
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
+
+EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
+TIE_BREAKER = np.array([0.6180, 0.2361, 0.7503])
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
     if progress is not None:
         progress("conformal", 0, 1, {})
     points = surface.scaled_vertices
-    face = most_regular_face(points, surface.faces)
+    face = most_regular_face(points @ principal_axes(surface).frame.T, surface.faces)
     solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]), device=device)
     where = resolve_device(device)
     dipole = _dipole(points, surface.faces[face])
@@ -109,10 +113,16 @@ def density(surface: Surface, sphere: NDArray[np.float64]) -> tuple[NDArray[np.f
 
 
 def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> int:
-    """The face nearest to equilateral: largest area over summed squared edge lengths; the first of equals."""
+    """The face nearest to equilateral: largest area over summed squared edge lengths.
+
+    Of equals, as on symmetric shapes, the one that lies farthest in a direction along none of the axes: the order of
+    the faces plays no role.
+    """
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
     squares = ((p1 - p0) ** 2).sum(1) + ((p2 - p1) ** 2).sum(1) + ((p0 - p2) ** 2).sum(1)
-    return int(np.argmax(triangle_areas(points, faces) / squares))
+    regularity = triangle_areas(points, faces) / squares
+    best = np.flatnonzero(regularity >= (1.0 - EQUAL_REGULARITY) * regularity.max())
+    return int(best[np.argmax((p0 + p1 + p2)[best] @ TIE_BREAKER)])
 
 
 def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.triangle_newton.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
-from omtwarp.untangling.untangle import Schedule, untangle_patches
+from omtwarp.untangling.untangle import RepairBudget, Schedule, untangle_patches
 
 MAX_HALVINGS = 25  # of the whole step, in a line search
 MAX_HALVINGS_CORRECTED = 2  # of a step with an older matrix: after that a new matrix gains more
@@ -79,6 +79,7 @@ class Refiner:
         self.device = device
         self.energy = DistortionEnergy(surface, device)
         self._steps = steps_for(self.energy)
+        self.budget = RepairBudget(surface)
 
     @blas_threads(1)
     def minimise(
@@ -201,10 +202,10 @@ class Refiner:
         for schedule in REPAIR_SCHEDULES:
             if not seeds.any():
                 return moved, mended
-            if seeds.mean() > MAX_TROUBLED_SHARE:
+            if self.budget.exhausted or seeds.mean() > MAX_TROUBLED_SHARE:
                 return None, 0
             schedule = replace(schedule, weight=weight)
-            sphere, patch = untangle_patches(self.surface, moved.numpy(), seeds, schedule, device)
+            sphere, patch = untangle_patches(self.surface, moved.numpy(), seeds, schedule, device, self.budget)
             mended += patch
             moved = energy.upload(sphere)
             seeds = flipped_faces(sphere, self.surface.faces)

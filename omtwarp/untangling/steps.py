@@ -12,7 +12,7 @@ from omtwarp.device.start import wp
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import Surface
 from omtwarp.triangle_newton.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
-from omtwarp.untangling.untangle import Schedule, untangle_patches
+from omtwarp.untangling.untangle import RepairBudget, Schedule, untangle_patches
 
 HOLDS = 30  # halvings of the shares of corners of triangles in trouble
 MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
@@ -34,6 +34,7 @@ class FlipFreeSteps:
         self._surface, self._device = surface, device
         mesh = surface.on(device)
         self._faces, self._rows = mesh.faces, mesh.vertex_corners
+        self.budget = RepairBudget(surface)
 
     def untangled(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float, weight: float
@@ -60,10 +61,10 @@ class FlipFreeSteps:
         for schedule in REPAIRS:
             if not seeds.any():
                 break
-            if seeds.mean() > MOST_TROUBLE:
+            if self.budget.exhausted or seeds.mean() > MOST_TROUBLE:
                 return None
             schedule = replace(schedule, weight=weight)
-            sphere, patch = untangle_patches(self._surface, moved.numpy(), seeds, schedule, self._device)
+            sphere, patch = untangle_patches(self._surface, moved.numpy(), seeds, schedule, self._device, self.budget)
             count += patch
             moved = vectors(sphere, self._device)
             seeds = flipped_faces(sphere, self._surface.faces)

@@ -11,9 +11,10 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, icosphere, noisy
+from omtwarp.metrics.certificate import certify
 from omtwarp.triangle_newton.frames import triangle_frames
 from omtwarp.untangling.kernels import untangle_newton, untangle_value
-from omtwarp.untangling.untangle import SCHEDULES, untangle
+from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, untangle
 
 
 def unit(points):
@@ -133,3 +134,28 @@ def test_derivatives_of_the_energy(epsilon, device):
     differences = (8 * (values(h) - values(-h)) - values(2 * h) + values(-2 * h)) / (12 * h)
     expected = (gradient.numpy() * direction[surface.faces].reshape(-1, 6)).sum(axis=1)
     assert np.allclose(differences, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+def test_repair_ends_when_its_budget_is_spent():
+    """A sphere of nothing but noise is given up after the same work on every machine."""
+    surface = icosphere(8)
+    noise = unit(np.random.default_rng(4).normal(size=surface.vertices.shape))
+    spent = []
+    for _ in range(2):
+        budget = RepairBudget(surface, share=0.05)
+        result = untangle(surface, noise, budget=budget)
+        spent.append((budget.spent, result.rounds, result.sphere.tobytes()))
+        assert budget.exhausted and not result.bijective
+        assert budget.spent <= budget.granted + 10 * (surface.vertex_count + 1000)
+    assert spent[0] == spent[1]
+
+
+def test_untangling_never_covers_the_sphere_twice():
+    """From a map of degree 1 every attempt keeps the sum of solid angles, whatever it does with flips."""
+    surface = icosphere(6)
+    rng = np.random.default_rng(9)
+    for amount in (0.5, 1.0, 2.0):
+        rough = unit(surface.vertices + amount * rng.normal(size=surface.vertices.shape))
+        result = untangle(surface, rough)
+        if result.flips_after == 0 and certify(surface.faces, rough).degree == 1:
+            assert result.bijective and certify(surface.faces, result.sphere).degree == 1
