@@ -24,7 +24,7 @@ from omtwarp.commands.report import report_on_map
 from omtwarp.commands.resample import resample_map
 from omtwarp.commands.spharm import spharm
 from omtwarp.commands.texture import texture_mesh
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, one_line
 from omtwarp.version import package_version
 
 app = typer.Typer(
@@ -65,13 +65,14 @@ def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: 0 done, 1 it could not be done (one line says why), 2 wrong usage, 130 interrupted.
 
     Args:
-        arguments: the command line without the program's name; ``sys.argv`` by default.
+        arguments: the command line without the program's name; ``sys.argv`` by default, where the process is taken to
+            end with the command.
     """
     # A command imports a great deal once and ends soon after: looking for garbage among that takes a tenth of a second
     # while it is imported and as much again at the end.
     gc.set_threshold(200_000)
     atexit.register(gc.freeze)
-    with _interruptible():
+    with _interruptible(restore=arguments is not None):
         try:
             app(args=arguments, prog_name="omtwarp")
         except OmtwarpError as error:
@@ -91,13 +92,16 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _fail(message: str) -> None:
-    print(f"omtwarp: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"omtwarp: error: {one_line(message)}", file=sys.stderr)
     sys.exit(1)
 
 
 @contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
+def _interruptible(restore: bool) -> Iterator[None]:
     """Let an interruption end the process at once, as it ends programs that do not handle it.
+
+    ``restore`` puts Python's handler back afterwards. A process that ends with the command leaves it: an interruption
+    while it ends would be an exception in whatever runs then.
 
     Python's own handler waits until native code returns, which in a factorisation or a long kernel takes more than a
     second. Nothing is lost: files are staged, and while there is anything to tidy up, the signal is handled by
@@ -110,7 +114,7 @@ def _interruptible() -> Iterator[None]:
     try:
         yield
     finally:
-        if handled:
+        if handled and restore:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

@@ -1,4 +1,4 @@
-"""The one exception a user of omtwarp has to know."""
+"""The one exception a user of omtwarp has to know, and the form in which a terminal shows its text."""
 
 
 class OmtwarpError(ValueError):
@@ -15,3 +15,15 @@ class OmtwarpError(ValueError):
         ...     print(error)
         unknown device 'gpu': use auto, cpu, cuda or cuda:N
     """
+
+
+def one_line(text: str) -> str:
+    """A text on one line, with characters that would steer a terminal as their escapes, since it may quote a file.
+
+    >>> one_line("no such\\nfile '\\x1b[31m'")
+    "no such file '\\\\x1b[31m'"
+    """
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape", "backslashreplace").decode()
+        for character in " ".join(text.split())
+    )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, one_line
 from omtwarp.options import parse_device
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class Input:
 
 def say(text: str) -> None:
     """Print one line of progress, apart from the output of a command."""
-    print(f"omtwarp: {text}", file=sys.stderr)
+    print(f"omtwarp: {one_line(text)}", file=sys.stderr)
 
 
 def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = False) -> Input:

@@ -60,7 +60,9 @@ def check_mesh(
         print(f"{output}: {len(vertices)} vertices, {len(faces)} faces")
     if defects:
         count = len(defects)
-        raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{' left' if repair else ''}, see above")
+        saved = f"; what could be mended was saved as '{output}'" if output is not None else ""
+        left = " left" if repair else ""
+        raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{left}, see above{saved}")
     print("  closed, manifold, oriented outward, one component, genus 0: it can be mapped")
 
 

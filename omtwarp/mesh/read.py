@@ -75,8 +75,7 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> Mes
     data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
     suffix = _suffix(file)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what parsers take for granted; results are looked at below
+        with warnings.catch_warnings(action="ignore"):  # of what parsers guess; results are looked at below
             vertices, faces, notes = _reader(suffix, data)(data, file, triangulate)
         mesh = MeshFile(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64), tuple(notes))
     except OmtwarpError as error:

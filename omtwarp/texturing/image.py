@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -42,7 +43,8 @@ def read_image(source: str | os.PathLike[str] | Image | ArrayLike) -> NDArray[An
         path = Path(source)
         with open_input(path, LARGEST_PICTURE_FILE, "picture") as stream:
             try:
-                with _open(stream) as opened:
+                # Pillow warns of damage that it got over.
+                with warnings.catch_warnings(action="ignore"), _open(stream) as opened:
                     return _from_pil(opened, str(path))
             except (OmtwarpError, MemoryError):
                 raise

@@ -1,0 +1,200 @@
+"""Files that nobody meant to write, and options out of range, made from a seed; each case is one command line.
+
+``OMTWARP_HOSTILE_CASES`` says how many cases are made, and ``OMTWARP_HOSTILE_SEED`` where the seed starts.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from omtwarp.mesh import shapes
+from omtwarp.mesh.write import write_mesh
+from omtwarp.result import MapResult
+
+CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "1000"))
+SEED = int(os.environ.get("OMTWARP_HOSTILE_SEED", "0"))
+
+BALL = shapes.icosphere(2)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command line, the file that was made for it, and what the case is called.
+
+    Attributes:
+        name: tells how the case was made, so that it can be made again.
+        arguments: of the command; they name files in the folder that it runs in.
+        file: name of the file to write before.
+        content: of that file.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    file: str = ""
+    content: bytes = b""
+
+
+def ascii_ply(vertices, faces) -> bytes:
+    """A PLY file of text."""
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\nproperty float x\nproperty float y\n"
+    head += f"property float z\nelement face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = [f"{x:.6g} {y:.6g} {z:.6g}\n" for x, y, z in vertices] + [f"3 {a} {b} {c}\n" for a, b, c in faces]
+    return (head + "".join(rows)).encode()
+
+
+def ascii_stl(vertices, faces) -> bytes:
+    """An STL file of text."""
+    corners = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x:.6g} {y:.6g} {z:.6g}\n" for x, y, z in vertices[face])
+        + "endloop\nendfacet\n"
+        for face in faces
+    )
+    return f"solid ball\n{corners}endsolid ball\n".encode()
+
+
+def sound_files(folder: Path) -> dict[str, bytes]:
+    """One small sound file of every format that is read, by name."""
+    found: dict[str, bytes] = {}
+    for suffix in ("ply", "obj", "off", "stl", "glb"):
+        write_mesh(folder / f"ball.{suffix}", BALL.vertices, BALL.faces)
+        found[f"ball.{suffix}"] = (folder / f"ball.{suffix}").read_bytes()
+    found["text.ply"] = ascii_ply(BALL.vertices, BALL.faces)
+    found["text.stl"] = ascii_stl(BALL.vertices, BALL.faces)
+    result = MapResult(BALL.vertices, BALL.faces, BALL.vertices, BALL.vertices, np.ones(len(BALL.vertices)))
+    result.save(folder / "map.npz")
+    found["map.npz"] = (folder / "map.npz").read_bytes()
+    stream = io.BytesIO()
+    np.savez_compressed(stream, vertices=BALL.vertices, faces=BALL.faces)
+    found["mesh.npz"] = stream.getvalue()
+    for kind in ("png", "jpeg", "tiff"):
+        stream = io.BytesIO()
+        noise = np.random.default_rng(0).integers(0, 256, (16, 32, 3), dtype=np.uint8)
+        Image.fromarray(noise).save(stream, kind)
+        found[f"picture.{kind}"] = stream.getvalue()
+    try:
+        import nibabel
+    except ImportError:
+        return found
+    image = nibabel.gifti.GiftiImage()
+    for intent, array in (("POINTSET", BALL.vertices.astype(np.float32)), ("TRIANGLE", BALL.faces.astype(np.int32))):
+        code = f"NIFTI_INTENT_{intent}"
+        image.add_gifti_data_array(nibabel.gifti.GiftiDataArray(array, intent=code, datatype=array.dtype.name))
+    found["ball.gii"] = image.to_bytes()
+    found["ball.gii.gz"] = gzip.compress(image.to_bytes())
+    nibabel.freesurfer.write_geometry(folder / "lh.white", BALL.vertices, BALL.faces)
+    found["lh.white"] = (folder / "lh.white").read_bytes()
+    return found
+
+
+def damaged(content: bytes, rng: np.random.Generator) -> tuple[str, bytes]:
+    """The content with one kind of damage, and what the damage is."""
+    kind = str(rng.choice(["cut", "flipped", "zeroed", "noise", "twice", "hole", "number", "edge"]))
+    data = bytearray(content)
+    at = int(rng.integers(len(data)))
+    if kind == "cut":
+        return f"cut at {at}", bytes(data[:at])
+    if kind == "edge":  # heads and tails, where the counts and the ends are
+        at = int(rng.choice([1, 3, 8, 79, 80, 83, 84, 85, len(data) - 1, len(data) - 2, len(data) - 51]))
+        return f"cut at {at}", bytes(data[: max(at, 0)])
+    if kind == "flipped":
+        places = rng.integers(len(data), size=int(rng.integers(1, 9)))
+        for place in places:
+            data[place] ^= 1 << int(rng.integers(8))
+        return f"bits flipped at {places.tolist()}", bytes(data)
+    if kind == "zeroed":
+        length = int(rng.integers(1, 64))
+        data[at : at + length] = bytes(len(data[at : at + length]))
+        return f"zeros at {at}", bytes(data)
+    if kind == "noise":
+        data[at : at + 16] = rng.integers(0, 256, len(data[at : at + 16]), dtype=np.uint8).tobytes()
+        return f"noise at {at}", bytes(data)
+    if kind == "twice":
+        return "twice", bytes(data + data)
+    if kind == "hole":
+        return f"hole at {at}", bytes(data[:at] + data[at + int(rng.integers(1, 64)) :])
+    digits = [k for k, byte in enumerate(data) if 48 <= byte <= 57]  # a digit of a header, or of a number as text
+    place = digits[int(rng.integers(len(digits)))] if digits else at
+    inserted = bytes(rng.choice([b"9999999", b"-", b"e400", b".", b"nan", b"x", b" "]))
+    return f"{inserted!r} at {place}", bytes(data[:place] + inserted + data[place:])
+
+
+NUMBERS = ("0", "-1", "1", "2", "1e99", "1e-300", "nan", "inf", "-inf", "", " ", "²", "0x10", "1e400", "9" * 30, "1_0")
+TEXTS = (*NUMBERS, "auto", "none", "é", "\x1b[31m", "a" * 300, "../..", "-", "--", "%s", "'", "\\", "0,0", "1,2,3", "y")
+OPTIONS = {
+    "check": (),
+    "map": ("--method", "--until", "--cost", "--scheme", "--refine", "--device", "--report"),
+    "texture": ("--image", "--pattern", "--projection", "--atlas", "--rotate", "--seam", "--size", "--device"),
+    "preview": (
+        "--size", "--view", "--zoom", "--field-of-view", "--projection", "--up", "--front", "--light", "--background",
+        "--image", "--frames", "--fps", "--backend", "--device",
+    ),
+    "report": ("--image", "--pattern", "--title", "--up", "--device"),
+    "benchmark": ("--sizes", "--shape", "--subdivide", "--device", "--repeats", "--refine", "--json"),
+    "demo": ("--faces", "--device"),
+}  # fmt: skip
+OUTPUTS = {
+    "map": ("out.npz", "out.ply", "out.obj", "out.stl", "out.glb", "out.off"),
+    "texture": ("out.glb", "out.obj", "out.ply"),
+    "preview": ("out.png", "out.jpg", "out.webp"),
+    "report": ("out.html",),
+    "benchmark": ("out.md",),
+}
+BAD_OUTPUTS = ("", ".", "..", "none/out.npz", "out", "out.exe", "\x1b[31m.npz", "a" * 300 + ".npz", "-.npz", "folder")
+
+
+def cases(folder: Path, count: int = CASES, seed: int = SEED) -> Iterator[Case]:
+    """Cases without an end to their variety: the same for the same seed.
+
+    Args:
+        folder: where the sound files are written, which some cases name.
+        count: how many.
+        seed: of the first.
+    """
+    sound = sound_files(folder)
+    names = sorted(sound)
+    for number in range(seed, seed + count):
+        rng = np.random.default_rng(number)
+        if rng.random() < 0.7:
+            name = names[number % len(names)]
+            how, content = damaged(sound[name], rng)
+            if "picture" in name:
+                arguments: tuple[str, ...] = ("texture", "--map", "map.npz", "-o", "out.glb", "--image", f"bad-{name}")
+            elif name == "map.npz":
+                arguments = (
+                    ("texture", "--map", f"bad-{name}", "-o", "out.ply"),
+                    ("report", "--map", f"bad-{name}", "-o", "out.html"),
+                    ("preview", f"bad-{name}", "-o", "out.png"),
+                    ("check", f"bad-{name}"),
+                )[int(rng.integers(4))]
+            else:
+                arguments = (
+                    ("check", f"bad-{name}"),
+                    ("check", f"bad-{name}", "--repair"),
+                    ("check", f"bad-{name}", "--repair", "-o", "out.obj"),
+                    ("map", f"bad-{name}", "-o", "out.npz"),
+                    ("map", f"bad-{name}", "-o", "out.npz", "--repair"),
+                    ("preview", f"bad-{name}", "-o", "out.png"),
+                )[int(rng.integers(6))]
+            yield Case(f"{number}: {name} {how}", arguments, f"bad-{name}", content)
+            continue
+        command = str(rng.choice(list(OPTIONS)))
+        subject = ["--map", "map.npz"] if command in ("texture", "report", "preview") else ["ball.ply"]
+        words = [command, *({"benchmark": ["--sizes", "none"], "demo": []}.get(command, subject))]
+        if command in OUTPUTS:
+            good = rng.random() < 0.8
+            words += ["-o", str(rng.choice(OUTPUTS[command] if good else BAD_OUTPUTS))]
+        for _ in range(int(rng.integers(1, 3))):
+            if OPTIONS[command]:
+                option = OPTIONS[command][int(rng.integers(len(OPTIONS[command])))]
+                values = TEXTS if rng.random() < 0.5 else NUMBERS
+                words += [option, values[int(rng.integers(len(values)))]]
+        yield Case(f"{number}: {command} with options", tuple(words))

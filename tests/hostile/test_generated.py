@@ -1,0 +1,130 @@
+"""Generated hostile files and options: a good result, or one clear line and exit status 1 or 2; nothing lost."""
+
+from __future__ import annotations
+
+import signal
+import time
+import warnings
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from generator import CASES, Case, cases
+
+import omtwarp.cli
+
+LONGEST = 60  # seconds that a case may take
+
+
+class TooLong(BaseException):
+    """A case did not end."""
+
+
+@contextmanager
+def limited(seconds: int):
+    """End what takes longer."""
+    if not hasattr(signal, "SIGALRM"):
+        yield
+        return
+
+    def stop(*_):
+        raise TooLong
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Stand-ins for what takes long and is not tried here: measuring, the demo's mapping, drawing with OpenGL."""
+    monkeypatch.setattr("omtwarp.benchmark.run", lambda **options: {})
+    monkeypatch.setattr("omtwarp.benchmark.markdown", lambda result: "measured\n")
+    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: dict.fromkeys(_keys(a[1]), "data:,"))
+
+    def drawn(job, *args):
+        return [np.zeros((job.height, job.width, 4), np.uint8) for _ in job.shots], "nothing"
+
+    monkeypatch.setattr("omtwarp.render.pictures._render", drawn)
+    monkeypatch.setattr("omtwarp.render.gl_client.prepare", lambda: None)
+    monkeypatch.setattr("omtwarp.reporting.scene.cube_faces", lambda *a, **k: [])
+
+
+def _keys(stages):
+    return [key for stage in stages for key in (stage.key, f"sphere {stage.key}")]
+
+
+def complaint(case: Case, folder: Path, capsys) -> str:
+    """What is wrong with how a case ended; nothing if it ended as it should."""
+    if case.file:
+        (folder / case.file).write_bytes(case.content)
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    status: object = 0
+    try:
+        with limited(LONGEST), warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            omtwarp.cli.main([*case.arguments, "--device", "cpu"] if needs_device(case) else list(case.arguments))
+    except SystemExit as end:
+        status = end.code or 0
+    except TooLong:
+        return f"no end after {LONGEST} s"
+    except BaseException as error:
+        return f"{type(error).__name__}: {error}"
+    _, err = capsys.readouterr()
+    words = [f"warning: {warning.message}" for warning in warned]
+    if status not in (0, 1, 2):
+        words.append(f"status {status}")
+    if "internal error" in err or "Traceback" in err or "Warning" in err:
+        words.append(err[-300:])
+    errors = [line for line in err.splitlines() if line.startswith("omtwarp: error: ")]
+    if status == 1 and (len(errors) != 1 or err.splitlines()[-1] != errors[0]):
+        words.append(f"not one line: {err[-300:]!r}")
+    if any(not (character.isprintable() or character == "\n") for character in err):
+        words.append(f"control characters: {err[-300:]!r}")
+    for name, content in before.items():
+        if not (folder / name).exists() or (folder / name).read_bytes() != content:
+            words.append(f"{name} was changed")
+    for path in folder.iterdir():
+        if path.name.startswith(".omtwarp-"):
+            words.append(f"{path.name} was left")
+        elif path.name not in before and path.name != "folder":
+            if status != 0 and "saved as" not in err:
+                words.append(f"{path.name} was written by what failed")
+            remove(path)
+    if case.file:
+        (folder / case.file).unlink()
+    return "; ".join(words)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a folder with files."""
+    if path.is_dir():
+        for inner in path.iterdir():
+            inner.unlink()
+        path.rmdir()
+    else:
+        path.unlink()
+
+
+def needs_device(case: Case) -> bool:
+    return case.arguments[0] in ("map", "texture", "report", "preview") and "--device" not in case.arguments
+
+
+def test_generated_cases_end_well(tmp_path, monkeypatch, capsys, quick):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    found, times = [], []
+    for case in cases(tmp_path):
+        start = time.process_time()
+        words = complaint(case, tmp_path, capsys)
+        times.append((time.process_time() - start, case.name))
+        if words:
+            found.append(f"{case.name}: omtwarp {' '.join(map(repr, case.arguments))}\n    {words}")
+    print(f"{len(times)} cases, {sum(t for t, _ in times):.0f} CPU s; longest: {sorted(times)[-5:]}")
+    assert len(times) == CASES
+    assert not found, f"{len(found)} of {CASES} cases:\n" + "\n".join(found[:40])

@@ -1,0 +1,304 @@
+"""Hostile things to read: pipes, devices, bombs, cut and compressed files, each one line and none a hang."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+import subprocess
+import sys
+import threading
+import time
+import warnings
+import zipfile
+
+import numpy as np
+import pytest
+from generator import ascii_ply, ascii_stl
+from PIL import Image
+
+from omtwarp import limits
+from omtwarp.errors import OmtwarpError
+from omtwarp.inputs import read_bytes
+from omtwarp.mesh import shapes
+from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.write import write_mesh
+from omtwarp.render import preview
+from omtwarp.result import MapResult
+from omtwarp.texturing import read_image
+
+BALL = shapes.icosphere(3)
+posix = pytest.mark.skipif(os.name != "posix", reason="of POSIX")
+READERS = {
+    "mesh.ply": read_mesh,
+    "mesh.obj": read_mesh,
+    "mesh.glb": read_mesh,
+    "mesh.gii": read_mesh,
+    "mesh.npz": read_mesh,
+    "map.npz": MapResult.load,
+    "drawn.obj": preview,
+    "drawn.npz": preview,
+    "picture.png": read_image,
+}
+
+
+def error_of(action) -> str:
+    with pytest.raises(OmtwarpError) as caught:
+        action()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@posix
+@pytest.mark.parametrize("name", READERS)
+def test_what_has_no_end_is_not_read(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    (tmp_path / f"zero-{name}").symlink_to("/dev/zero")
+    for bad in (tmp_path / name, tmp_path / f"zero-{name}"):
+        assert f"{bad}: a pipe or device" in error_of(lambda bad=bad: READERS[name](bad))
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_no_file_is_one_line(tmp_path, name, monkeypatch):
+    read = READERS[name]
+    (tmp_path / f"folder-{name}").mkdir()
+    (tmp_path / f"empty-{name}").write_bytes(b"")
+    (tmp_path / name).write_bytes(b"x" * 5000)
+    assert "a directory" in error_of(lambda: read(tmp_path / f"folder-{name}"))
+    assert "an empty file" in error_of(lambda: read(tmp_path / f"empty-{name}"))
+    assert "no such file" in error_of(lambda: read(tmp_path / f"none-{name}"))
+    assert "no such file" in error_of(lambda: read(tmp_path / name / name))
+    assert "cannot be read: File name too long" in error_of(lambda: read(tmp_path / ("a" * 300 + name)))
+    for module in ("omtwarp.mesh.read", "omtwarp.result", "omtwarp.mesh.scenes", "omtwarp.render.subject"):
+        monkeypatch.setattr(f"{module}.LARGEST_MESH_FILE", 4000)
+    monkeypatch.setattr("omtwarp.texturing.image.LARGEST_PICTURE_FILE", 4000)
+    assert "5.0 kB, and a " in error_of(lambda: read(tmp_path / name))
+
+
+def test_limits_fit_real_work():
+    """A map of two million triangles with every stage, the largest Blue Marble, and a minute of film in HD."""
+    triangles, vertices = 2_000_000, 1_000_000
+    arrays = vertices * 8 * (3 * 5 + 1) + triangles * (3 * 8 + 8)
+    assert 10 * arrays < limits.LARGEST_ARRAYS and triangles * 10 < limits.MOST_FACES
+    assert 21600 * 10800 < limits.MOST_TEXELS and max(21600, 10800) < limits.LONGEST_SIDE
+    assert 60 * 16 * 1920 * 1080 < limits.MOST_FILM_PIXELS
+
+
+def bomb(path, content: dict[str, bytes]) -> None:
+    """An archive whose entries inflate to much more than they take."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+
+
+def npy(shape, dtype="<f8", data: bytes = b"") -> bytes:
+    """An array's file with a header that promises what it may not keep."""
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"shape": shape, "fortran_order": False, "descr": dtype})
+    return stream.getvalue() + data
+
+
+@pytest.mark.parametrize("load", [MapResult.load, read_mesh, preview])
+def test_archives_that_inflate_or_lie(tmp_path, monkeypatch, load):
+    path = tmp_path / "map.npz"
+    names = ("vertices", "faces", "sphere", "conformal", "density", "report")
+    monkeypatch.setattr("omtwarp.inputs.LARGEST_ARRAYS", 2**22)
+    bomb(path, {f"{name}.npy": npy((2**19,), data=bytes(2**22)) for name in names})
+    assert os.path.getsize(path) < 50_000
+    assert "inflate to" in error_of(lambda: load(path))
+    bomb(path, {f"{name}.npy": npy((2**60, 3)) for name in names})
+    assert "not as long as its header says" in error_of(lambda: load(path))
+    bomb(path, {f"{name}.npy": npy((4, 3), "|O", b"cos\nsystem\n(S'exit 3'\ntR.") for name in names})
+    assert "not an array of numbers" in error_of(lambda: load(path))
+
+
+def test_an_array_that_is_not_asked_for_is_not_inflated(tmp_path, monkeypatch):
+    """Others may keep what they like in the file."""
+    monkeypatch.setattr("omtwarp.inputs.LARGEST_ARRAYS", 2**20)
+    path = tmp_path / "mesh.npz"
+    np.savez(path, vertices=BALL.vertices, faces=BALL.faces, other=np.zeros(2**19))
+    assert len(read_mesh(path).faces) == len(BALL.faces)
+
+
+def png_of(width: int, height: int) -> bytes:
+    """A PNG that says how large it is and holds nothing of it."""
+    import zlib
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+def test_pictures_that_are_too_large_are_refused_before_they_are_decoded(tmp_path):
+    for width, height, words in ((40000, 10, "longer than 32768"), (32768, 32768, "537 million at most")):
+        (tmp_path / "large.png").write_bytes(png_of(width, height))
+        start = time.perf_counter()
+        assert words in error_of(lambda: read_image(tmp_path / "large.png"))
+        assert time.perf_counter() - start < 1.0
+
+
+def test_a_large_picture_of_the_earth_is_read_without_a_word(tmp_path):
+    """Of more texels than Pillow warns of, and, as its size goes, than it refuses."""
+    Image.new("1", (21600, 10800)).save(tmp_path / "marble.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stream = open(tmp_path / "marble.png", "rb")
+        from omtwarp.texturing.image import _open
+
+        with stream, _open(stream) as opened:
+            assert opened.size == (21600, 10800)
+    limit = Image.MAX_IMAGE_PIXELS
+    assert limit is not None and 21600 * 10800 > 2 * limit
+
+
+@pytest.mark.parametrize("name", ["postscript.eps", "postscript.png"])
+def test_no_program_of_the_system_is_started_for_a_picture(tmp_path, name):
+    (tmp_path / name).write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\n%%EOF\n")
+    assert "not a picture in a format that can be read" in error_of(lambda: read_image(tmp_path / name))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"frames": 10**9}, "3600 frames"),
+        ({"frames": 3600, "size": (8192, 8192)}, "million pixels in all"),
+        ({"frames": 3, "fps": float("inf")}, "frames per second"),
+        ({"frames": 3, "fps": 1e-300}, "frames per second"),
+        ({"frames": 3, "fps": float("nan")}, "frames per second"),
+    ],
+)
+def test_films_have_a_ceiling(tmp_path, options, words):
+    given = {"size": (16, 16), "backend": "warp"} | options
+    assert words in error_of(lambda: preview((BALL.vertices, BALL.faces), tmp_path / "film.gif", **given))
+
+
+def cut_short(path, share: float) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.97])
+@pytest.mark.parametrize("name", ["a.ply", "text.ply", "a.off", "a.stl", "text.stl", "a.glb"])
+def test_files_that_are_cut_short_say_so(tmp_path, name, share):
+    path = tmp_path / name
+    if name.startswith("text"):
+        path.write_bytes((ascii_ply if name.endswith("ply") else ascii_stl)(BALL.vertices, BALL.faces))
+    else:
+        write_mesh(path, BALL.vertices, BALL.faces)
+    cut_short(path, share)
+    words = error_of(lambda: read_mesh(path))
+    assert "cut short" in words or (share == 0.02 and "cannot be read as" in words), words
+
+
+def test_numbers_with_letters_in_them_are_not_taken_for_others(tmp_path):
+    text = ascii_ply(BALL.vertices, BALL.faces)
+    place = text.index(b"end_header") + 20
+    (tmp_path / "a.ply").write_bytes(text[:place] + b"x" + text[place:])
+    assert "letters or signs among its numbers" in error_of(lambda: read_mesh(tmp_path / "a.ply"))
+
+
+def glb(header: dict) -> bytes:
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text
+
+
+@pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression"])
+def test_compressed_geometry_is_named(tmp_path, name):
+    header = {"asset": {"version": "2.0"}, "extensionsRequired": [name], "extensionsUsed": [name]}
+    for path, content in ((tmp_path / "a.glb", glb(header)), (tmp_path / "a.gltf", json.dumps(header).encode())):
+        path.write_bytes(content)
+        assert f"needs {name}" in error_of(lambda path=path: read_mesh(path))
+
+
+@posix
+@pytest.mark.parametrize(
+    "uri", ["/dev/zero", "../secret.bin", "pipe", "file:///etc/passwd", "https://example.org/a.bin"]
+)
+def test_a_scene_reads_only_files_beside_it(tmp_path, uri):
+    (tmp_path / "secret.bin").write_bytes(bytes(36))
+    (tmp_path / "inner").mkdir()
+    os.mkfifo(tmp_path / "inner" / "pipe")
+    position = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0] * 3, "max": [0] * 3}
+    header = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [position],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36, "uri": uri}],
+    }
+    (tmp_path / "inner" / "a.gltf").write_text(json.dumps(header))
+    for read in (read_mesh, preview):
+        assert "inner/a.gltf: " in error_of(lambda read=read: read(tmp_path / "inner" / "a.gltf"))
+    (tmp_path / "inner" / "good.bin").write_bytes(np.eye(3, dtype="<f4").tobytes())
+    header["buffers"][0]["uri"] = "good.bin"
+    (tmp_path / "inner" / "a.gltf").write_text(json.dumps(header))
+    assert len(read_mesh(tmp_path / "inner" / "a.gltf").vertices) == 3
+
+
+def obj_text() -> str:
+    rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in BALL.vertices.tolist()]
+    return "\n".join(rows + [f"f {a} {b} {c}" for a, b, c in (BALL.faces + 1).tolist()]) + "\n"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_encodings_of_text_files(tmp_path, encoding):
+    (tmp_path / "a.obj").write_bytes(obj_text().encode(encoding))
+    mesh = read_mesh(tmp_path / "a.obj")
+    np.testing.assert_array_equal(mesh.vertices, BALL.vertices)
+    np.testing.assert_array_equal(mesh.faces, BALL.faces)
+
+
+def test_a_file_that_grows_while_it_is_read_stays_within_its_limit(tmp_path):
+    path = tmp_path / "growing"
+    path.write_bytes(bytes(1000))
+    stop = threading.Event()
+
+    def grow():
+        while not stop.is_set():
+            with open(path, "ab") as stream:
+                stream.write(bytes(10_000))
+
+    thread = threading.Thread(target=grow)
+    thread.start()
+    try:
+        for _ in range(20):
+            try:
+                assert len(read_bytes(path, 100_000)) <= 100_000
+            except OmtwarpError as error:
+                assert "may have" in str(error)
+    finally:
+        stop.set()
+        thread.join()
+
+
+ENDING = """
+import atexit, os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+def slow():
+    print("ending", flush=True)
+    time.sleep(30)
+atexit.register(slow)
+from omtwarp.cli import main
+sys.argv[1:] = ["--version"]
+main()
+"""
+
+
+@posix
+def test_an_interruption_while_the_process_ends_ends_it(tmp_path):
+    """As while the drawing process is shut down: no traceback, and not the status of success."""
+    process = subprocess.Popen([sys.executable, "-c", ENDING], stdout=-1, stderr=-1, text=True)
+    try:
+        assert process.stdout.readline().startswith("omtwarp")
+        assert process.stdout.readline() == "ending\n"
+        process.send_signal(2)
+        _, err = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert process.returncode in (-2, 130) and err == ""
