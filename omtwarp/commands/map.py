@@ -110,7 +110,6 @@ def map_mesh(
     """
     from omtwarp.commands._work import make_map, read_sound_mesh, report_text, require_bijective, start_device
     from omtwarp.mesh.write import SUFFIXES
-    from omtwarp.texturing.density import as_target
 
     check_output(output, (".ply",) if beside else (".npz", *SUFFIXES), mesh)
     if report is not None:
@@ -123,7 +122,11 @@ def map_mesh(
     sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
     per_part = None if weights is None else weights_of(weights, sound)
     start_device(device)
-    goal = None if density is None else as_target(density, target_floor)
+    goal = None
+    if density is not None:
+        from omtwarp.texturing.density import as_target
+
+        goal = as_target(density, target_floor)
     result = make_map(
         sound.surface,
         any_surface=any_surface,

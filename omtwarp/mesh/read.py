@@ -23,9 +23,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_arrays, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.neuro import nibabel_module, read_vtk
+from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.scenes import load_scene, scene_formats
 
-_NUMBERS = b"0123456789+-.eEnaifNAIF \t\r\n\f\v"  # the characters of numbers, NaN and infinity as text
 _REPAIR = "triangulate it in a mesh editor, or with --repair"
 
 
@@ -129,57 +129,8 @@ def _read_npz(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
-    from trimesh.exchange.ply import load_ply
-
-    data = _utf8(data)
-    _require_whole_ply(data)
-    # Without these two the loader splits vertices along the seams of a texture.
-    try:
-        loaded = load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True)
-    except ValueError as error:
-        if "unexpected length" not in str(error):
-            raise
-        raise OmtwarpError(
-            "the file is not as long as its header says: cut short, or faces with different numbers of corners, which "
-            "a mesh editor can triangulate"
-        ) from None
-    if loaded.get("faces") is None:
-        raise OmtwarpError("not a triangle mesh: it holds points and no faces")
-    faces = np.asarray(loaded["faces"])
-    raw = loaded["metadata"]["_ply_raw"]["face"]
-    for name in getattr(getattr(raw.get("data"), "dtype", None), "names", None) or ():
-        # The loader takes every list of a binary file to be as long as the first.
-        counts = raw["data"][name]
-        if name.startswith("vertex_ind") and counts.dtype.names and (counts["f0"] != faces.shape[1]).any():
-            odd = counts["f0"] != faces.shape[1]
-            raise OmtwarpError(
-                f"not a triangle mesh: faces with different numbers of corners, first face {int(np.argmax(odd))}; "
-                "triangulate it in a mesh editor"
-            )
-    faces, notes = _triangles(faces, raw["length"], triangulate)
-    return loaded["vertices"], faces, notes
-
-
-def _require_whole_ply(data: bytes) -> None:
-    """Make sure that a PLY file of text holds as many lines of numbers as its header says; binary ones tell by length.
-
-    Raises:
-        OmtwarpError: a file that is cut short, or words among the numbers.
-        ValueError: no header.
-    """
-    head, end, body = data.partition(b"end_header")
-    if not data.startswith(b"ply") or not end:
-        raise ValueError("no header of a PLY file, or one cut short")
-    elements = re.findall(rb"^[ \t]*element[ \t]+(\S+)[ \t]+(\d+)", head.replace(b"\r", b"\n"), flags=re.MULTILINE)
-    if not re.search(rb"^[ \t]*format[ \t]+ascii", head.replace(b"\r", b"\n"), flags=re.MULTILINE):
-        return
-    if body.translate(None, _NUMBERS):
-        raise OmtwarpError("damaged: letters or signs among its numbers")
-    lines = sum(1 for line in body.splitlines() if line.strip())
-    announced = sum(int(count) for _, count in elements)
-    if lines < announced:
-        words = " and ".join(f"{int(count)} of '{name.decode(errors='replace')}'" for name, count in elements)
-        raise OmtwarpError(f"cut short: {words} announced, {lines} lines there")
+    vertices, corners, sizes = read_ply(_utf8(data))
+    return vertices, *_fans(corners, sizes, triangulate)
 
 
 def _utf8(data: bytes) -> bytes:
@@ -234,11 +185,20 @@ def _from_polygons(
     if not polygons:
         raise OmtwarpError("not a triangle mesh: no faces in it")
     corners = np.array([len(polygon) for polygon in polygons])
-    if (corners < 3).any():
-        raise OmtwarpError(f"not a triangle mesh: face {int(np.argmax(corners < 3))} has fewer than three corners")
     flat = np.array([int(word) for polygon in polygons for word in polygon], dtype=np.int64)
     if vertices_before is not None:
         flat = np.where(flat < 0, flat + np.repeat(vertices_before, corners), flat - 1)
+    return _fans(flat, corners, triangulate)
+
+
+def _fans(
+    flat: NDArray[np.int64], corners: NDArray[np.int64], triangulate: bool
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Triangles from polygons: the corners of all one after another, and how many each has."""
+    if not len(corners):
+        raise OmtwarpError("not a triangle mesh: no faces in it")
+    if (corners < 3).any():
+        raise OmtwarpError(f"not a triangle mesh: face {int(np.argmax(corners < 3))} has fewer than three corners")
     if (corners == 3).all():
         return flat.reshape(-1, 3), []
     larger = int((corners != 3).sum())
@@ -261,9 +221,13 @@ def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
         raise OmtwarpError("neither a binary STL file nor one of text")
     if not binary and b"endsolid" not in data.lower():
         raise OmtwarpError("cut short, or not an STL file: it does not end with 'endsolid'")
-    loaded = load_scene(data[:whole] if binary else data, file, "stl" if binary else "stl_ascii")
-    corners, faces, _ = _single_geometry(loaded, triangulate)
-    corners = corners[faces.ravel()] + 0.0  # plus zero: makes -0 and 0 the same bits
+    if binary:
+        record = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])  # a normal, three corners
+        corners = np.frombuffer(data, record, count, 84)["numbers"][:, 1:].reshape(-1, 3).astype(np.float64)
+    else:
+        corners, faces, _ = _single_geometry(load_scene(data, file, "stl_ascii"), triangulate)
+        corners = corners[faces.ravel()]
+    corners = corners + 0.0  # plus zero: makes -0 and 0 the same bits
     _, first, inverse = np.unique(corners, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)  # vertices in the order of their first appearance
     place = np.argsort(order)
@@ -323,19 +287,6 @@ def _single_geometry(scene: Any, together: bool) -> _Read:
         start += len(points)
     notes = [f"took {len(meshes)} geometries together"] if len(meshes) > 1 else []
     return np.concatenate(vertices), np.concatenate(faces), notes
-
-
-def _triangles(faces: NDArray, polygon_count: int, triangulate: bool) -> tuple[NDArray, list[str]]:
-    """Faces as triangles, from a loader that leaves quads alone or has already cut them."""
-    if faces.ndim == 2 and faces.shape[1] == 3 and len(faces) == polygon_count:
-        return faces, []
-    larger = len(faces) if faces.ndim == 2 and faces.shape[1] != 3 else len(faces) - polygon_count
-    if not triangulate:
-        raise _polygons(larger, 0 if larger == polygon_count else -1, polygon_count)
-    if faces.ndim == 2 and faces.shape[1] > 3:
-        steps = range(1, faces.shape[1] - 1)
-        faces = np.stack([faces[:, [0, k, k + 1]] for k in steps], axis=1).reshape(-1, 3)
-    return faces, [_cut(larger)]
 
 
 def _polygons(count: int, first: int, total: int) -> OmtwarpError:

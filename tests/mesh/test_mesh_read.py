@@ -124,8 +124,8 @@ def test_a_single_pentagon_among_triangles_is_found(tmp_path, write):
 @pytest.mark.parametrize(
     ("polygons", "words"),
     [
-        ([[0, 3, 2], [0, 2, 1], *CUBE[1:]], "not as long as its header says"),
-        ([*CUBE, [0, 1, 2], [4, 5, 6, 7, 3]], "different numbers of corners, first face 6; triangulate"),
+        ([[0, 3, 2], [0, 2, 1], *CUBE[1:]], "5 of 7 faces have more than three corners, first face 2"),
+        ([*CUBE, [0, 1, 2], [4, 5, 6, 7, 3]], "7 of 8 faces have more than three corners, first face 0"),
     ],
 )
 def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygons, words):
@@ -138,6 +138,9 @@ def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygo
     (tmp_path / "cube.ply").write_bytes(head.encode() + body)
     with pytest.raises(OmtwarpError, match=words):
         read_mesh(tmp_path / "cube.ply")
+    mesh = read_mesh(tmp_path / "cube.ply", triangulate=True)
+    fans = [[polygon[0], *polygon[k : k + 2]] for polygon in polygons for k in range(1, len(polygon) - 1)]
+    np.testing.assert_array_equal(mesh.faces, fans)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,252 @@
+"""Reading PLY files (Turk 1994, "The PLY Polygon File Format"): vertices and polygons, from text or binary numbers.
+
+The length of everything is checked against the header before anything is made of it.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+
+_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_NUMBERS = b"0123456789+-.eEnaifNAIF \t\r\n\f\v"  # the characters of numbers, NaN and infinity as text
+_CORNERS = ("vertex_indices", "vertex_index")
+_LONGEST_HEADER = 1_000_000  # bytes
+
+
+@dataclass(frozen=True)
+class _Property:
+    """A property: its name, the type of its numbers and, for a list, the type of its length."""
+
+    name: str
+    type: str
+    length: str | None = None
+
+
+@dataclass(frozen=True)
+class _Element:
+    """An element: its name, how many there are, and the properties of each."""
+
+    name: str
+    count: int
+    properties: tuple[_Property, ...]
+
+
+def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices and polygons of a PLY file, in the file's order.
+
+    Returns:
+        Vertices, float64 [V, 3]; the corners of all polygons one after another, int64; how many each has, int64 [F].
+
+    Raises:
+        OmtwarpError: the file is not as long as its header says, or has no vertices or no faces.
+        ValueError: it is no PLY file.
+    """
+    elements, order, body = _header(data)
+    columns = _text_columns(body, elements) if order is None else _binary_columns(body, elements, order)
+    names = [element.name for element in elements]
+    if "vertex" not in names or not {"x", "y", "z"} <= set(columns["vertex"]):
+        raise OmtwarpError("not a triangle mesh: no vertices with x, y and z in it")
+    points = np.stack([np.asarray(columns["vertex"][axis], dtype=np.float64) for axis in "xyz"], axis=1)
+    corners = next((columns["face"][name] for name in _CORNERS if name in columns.get("face", {})), None)
+    if corners is None:
+        raise OmtwarpError("not a triangle mesh: it holds points and no faces")
+    sizes, flat = corners
+    return points, flat.astype(np.int64), sizes.astype(np.int64)
+
+
+def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
+    """The elements, the byte order (``<`` or ``>``, None for text), and what follows the header.
+
+    Raises:
+        ValueError: no header, or one that cannot be understood.
+    """
+    found = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data[:_LONGEST_HEADER])
+    if not data.startswith(b"ply") or found is None:
+        raise ValueError("no header of a PLY file, or one cut short")
+    elements: list[_Element] = []
+    order: str | None = ""
+    for line in data[: found.start()].decode("utf-8", "replace").splitlines()[1:]:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "format" and len(words) > 1:
+            order = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}[words[1]]
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
+            elements.append(_Element(words[1], int(words[2]), ()))
+        elif words[0] == "property" and elements and len(words) in (3, 5):
+            listed = words[1] == "list"
+            kinds = [_TYPES[word] for word in (words[2:4] if listed else words[1:2])]
+            added = _Property(words[-1], kinds[-1], kinds[0] if listed else None)
+            last = elements[-1]
+            elements[-1] = _Element(last.name, last.count, (*last.properties, added))
+        else:
+            raise ValueError(f"its header says '{line[:60]}'")
+    if order == "":
+        raise ValueError("its header names no format")
+    # One without properties takes no room, however many there are said to be.
+    return [element for element in elements if element.properties], order, data[found.end() :]
+
+
+_Column = NDArray | tuple[NDArray, NDArray]
+
+
+def _cut(elements: list[_Element]) -> OmtwarpError:
+    announced = " and ".join(f"{element.count} of '{element.name}'" for element in elements)
+    return OmtwarpError(f"the file is not as long as its header says, cut short or damaged: {announced} announced")
+
+
+def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[str, dict[str, _Column]]:
+    """Every property of every element, lists as (lengths, values).
+
+    Raises:
+        OmtwarpError: the body is shorter or longer than the header says.
+    """
+    columns: dict[str, dict[str, _Column]] = {}
+    place = 0
+    for element in elements:
+        lengths = _first_lengths(body, place, element, order)
+        fields: list[tuple] = []
+        for k, part in enumerate(element.properties):
+            if part.length is not None:
+                fields += [(f"n{k}", order + part.length), (f"v{k}", order + part.type, (lengths[k],))]
+            else:
+                fields.append((f"v{k}", order + part.type))
+        record = np.dtype(fields)
+        if element.count > 0 and element.count * record.itemsize <= len(body) - place:
+            rows = np.frombuffer(body, record, element.count, place)
+            if all((rows[f"n{k}"] == lengths[k]).all() for k in lengths):
+                place += element.count * record.itemsize
+                columns[element.name] = {
+                    part.name: rows[f"v{k}"] if k not in lengths else (rows[f"n{k}"], rows[f"v{k}"].reshape(-1))
+                    for k, part in enumerate(element.properties)
+                }
+                continue
+        place, columns[element.name] = _binary_rows(body, place, element, order, elements)
+    if place != len(body):
+        raise _cut(elements)
+    return columns
+
+
+def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> dict[int, int]:
+    """Lengths of the lists of an element's first row, by the property's number."""
+    lengths: dict[int, int] = {}
+    for k, part in enumerate(element.properties):
+        size = np.dtype(part.type).itemsize
+        if part.length is None:
+            place += size
+            continue
+        head = body[place : place + np.dtype(part.length).itemsize]
+        short = len(head) < np.dtype(part.length).itemsize
+        length = 0 if short else int(np.frombuffer(head, order + part.length)[0])
+        lengths[k] = length if 0 <= length * size <= len(body) else 0
+        place += len(head) + lengths[k] * size
+    return lengths
+
+
+def _binary_rows(
+    body: bytes, place: int, element: _Element, order: str, elements: list[_Element]
+) -> tuple[int, dict[str, _Column]]:
+    """The rows of an element whose lists differ in length, one by one; and where they end.
+
+    Raises:
+        OmtwarpError: the body ends before the rows do.
+    """
+    values: list[list] = [[] for _ in element.properties]
+    sizes: list[list[int]] = [[] for _ in element.properties]
+    types = [(part.type, part.length) for part in element.properties]
+    kinds = [(np.dtype(order + kind), length and np.dtype(order + length)) for kind, length in types]
+    for _ in range(element.count):
+        for k, (kind, length) in enumerate(kinds):
+            count = 1
+            if length:
+                if place + length.itemsize > len(body):
+                    raise _cut(elements)
+                count = int(np.frombuffer(body, length, 1, place)[0])
+                place += length.itemsize
+                sizes[k].append(count)
+            if count < 0 or place + count * kind.itemsize > len(body):
+                raise _cut(elements)
+            values[k].append(np.frombuffer(body, kind, count, place))
+            place += count * kind.itemsize
+    found: dict[str, _Column] = {}
+    for k, part in enumerate(element.properties):
+        flat = np.concatenate([*values[k], np.empty(0, kinds[k][0])])
+        found[part.name] = flat if part.length is None else (np.array(sizes[k], dtype=np.int64), flat)
+    return place, found
+
+
+def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, _Column]]:
+    """Every property of every element of a text file, lists as (lengths, values); numbers are float64.
+
+    Raises:
+        OmtwarpError: fewer or more numbers than the header says, or words among them.
+    """
+    if body.translate(None, _NUMBERS):
+        raise OmtwarpError("damaged: letters or signs among its numbers")
+    numbers = np.array(body.split(), dtype=np.float64)
+    columns: dict[str, dict[str, _Column]] = {}
+    place = 0
+    for element in elements:
+        starts, place = _row_starts(numbers, place, element, elements)
+        found: dict[str, _Column] = {}
+        at = starts
+        for part in element.properties:
+            if part.length is None:
+                found[part.name] = numbers[at]
+                at = at + 1
+                continue
+            sizes = numbers[at].astype(np.int64)
+            first = np.repeat(at + 1 - (np.cumsum(sizes) - sizes), sizes)
+            found[part.name] = (sizes, numbers[first + np.arange(len(first))])
+            at = at + 1 + sizes
+        columns[element.name] = found
+    if place != len(numbers):
+        raise _cut(elements)
+    return columns
+
+
+def _row_starts(
+    numbers: NDArray[np.float64], place: int, element: _Element, elements: list[_Element]
+) -> tuple[NDArray[np.int64], int]:
+    """Where every row of an element begins among the numbers, and where the element ends.
+
+    Raises:
+        OmtwarpError: the numbers end before the rows do, or a length is none.
+    """
+    widths = [0 if part.length else 1 for part in element.properties]
+    if all(widths):
+        end = place + element.count * len(widths)
+        if end > len(numbers):
+            raise _cut(elements)
+        return place + np.arange(element.count, dtype=np.int64) * len(widths), end
+    if element.count > len(numbers) - place:
+        raise _cut(elements)
+    if len(widths) == 1 and element.count and numbers[place] >= 0:  # as a rule all polygons have as many corners
+        stride = int(min(numbers[place], len(numbers))) + 1
+        end = place + element.count * stride
+        if end <= len(numbers) and (numbers[place:end:stride] == numbers[place]).all():
+            return place + np.arange(element.count, dtype=np.int64) * stride, end
+    starts = np.empty(element.count, dtype=np.int64)
+    for row in range(element.count):
+        starts[row] = place
+        for part in element.properties:
+            size = 1.0
+            if part.length is not None:
+                size = float(numbers[place]) + 1.0 if place < len(numbers) else np.nan
+            if not (1.0 <= size <= len(numbers) - place) or size != round(size):
+                raise _cut(elements)
+            place += int(size)
+    return starts, place
+
+
+__all__ = ["read_ply"]
