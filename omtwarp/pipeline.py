@@ -73,14 +73,15 @@ SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 20
 # this times the root mean squared distance; while gap or relative curl are above these the weight is lowered, to a
 # share between these two, so many times at most, and as long as that lowers their excess to MIN_GAP_SHARE of it: below
 # some weight only the error of the mesh is left.
-SHAPE_BY_DISTANCE = 0.037
+SHAPE_BY_DISTANCE = 0.036
 MAX_GAP, MAX_CURL = 9e-4, 0.025
 SHAPE_DECAY = (0.1, 0.4)
 SHAPE_ROUNDS = 4
 MIN_GAP_SHARE = 0.8
-# A gap that is too large is measured again with improvements of the bound, before anything is done about it: with this
-# many, fewer on meshes of more vertices than the second number allows in all.
-GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES = 12, 30_000
+# A bound that is not improved by ascent makes gaps larger by up to a third. On small meshes it is improved before a gap
+# counts as too large; on meshes of more vertices, where that takes longer than a map, a gap may be larger by as much.
+GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES = 12, 8_000
+UNIMPROVED = 4.0 / 3.0
 
 
 @blas_threads(1)
@@ -446,12 +447,13 @@ class _Run:
     def shape_excess(self, sphere: NDArray[np.float64]) -> float:
         """How far gap and curl of a map are above what the shape term may cost; at most 1 where they are not."""
         assert self.source is not None
-        more = max(1, min(GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES // self.surface.vertex_count))
-        for steps in (ASCENT_STEPS, more):
+        small = self.surface.vertex_count <= GAP_ASCENT_VERTICES
+        largest = MAX_GAP * (1.0 if small else UNIMPROVED)
+        for steps in (ASCENT_STEPS, GAP_ASCENT_STEPS) if small else (ASCENT_STEPS,):
             self.measured = surface_optimality(
                 self.surface, self.source, sphere, ascent_steps=steps, device=self.device
             )
-            excess = max(self.measured.gap / MAX_GAP, (self.measured.relative_curl / MAX_CURL) ** 2)
+            excess = max(self.measured.gap / largest, (self.measured.relative_curl / MAX_CURL) ** 2)
             if excess <= 1.0:
                 break
         return float(excess)

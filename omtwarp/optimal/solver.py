@@ -34,7 +34,7 @@ from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
-SHAPE_WEIGHT = 0.011  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
+SHAPE_WEIGHT = 0.0105  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: how heavily areas that are still wrong count beside cost
 MIN_COST = 1e-6  # radians²: of maps that move less than that the gain counts as if they moved that far
 REACH = 0.5  # radians: the farthest that a vertex goes in one step
@@ -55,7 +55,7 @@ DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
 MIN_CURVATURE_SHARE = 0.03  # see refine.kernels.triangle_hessian
 
 # Optimal: a further step would gain this share of the cost, and areas are right to the energy's tolerances.
-GAIN = 1e-4
+GAIN = 3e-4
 
 
 @dataclass(frozen=True)

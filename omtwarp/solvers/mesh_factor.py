@@ -19,7 +19,7 @@ from omtwarp.device.policy import solves_with_scipy
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, surface_dissection
 from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
-from omtwarp.solvers.cholesky.saddle import SaddleFactor
+from omtwarp.solvers.cholesky.saddle import SaddleFactor, expand
 
 
 class MeshFactor(Protocol):
@@ -191,7 +191,8 @@ def surface_saddle_factor(surface: Surface) -> SaddlePointFactor:
     if solves_with_scipy():
         i, j = surface.edges.T
         return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])
-    return SaddleFactor(surface_dissection(surface))
+    order = surface_dissection(surface)
+    return SaddleFactor(order, expanded=surface.kept("saddle-point order", lambda: expand(order)))
 
 
 def cell_saddle_factor(surface: Surface, cells: NDArray[np.int32]) -> SaddlePointFactor:

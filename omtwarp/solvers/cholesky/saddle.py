@@ -26,11 +26,12 @@ class SaddleFactor:
     Args:
         dissection: the order of elimination of the mesh's V vertices; E edges.
         workspace: see :class:`MultifrontalCholesky`.
+        expanded: the order of the unknowns, where it is known: :func:`expand` of the dissection.
     """
 
-    def __init__(self, dissection: Dissection, workspace: Workspace | None = None):
+    def __init__(self, dissection: Dissection, workspace: Workspace | None = None, expanded: Dissection | None = None):
         self._count = dissection.vertex_count
-        expanded = expand(dissection)
+        expanded = expand(dissection) if expanded is None else expanded
         negative = (expanded.owned // UNKNOWNS).astype(np.int32)
         self._factor = MultifrontalCholesky(expanded, workspace=workspace, negative=negative)
         edges = len(dissection.edges)
