@@ -43,7 +43,7 @@ Numbers = NDArray[np.float64]
 # λ of the shape term: how much area distortion of triangles counts against angle distortion. Enough against slivers.
 AREA_WEIGHT = 10.0
 # Root mean square and largest relative error of the areas around vertices up to which they count as kept.
-MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 8e-3
+MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 9e-3
 
 
 @dataclass(frozen=True)
