@@ -13,6 +13,8 @@ from collections.abc import Iterator
 
 import typer
 
+from omtwarp.commands._command import Command
+from omtwarp.commands._streams import standard_streams
 from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
 from omtwarp.commands.check import check_mesh
@@ -27,25 +29,70 @@ from omtwarp.commands.texture import texture_mesh
 from omtwarp.errors import OmtwarpError, one_line
 from omtwarp.version import package_version
 
+EXAMPLES = {
+    "map": (
+        "omtwarp map bunny.ply -o bunny.npz\n"
+        "omtwarp map left.ply right.ply -o maps --json\n"
+        "cat bunny.ply | omtwarp map - -o - | omtwarp texture --map - -o bunny.glb"
+    ),
+    "texture": (
+        "omtwarp texture bunny.ply -o bunny.glb --pattern circles\n"
+        "omtwarp texture --map bunny.npz -o earth.obj --image earth.png"
+    ),
+    "preview": (
+        "omtwarp preview bunny.glb -o bunny.png --size 800x600\n"
+        "omtwarp preview bunny.npz -o turning.gif --frames 36 --size 320"
+    ),
+    "report": "omtwarp report --map bunny.npz -o bunny.html",
+    "align": "omtwarp align left.npz --to right.npz -o aligned.npz",
+    "resample": "omtwarp resample left.npz --to right.npz -o resampled.npz",
+    "check": ("omtwarp check bunny.ply\nomtwarp check *.ply --json\nomtwarp check broken.ply --repair -o repaired.ply"),
+    "cohort": (
+        "omtwarp cohort 'sub-*/surf/lh.white' -o out --time-limit 600 --memory-limit 4\n"
+        "omtwarp cohort meshes.csv -o out --shard 2/8"
+    ),
+    "spharm": (
+        "omtwarp spharm left.npz -o left.coef --degree 15 --reconstruction smooth.ply\n"
+        "omtwarp spharm left.npz -o left.csv --fit quadrature --json"
+    ),
+    "demo": "omtwarp demo -o out",
+    "benchmark": ("omtwarp benchmark --sizes 5k,20k --repeats 1\nomtwarp benchmark scan.ply --sizes none --json -"),
+}
+"""What help shows of every command, a command line a line."""
+
+SUMMARIES = {
+    "map": "Map closed meshes to the sphere, with their areas preserved.",
+    "texture": "Texture a surface with a picture or pattern through its map.",
+    "preview": "Draw a mesh, a textured surface or a map; pictures and films.",
+    "report": "Write a page about a map, with a 3D view, to open in a browser.",
+    "align": "Turn a map so that it matches another, or the shape's own axes.",
+    "resample": "Carry data or a surface from one sphere to another.",
+    "check": "List what keeps meshes from being mapped, and repair them.",
+    "cohort": "Map many surfaces: a process each, with limits; one table, one page.",
+    "spharm": "Expand a surface in spherical harmonics over its map.",
+    "demo": "Make a shape, map it, texture it and draw it.",
+    "benchmark": "Time every stage and its memory on meshes of several sizes.",
+}
+"""One line about every command, short enough for a terminal of 80 columns."""
+
 app = typer.Typer(
     help="Area-preserving maps from closed genus-0 surfaces to the sphere, and textures through them.",
-    add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("map")(map_mesh)
-app.command("texture")(texture_mesh)
-app.command("preview")(preview_mesh)
-app.command("report")(report_on_map)
-app.command("align")(align_map)
-app.command("resample")(resample_map)
-app.command("check")(check_mesh)
-app.command("cohort")(cohort)
-app.command("spharm")(spharm)
-app.command("demo")(demo)
-app.command("benchmark")(benchmark)
+app.command("map", cls=Command, short_help=SUMMARIES["map"], epilog=EXAMPLES["map"])(map_mesh)
+app.command("texture", cls=Command, short_help=SUMMARIES["texture"], epilog=EXAMPLES["texture"])(texture_mesh)
+app.command("preview", cls=Command, short_help=SUMMARIES["preview"], epilog=EXAMPLES["preview"])(preview_mesh)
+app.command("report", cls=Command, short_help=SUMMARIES["report"], epilog=EXAMPLES["report"])(report_on_map)
+app.command("align", cls=Command, short_help=SUMMARIES["align"], epilog=EXAMPLES["align"])(align_map)
+app.command("resample", cls=Command, short_help=SUMMARIES["resample"], epilog=EXAMPLES["resample"])(resample_map)
+app.command("check", cls=Command, short_help=SUMMARIES["check"], epilog=EXAMPLES["check"])(check_mesh)
+app.command("cohort", cls=Command, short_help=SUMMARIES["cohort"], epilog=EXAMPLES["cohort"])(cohort)
+app.command("spharm", cls=Command, short_help=SUMMARIES["spharm"], epilog=EXAMPLES["spharm"])(spharm)
+app.command("demo", cls=Command, short_help=SUMMARIES["demo"], epilog=EXAMPLES["demo"])(demo)
+app.command("benchmark", cls=Command, short_help=SUMMARIES["benchmark"], epilog=EXAMPLES["benchmark"])(benchmark)
 
 
 def _show_version(wanted: bool) -> None:
@@ -74,8 +121,12 @@ def main(arguments: list[str] | None = None) -> None:
     atexit.register(gc.freeze)
     with _interruptible(restore=arguments is not None):
         try:
-            app(args=arguments, prog_name="omtwarp")
-        except OmtwarpError as error:
+            with standard_streams():
+                try:
+                    app(args=arguments, prog_name="omtwarp")
+                except OmtwarpError as error:
+                    _fail(str(error))
+        except OmtwarpError as error:  # of the streams themselves
             _fail(str(error))
         except BrokenPipeError:  # the reader of our output has gone
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -224,6 +224,19 @@ def _move(folder: Path, target: Path, given: Path, keep: tuple[Path | None, ...]
 
 
 @contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """Give a new directory among the system's temporary ones, and remove it at the end."""
+    parent = Path(tempfile.gettempdir())
+    _sweep(parent)
+    folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
+    try:
+        with _held(folder), _tidy_when_interrupted(folder):
+            yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
 def _held(folder: Path) -> Iterator[None]:
     """Hold a lock on a directory that ends with the process, however that ends."""
     if fcntl is None:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
+from omtwarp.commands._streams import input_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import Cost, FillArea, Kind, Method, Scheme, Solver, Stage, choose, parse_refinement
 
@@ -50,13 +51,27 @@ def as_size(text: str) -> tuple[int, int]:
     return int(width), int(height or width)
 
 
-MeshArgument = Annotated[Path, typer.Argument(metavar="MESH", help="A closed triangle mesh of any format.")]
+MeshArguments = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="MESH", callback=input_file, help="Closed triangle meshes of any format; - is standard input."
+    ),
+]
 OptionalMesh = Annotated[
-    Path | None, typer.Argument(metavar="MESH", help="A closed triangle mesh; not needed with --map.")
+    Path | None,
+    typer.Argument(metavar="MESH", callback=input_file, help="A closed triangle mesh, or -; not needed with --map."),
 ]
 MapOption = Annotated[
-    Path | None, typer.Option("--map", metavar="NPZ", help="A finished map (from 'omtwarp map') instead of a new one.")
+    Path | None,
+    typer.Option(
+        "--map",
+        metavar="NPZ",
+        callback=input_file,
+        help="A finished map (from 'omtwarp map') instead of a new one; - is standard input.",
+    ),
 ]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the facts as JSON on standard output.")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Say what every stage did.")]
 MethodOption = Annotated[Method, named(Method, "How to map; all but omt are there for comparison.")]
 UntilOption = Annotated[Stage, named(Stage, "Stop after this stage.")]
 CostOption = Annotated[Cost, named(Cost, "What the transport minimises: squared geodesic distance, or distance.")]

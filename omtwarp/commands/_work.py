@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,6 +77,44 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     return Input(surface, (len(mesh.vertices), len(mesh.faces)), notes, origins)
 
 
+def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list[Path | None]:
+    """The output of every mesh: the named file of a single one, or a file of its name in the named directory.
+
+    Raises:
+        OmtwarpError: the directory cannot be made, or two meshes of one name would write one file.
+    """
+    if len(meshes) == 1 or output is None:
+        return [output] * len(meshes)
+    targets = [output / f"{mesh.stem}{suffix}" for mesh in meshes]
+    twice = next((target for k, target in enumerate(targets) if target in targets[:k]), None)
+    if twice is not None:
+        raise OmtwarpError(f"two meshes would both be written as '{twice}': rename one, or map them by themselves")
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OmtwarpError(f"cannot make the directory '{output}': {error.strerror or error}") from None
+    return list(targets)
+
+
+def each(meshes: Sequence[Path], targets: Sequence[Path | None], action: Callable[[Path, Path | None], None]) -> None:
+    """Do something with every mesh; with several, one that fails keeps none of the others back.
+
+    Raises:
+        OmtwarpError: what went wrong with a single mesh; or how many of several failed, each said before.
+    """
+    failed = []
+    for mesh, target in zip(meshes, targets, strict=True):
+        try:
+            action(mesh, target)
+        except OmtwarpError as error:
+            if len(meshes) == 1:
+                raise
+            say(str(error))
+            failed.append(str(mesh))
+    if failed:
+        raise OmtwarpError(f"{len(failed)} of {len(meshes)} meshes failed: {', '.join(failed)}")
+
+
 def start_device(device: str) -> None:
     """Start Warp and make sure that the device exists, before anything long is done.
 
@@ -101,8 +140,8 @@ def load_map(path: Path) -> MapResult:
     return (SurfaceMap if path.is_file() and holds_array(path, "domain") else MapResult).load(path)
 
 
-def report_text(report: dict[str, Any]) -> str:
-    """A report as JSON; numbers that JSON does not have become null."""
+def report_text(report: Any) -> str:
+    """A report, or several, as JSON; numbers that JSON does not have become null."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):

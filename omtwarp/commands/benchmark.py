@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import RefineOption
+from omtwarp.commands._streams import output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import MOST_FACES, MOST_REPEATS
 
@@ -60,7 +61,13 @@ def benchmark(
     kernels: Annotated[bool, typer.Option("--kernels", help="Also every kernel beside the memory it moves.")] = False,
     cold: Annotated[bool, typer.Option("--cold", help="Also compilation into an empty cache, and starts.")] = False,
     json_output: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
+        Path | None,
+        typer.Option(
+            "--json",
+            metavar="FILE",
+            callback=output_file(".json"),
+            help="Write all figures as JSON, or to -.",
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the tables (.md) instead of printing.")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from omtwarp.commands._options import MeshArgument
+from omtwarp.commands._options import JsonOption, MeshArguments
+from omtwarp.commands._streams import output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
@@ -18,52 +19,101 @@ if TYPE_CHECKING:
 
 
 def check_mesh(
-    mesh: MeshArgument,
-    repair: Annotated[
-        bool, typer.Option("--repair", help="Repair the mesh; list what that does and what is left.")
-    ] = False,
+    meshes: MeshArguments,
+    repair: Annotated[bool, typer.Option("--repair", help="Repair the mesh; list what that does.")] = False,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the mended mesh (with --repair).")
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            callback=output_file(".ply"),
+            help="Write the repaired mesh.",
+        ),
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Tell what keeps a mesh from being mapped to the sphere; the exit status is 0 if nothing does."""
-    from omtwarp.mesh.read import read_mesh
-    from omtwarp.mesh.validate import check
-    from omtwarp.mesh.write import SUFFIXES, write_mesh
+    """List what keeps meshes from being mapped to the sphere.
+
+    The exit status is 0 if nothing does.
+    """
+    from omtwarp.commands._work import each, outputs_of, report_text
+    from omtwarp.mesh.write import SUFFIXES
 
     if output is not None and not repair:
-        raise OmtwarpError("--output is for the mended mesh: it needs --repair")
-    if output is not None:
-        check_output(output, SUFFIXES, mesh)
+        raise OmtwarpError("--output is for the repaired mesh: it needs --repair")
+    targets = outputs_of(meshes, output, ".ply")
+    for target in targets:
+        if target is not None:
+            check_output(target, SUFFIXES, *meshes)
+    found: list[dict[str, Any]] = []
+
+    def examine(mesh: Path, target: Path | None) -> None:
+        found.append(facts_of(mesh, repair, target))
+        if not as_json:
+            print("\n".join(lines_about(found[-1])))
+        count = len(found[-1]["defects"])
+        if count:
+            saved = f"; what could be repaired was saved as '{target}'" if target is not None else ""
+            left, where = (" left" if repair else ""), ("" if as_json else ", see above")
+            raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{left}{where}{saved}")
+
+    try:
+        each(meshes, targets, examine)
+    finally:
+        if as_json:
+            print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
+
+
+def facts_of(mesh: Path, repair: bool, target: Path | None) -> dict[str, Any]:
+    """What is wrong with a mesh, ready for JSON; the repaired mesh is written where a target is given.
+
+    Raises:
+        OmtwarpError: the file cannot be read, or the repaired mesh cannot be written.
+    """
+    from omtwarp.mesh.read import read_mesh
+    from omtwarp.mesh.validate import check
+    from omtwarp.mesh.write import write_mesh
+
     given = read_mesh(mesh, triangulate=repair)
     vertices, faces = given.vertices, given.faces
-    print(f"{mesh}: {len(vertices)} vertices, {len(faces)} faces")
-    for note in given.notes:
-        print(f"  note: {note}")
-    defects = check(vertices, faces)
-    for defect in defects:
-        print(f"  {defect.kind}: {defect}")
+    defects = before = check(vertices, faces)
+    facts: dict[str, Any] = {
+        "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces), "notes": list(given.notes), "repairs": [],
+    }  # fmt: skip
     if repair and defects:
         from omtwarp.mesh.repair import repair as mend
 
         mended = mend(vertices, faces)
-        for action in mended.actions:
-            print(f"  repair: {action}")
+        facts["repairs"] = list(mended.actions)
         vertices, faces = mended.vertices, mended.faces
         defects = check(vertices, faces)
-        for defect in defects:
-            print(f"  left: {defect}")
-    for line in options_text(vertices, faces, defects):
-        print(f"  option {line}")
-    if output is not None:
-        write_mesh(output, vertices, faces)
-        print(f"{output}: {len(vertices)} vertices, {len(faces)} faces")
-    if defects:
-        count = len(defects)
-        saved = f"; what could be mended was saved as '{output}'" if output is not None else ""
-        left = " left" if repair else ""
-        raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{left}, see above{saved}")
-    print("  closed, manifold, oriented outward, one component, genus 0: it can be mapped")
+        facts["defects_before"] = [{"kind": defect.kind, "text": str(defect)} for defect in before]
+    facts["defects"] = [{"kind": defect.kind, "text": str(defect)} for defect in defects]
+    facts["options"] = options_text(vertices, faces, defects)
+    facts["mappable"] = not defects
+    if target is not None:
+        write_mesh(target, vertices, faces)
+        facts["output"] = {"path": str(target), "vertices": len(vertices), "faces": len(faces)}
+    return facts
+
+
+def lines_about(facts: dict[str, Any]) -> list[str]:
+    """The facts about a mesh for readers, a line each."""
+    lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]
+    lines += [f"  note: {note}" for note in facts["notes"]]
+    mended = "defects_before" in facts
+    found = facts["defects_before"] if mended else facts["defects"]
+    lines += [f"  {defect['kind']}: {defect['text']}" for defect in found]
+    lines += [f"  repair: {action}" for action in facts["repairs"]]
+    lines += [f"  left: {defect['text']}" for defect in facts["defects"] if mended]
+    lines += [f"  option {text}" for text in facts["options"]]
+    if "output" in facts:
+        written = facts["output"]
+        lines.append(f"{written['path']}: {written['vertices']} vertices, {written['faces']} faces")
+    if facts["mappable"]:
+        lines.append("  closed, manifold, oriented outward, one component, genus 0: it can be mapped")
+    return lines
 
 
 def options_text(vertices: NDArray, faces: NDArray, defects: list[Defect]) -> list[str]:

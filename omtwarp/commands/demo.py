@@ -29,7 +29,7 @@ def demo(
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
     from omtwarp.commands._work import make_map, report_text, start_device
-    from omtwarp.commands.map import save, summary
+    from omtwarp.commands.map import facts_of, save, summary
     from omtwarp.errors import OmtwarpError
     from omtwarp.mesh.shapes import demo_shape
     from omtwarp.mesh.write import write_mesh
@@ -60,7 +60,7 @@ def demo(
         save(result, file)
     with staged(report_file) as file:
         file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
-    notify(summary(result, map_file))
+    notify(summary(facts_of(result, map_file)))
     globe = texture(result, pattern="globe", rotate=[180.0, 0.0, 0.0], device=device)  # Africa on its flank
     globe.export(model_file)
     notify(f"{model_file}: a globe pulled back to it")

@@ -18,7 +18,8 @@ from omtwarp.commands._options import (
     ExactOption,
     FillAreaOption,
     HemisphereOption,
-    MeshArgument,
+    JsonOption,
+    MeshArguments,
     MethodOption,
     QuietOption,
     RefineOption,
@@ -27,7 +28,9 @@ from omtwarp.commands._options import (
     SolverOption,
     TorusOption,
     UntilOption,
+    VerboseOption,
 )
+from omtwarp.commands._streams import output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
 from omtwarp.options import Domain, FillArea, MapOptions, Refinement
@@ -44,10 +47,16 @@ RIMS = (Domain.HEMISPHERE, Domain.DISK, Domain.CAP, Domain.TORUS)
 
 
 def map_mesh(
-    mesh: MeshArgument,
+    meshes: MeshArguments,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", help=".npz for the whole map, or a mesh suffix for the sphere."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            callback=output_file(".npz"),
+            help=".npz for the whole map, or a mesh suffix for the sphere; a directory for several meshes.",
+        ),
     ],
     method: MethodOption = MapOptions.method,
     until: UntilOption = MapOptions.until,
@@ -82,7 +91,8 @@ def map_mesh(
         float, typer.Option(metavar="SHARE", help="Raise the target's dark parts to this share of its mean.")
     ] = 0.0,
     report: Annotated[
-        Path | None, typer.Option(metavar="JSON", help="Write what was done and how good the map is.")
+        Path | None,
+        typer.Option(metavar="JSON", help="Write what was done and how good the map is; a directory for several."),
     ] = None,
     repair: RepairOption = False,
     beside: Annotated[
@@ -91,6 +101,8 @@ def map_mesh(
     radius: Annotated[
         float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
     ] = 1.0,
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Map a closed genus-0 mesh to the unit sphere, with its area preserved.
@@ -108,56 +120,84 @@ def map_mesh(
     A surface with holes, handles or several parts is mapped with --hemisphere, --disk, --cap, --fill-area, --cut and
     --components; "omtwarp check" says what each would do with it.
     """
-    from omtwarp.commands._work import make_map, read_sound_mesh, report_text, require_bijective, start_device
+    from omtwarp.commands._work import (
+        each,
+        make_map,
+        outputs_of,
+        read_sound_mesh,
+        report_text,
+        require_bijective,
+        say,
+        start_device,
+    )
     from omtwarp.mesh.write import SUFFIXES
 
-    check_output(output, (".ply",) if beside else (".npz", *SUFFIXES), mesh)
-    if report is not None:
-        check_output(report, (".json",), mesh, output)
-    if torus and output.suffix.lower() not in (".npz", ".glb"):
-        raise OmtwarpError("a map to a torus is written as .npz, or as .glb with a texture that repeats")
+    targets = outputs_of(meshes, output, ".npz")
+    reports = outputs_of(meshes, report, ".json")
+    for target, report_target in zip(targets, reports, strict=True):
+        if target is not None:
+            check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
+            if torus and target.suffix.lower() not in (".npz", ".glb"):
+                raise OmtwarpError("a map to a torus is written as .npz, or as .glb with a texture that repeats")
+        if report_target is not None:
+            check_output(report_target, (".json",), *meshes, target)
     any_surface = surface_options(
         hemisphere=hemisphere, disk=disk, cap=cap, fill_area=fill_area, components=components, cut=cut, torus=torus
     )
-    sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
-    per_part = None if weights is None else weights_of(weights, sound)
     start_device(device)
     goal = None
     if density is not None:
         from omtwarp.texturing.density import as_target
 
         goal = as_target(density, target_floor)
-    result = make_map(
-        sound.surface,
-        any_surface=any_surface,
-        quiet=quiet,
-        method=method,
-        until=until,
-        cost=cost,
-        scheme=scheme,
-        refine=refine,
-        exact=exact,
-        solver=solver,
-        weights=per_part,
-        target=goal,
-        device=device,
-    )
-    require_bijective(result)
-    if sound.origins:
-        vertices, faces = sound.origins["vertex_origin"], sound.origins["face_origin"]
-        result = replace(
-            result,
-            vertex_origin=composed(result.vertex_origin, vertices),
-            face_origin=composed(result.face_origin, faces),
+    found: list[dict[str, Any]] = []
+
+    def map_one(mesh: Path, target: Path | None) -> None:
+        sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
+        per_part = None if weights is None else weights_of(weights, sound)
+        result = make_map(
+            sound.surface,
+            any_surface=any_surface,
+            quiet=quiet,
+            method=method,
+            until=until,
+            cost=cost,
+            scheme=scheme,
+            refine=refine,
+            exact=exact,
+            solver=solver,
+            weights=per_part,
+            target=goal,
+            device=device,
         )
-    with staged(output) as file:
-        save(result, file, like=mesh, radius=radius, beside=beside)
-    if report is not None:
-        source = {"path": str(mesh), "notes": sound.notes}
-        with staged(report) as file:
-            file.write_text(report_text({"input": source, **result.report, "history": result.history}), "utf-8")
-    if not quiet:
-        print(summary(result, output))
+        require_bijective(result)
+        if sound.origins:
+            vertices, faces = sound.origins["vertex_origin"], sound.origins["face_origin"]
+            result = replace(
+                result,
+                vertex_origin=composed(result.vertex_origin, vertices),
+                face_origin=composed(result.face_origin, faces),
+            )
+        assert target is not None
+        with staged(target) as file:
+            save(result, file, like=mesh, radius=radius, beside=beside)
+        report_target = reports[targets.index(target)]
+        if report_target is not None:
+            source = {"path": str(mesh), "notes": sound.notes}
+            with staged(report_target) as file:
+                file.write_text(report_text({"input": source, **result.report, "history": result.history}), "utf-8")
+        found.append(facts_of(result, target, report_target))
+        if verbose:
+            for line in stage_lines(result):
+                say(line)
+        if not quiet and not as_json:
+            print(summary(found[-1]))
+
+    try:
+        each(meshes, targets, map_one)
+    finally:
+        if as_json:
+            print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
 
 
 def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
@@ -232,15 +272,44 @@ def image_of(result: MapResult) -> NDArray:
     return result.sphere if disk is None else np.concatenate([disk, np.zeros((len(disk), 1))], axis=1)
 
 
-def summary(result: MapResult | TorusMap, output: Path) -> str:
-    """One line about a finished map, out of its report."""
-    last = result.report["stages"][-1]
-    area, angle = last["area"]["surface"], last["angle"]["surface"]
-    size = f"{len(result.vertices)} vertices, {len(result.faces)} faces"
-    flips = result.certificate.flips
-    line = f"{output}: {size}; flips {flips}, degree {last['degree']:.6f}, area {area:.4f}, angle {angle:.4f}"
-    exact = next((stage for stage in result.report["stages"] if "largest_area_error" in stage), None)
-    if exact is not None:
-        line += f", areas of all triangles right to {exact['largest_area_error']:.1e}"
-    gap = result.report.get("optimality", {}).get("gap")
-    return line if gap is None else f"{line}, cost within {gap:.3%} of the least"
+def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> dict[str, Any]:
+    """What matters most about a finished map and where it is, ready for JSON."""
+    stages, certificate = result.report["stages"], result.certificate
+    last = stages[-1]
+    exact = next((stage for stage in stages if "largest_area_error" in stage), None)
+    return {
+        "output": str(output),
+        "report": None if report is None else str(report),
+        "vertices": len(result.vertices),
+        "faces": len(result.faces),
+        "bijective": certificate.bijective,
+        "flips": certificate.flips,
+        "degree": last["degree"],
+        "area": last["area"]["surface"],
+        "angle": last["angle"]["surface"],
+        "largest_area_error": None if exact is None else exact["largest_area_error"],
+        "gap": (result.report.get("optimality") or {}).get("gap"),
+        "seconds": result.report.get("seconds"),
+    }
+
+
+def summary(facts: dict[str, Any]) -> str:
+    """One line for readers about a finished map."""
+    size = f"{facts['vertices']} vertices, {facts['faces']} faces"
+    line = f"{facts['output']}: {size}; flips {facts['flips']}, degree {facts['degree']:.6f}"
+    line += f", area {facts['area']:.4f}, angle {facts['angle']:.4f}"
+    if facts["largest_area_error"] is not None:
+        line += f", areas of all triangles right to {facts['largest_area_error']:.1e}"
+    if facts["gap"] is not None:
+        line += f", cost within {facts['gap']:.3%} of the least"
+    return line if facts["report"] is None else f"{line}; report {facts['report']}"
+
+
+def stage_lines(result: MapResult | TorusMap) -> list[str]:
+    """What every stage did, a line each."""
+    lines = []
+    for stage in result.report["stages"]:
+        words = [f"{stage['seconds']:.2f} s", f"area {stage['area']['surface']:.4f}"]
+        words += [f"angle {stage['angle']['surface']:.4f}", f"flips {stage['flips']}"]
+        lines.append(f"{stage['name']}: {', '.join(words)}")
+    return lines

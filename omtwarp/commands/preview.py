@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption, SizeOption, as_size
+from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
@@ -34,13 +35,26 @@ class CameraProjection(StrEnum):
 
 def preview_mesh(
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help=".png, .jpg, .webp, .tif; .gif or .mp4 for films.")
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            callback=output_file(".png"),
+            help=".png, .jpg, .webp, .tif; .gif or .mp4 for films.",
+        ),
     ],
     subject: Annotated[
-        Path | None, typer.Argument(metavar="MESH", help="A mesh (textures and colours are shown) or a map (.npz).")
+        Path | None,
+        typer.Argument(
+            metavar="MESH", callback=input_file, help="A mesh (textures and colours are shown) or a map (.npz)."
+        ),
     ] = None,
     finished: Annotated[
-        Path | None, typer.Option("--map", metavar="NPZ", help="A finished map (from 'omtwarp map') to be shown.")
+        Path | None,
+        typer.Option(
+            "--map", metavar="NPZ", callback=input_file, help="A finished map (from 'omtwarp map') to be shown."
+        ),
     ] = None,
     size: SizeOption = "1024x1024",
     view: Annotated[

@@ -20,6 +20,7 @@ from omtwarp.commands._options import (
     SolverOption,
     UntilOption,
 )
+from omtwarp.commands._streams import output_file
 from omtwarp.commands.texture import PatternName
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -27,7 +28,12 @@ from omtwarp.options import MapOptions, Refinement
 
 
 def report_on_map(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help=".html, with everything in it.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE", callback=output_file(".html"), help=".html, with everything in it."
+        ),
+    ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
     image: Annotated[

@@ -21,6 +21,7 @@ from omtwarp.commands._options import (
     SolverOption,
     UntilOption,
 )
+from omtwarp.commands._streams import output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
@@ -46,7 +47,14 @@ class AtlasName(StrEnum):
 
 def texture_mesh(
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help=".glb, .obj (with .mtl and .png) or .ply.")
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            callback=output_file(".glb"),
+            help=".glb, .obj (with .mtl and .png) or .ply.",
+        ),
     ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,

@@ -1,0 +1,46 @@
+"""How commands show their help: options in groups, and examples as they are typed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer
+
+GROUPS = {
+    "Output": ("output", "report", "json_output", "as_json", "quiet", "verbose", "title"),
+    "Map": (
+        "method", "until", "cost", "scheme", "refine", "exact", "weights", "density", "target_floor", "optimality",
+        "hemisphere", "disk", "cap", "fill_area", "components", "cut", "torus",
+    ),
+    "Texture": ("image", "pattern", "projection", "atlas", "rotate", "seam"),
+    "View": (
+        "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",
+        "frames", "fps", "backend",
+    ),
+    "Computation": ("device", "devices", "solver", "repair"),
+}  # fmt: skip
+"""Options by the heading that help shows them under; others are shown last."""
+
+
+class Command(typer.core.TyperCommand):
+    """A command whose help has groups of options, and whose epilog is examples, one a line."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments, then the groups of options."""
+        rows: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                heading = next((name for name, members in GROUPS.items() if parameter.name in members), "Other")
+                rows.setdefault("Arguments" if parameter.param_type_name == "argument" else heading, []).append(record)
+        for heading in ("Arguments", *GROUPS, "Other"):
+            if heading in rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows[heading])
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples."""
+        if self.epilog:
+            with formatter.section("Examples"):
+                for line in self.epilog.splitlines():
+                    formatter.write(f"{'':{formatter.current_indent}}{line}\n")

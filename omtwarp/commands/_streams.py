@@ -1,0 +1,140 @@
+"""Standard input and output where a file may stand: ``-`` reads or writes a stream.
+
+What comes from standard input is kept in a temporary file named after the format that its first bytes tell. What goes
+to standard output is sent when the command has succeeded; what the command says meanwhile goes to standard error.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import scratch
+from omtwarp.limits import LARGEST_MESH_FILE, amount
+
+STREAM = Path("-")
+_HEADS = (
+    (b"PK", ".npz"), (b"glTF", ".glb"), (b"ply", ".ply"), (b"OFF", ".off"), (b"COFF", ".off"), (b"solid", ".stl"),
+    (b"<?xml", ".gii"), (b"\x1f\x8b", ".gii.gz"), (b"\x89PNG", ".png"), (b"\xff\xd8\xff", ".jpg"),
+    (b"\xff\xff\xfe", ""), (b"{", ".gltf"),
+)  # fmt: skip
+
+
+class _Streams:
+    """The temporary files of one run of the command line, and what their names stand for."""
+
+    def __init__(self, folder: Callable[[], Path]):
+        self.folder = folder
+        self.names: dict[str, str] = {}
+        self.output: Path | None = None
+
+    def shown(self, text: str) -> str:
+        """A text with the temporary files called what they stand for."""
+        for name, words in self.names.items():
+            text = text.replace(name, words)
+        return text
+
+
+class _Shown:
+    """A stream of text that names no temporary file."""
+
+    def __init__(self, stream: Any, streams: _Streams):
+        self._stream, self._streams = stream, streams
+
+    def write(self, text: str) -> int:
+        return self._stream.write(self._streams.shown(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+_current: _Streams | None = None
+
+
+@contextlib.contextmanager
+def standard_streams() -> Iterator[None]:
+    """Make ``-`` mean standard input and output while a command runs; send the output at its end."""
+    global _current
+    real = sys.stdout, sys.stderr
+    with contextlib.ExitStack() as stack:
+        made: list[Path] = []
+
+        def folder() -> Path:
+            if not made:
+                made.append(stack.enter_context(scratch()))
+            return made[0]
+
+        before, _current = _current, _Streams(folder)
+        streams = _current
+        try:
+            try:
+                yield
+            except SystemExit as end:
+                if end.code not in (None, 0):
+                    raise
+                _send(streams, real[0])
+                raise
+        finally:
+            _current = before
+            sys.stdout, sys.stderr = real
+
+
+def _send(streams: _Streams, stdout: Any) -> None:
+    if streams.output is not None and streams.output.exists():
+        stdout.flush()
+        stdout.buffer.write(streams.output.read_bytes())
+        stdout.buffer.flush()
+
+
+def _replace_streams(streams: _Streams) -> None:
+    if not isinstance(sys.stderr, _Shown):
+        sys.stdout, sys.stderr = _Shown(sys.stdout, streams), _Shown(sys.stderr, streams)
+
+
+def input_file(given: Any) -> Any:
+    """What a command reads: the path itself, or a file that holds standard input for ``-``; of lists, each.
+
+    Raises:
+        OmtwarpError: nothing comes from standard input, or too much.
+    """
+    if isinstance(given, list | tuple):
+        return [input_file(path) for path in given]
+    if given != STREAM or _current is None:
+        return given
+    if sys.stdin is None or sys.stdin.isatty():
+        raise OmtwarpError("standard input is a terminal: pipe a file into it, or name one")
+    data = sys.stdin.buffer.read(LARGEST_MESH_FILE + 1)
+    if not data:
+        raise OmtwarpError("standard input is empty")
+    if len(data) > LARGEST_MESH_FILE:
+        raise OmtwarpError(f"standard input has more than the {amount(LARGEST_MESH_FILE)} that a file may have")
+    suffix = next((suffix for head, suffix in _HEADS if data.startswith(head)), None)
+    if suffix is None:
+        binary_stl = len(data) >= 84 and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
+        suffix = ".stl" if binary_stl else ".obj"
+    file = _current.folder() / f"standard-input{suffix}"
+    file.write_bytes(data)
+    _current.names[str(file)] = "standard input"
+    _replace_streams(_current)
+    return file
+
+
+def output_file(suffix: str) -> Callable[[Any], Any]:
+    """What a command writes: the path itself, or for ``-`` a file of this format that is sent to standard output."""
+
+    def chosen(given: Any) -> Any:
+        if given != STREAM or _current is None:
+            return given
+        if sys.stdout.isatty():
+            raise OmtwarpError("standard output is a terminal: pipe it into a program or file, or name a file with -o")
+        _current.output = _current.folder() / f"standard-output{suffix}"
+        _current.names[str(_current.output)] = "standard output"
+        _replace_streams(_current)
+        sys.stdout = sys.stderr
+        return _current.output
+
+    return chosen

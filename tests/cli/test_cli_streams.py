@@ -1,0 +1,143 @@
+"""The command line among others: streams, JSON, several inputs, help, completion."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import typer
+
+from omtwarp.cli import EXAMPLES, SUMMARIES, app, main
+from omtwarp.files import PREFIX
+from omtwarp.mesh import shapes
+from omtwarp.mesh.write import SUFFIXES, write_mesh
+from omtwarp.result import MapResult
+
+BALL = shapes.icosphere(2)
+
+
+class Piped(io.TextIOWrapper):
+    """A standard stream that is a pipe."""
+
+    def isatty(self) -> bool:
+        return False
+
+
+def run(monkeypatch, capfdbinary, arguments, given: bytes = b"") -> tuple[int, bytes, str]:
+    """Exit status, standard output as bytes and standard error of a command that is given something."""
+    monkeypatch.setattr(sys, "stdin", Piped(io.BytesIO(given)))
+    stdout = Piped(open(1, "wb", closefd=False))
+    monkeypatch.setattr(sys, "stdout", stdout)
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    stdout.flush()
+    out, err = capfdbinary.readouterr()
+    return int(ended.value.code or 0), out, err.decode()
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with a sphere in every format, and its map."""
+    for suffix in SUFFIXES:
+        write_mesh(tmp_path / f"ball{suffix}", BALL.vertices, BALL.faces)
+    count = len(BALL.vertices)
+    MapResult(BALL.vertices, BALL.faces, BALL.vertices, BALL.vertices, np.ones(count)).save(tmp_path / "map.npz")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_standard_input_is_known_by_its_first_bytes(folder, monkeypatch, capfdbinary, suffix):
+    given = (folder / f"ball{suffix}").read_bytes()
+    status, out, err = run(monkeypatch, capfdbinary, ["check", "-"], given)
+    assert (status, err) == (0, "")
+    assert b"standard input: 42 vertices, 80 faces" in out
+    assert not list(folder.glob(PREFIX + "*"))
+
+
+def test_a_map_goes_through_a_pipe(folder, monkeypatch, capfdbinary):
+    given = (folder / "map.npz").read_bytes()
+    words = ["texture", "--map", "-", "-o", "-", "--size", "64", "--device", "cpu"]
+    status, out, err = run(monkeypatch, capfdbinary, words, given)
+    assert status == 0 and out.startswith(b"glTF") and "standard output: 42 vertices" in err
+    status, out, _ = run(monkeypatch, capfdbinary, ["check", "ball.ply", "--repair", "-o", "-"])
+    assert status == 0 and out == (folder / "ball.ply").read_bytes()
+    assert not list(folder.glob(PREFIX + "*"))
+
+
+def test_streams_that_fail_are_one_line(folder, monkeypatch, capfdbinary):
+    for given, words in ((b"", "standard input is empty"), (b"ply\nnonsense", "standard input: cannot be read as ply")):
+        status, out, err = run(monkeypatch, capfdbinary, ["check", "-"], given)
+        assert (status, out) == (1, b"") and err.startswith("omtwarp: error: " + words) and err.count("\n") == 1
+    status, out, err = run(monkeypatch, capfdbinary, ["texture", "--map", "none.npz", "-o", "-"])
+    assert (status, out) == (1, b"") and "none.npz: no such file" in err
+    assert not list(folder.glob(PREFIX + "*"))
+
+
+def test_check_of_several_meshes_as_json(folder, monkeypatch, capfdbinary):
+    write_mesh(folder / "open.ply", BALL.vertices, BALL.faces[1:])
+    words = ["check", "ball.ply", "open.ply", "none.ply", "--json"]
+    status, out, err = run(monkeypatch, capfdbinary, words)
+    sound, bad = json.loads(out)
+    assert status == 1 and sound["mappable"] and not bad["mappable"]
+    assert [defect["kind"] for defect in bad["defects"]] == ["open-boundary"]
+    assert err.splitlines()[-1] == "omtwarp: error: 2 of 3 meshes failed: open.ply, none.ply"
+    assert "none.ply: no such file" in err
+    status, out, _ = run(monkeypatch, capfdbinary, ["check", "ball.ply", "--json"])
+    assert status == 0 and json.loads(out)["vertices"] == 42
+
+
+def test_maps_of_several_meshes(folder, monkeypatch, capfdbinary):
+    words = ["map", "ball.ply", "ball.off", "-o", "maps", "--until", "conformal", "--device", "cpu"]
+    status, _, err = run(monkeypatch, capfdbinary, words)
+    assert status == 1 and "two meshes would both be written as 'maps/ball.npz'" in err
+    (folder / "other.off").write_bytes((folder / "ball.off").read_bytes())
+    words[2] = "other.off"
+    status, out, err = run(monkeypatch, capfdbinary, [*words, "--json", "--verbose", "--report", "maps"])
+    first, second = json.loads(out)
+    assert status == 0 and first["output"] == "maps/ball.npz" and first["bijective"] and first["flips"] == 0
+    assert second["report"] == "maps/other.json" and "omtwarp: conformal: " in err
+    assert sorted(path.name for path in (folder / "maps").iterdir()) == [
+        "ball.json", "ball.npz", "other.json", "other.npz",
+    ]  # fmt: skip
+
+
+def commands():
+    group = typer.main.get_command(app)
+    context = group.make_context("omtwarp", [], resilient_parsing=True)
+    return {name: group.get_command(context, name) for name in group.list_commands(context)}, context
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_help_has_examples_groups_and_a_whole_summary(name):
+    found, parent = commands()
+    command = found[name]
+    text = command.get_help(typer.Context(command, info_name=name, parent=parent))
+    assert "Examples:\n" in text and all(line in text for line in EXAMPLES[name].splitlines())
+    assert "Output:\n" in text and "Options:\n" not in text
+    assert SUMMARIES[name] in parent.command.get_help(parent)
+    for line in EXAMPLES[name].splitlines():
+        for part in line.split("|"):
+            program, *arguments = shlex.split(part)
+            if program == "omtwarp":  # it parses; the pages' tests run such lines
+                found[arguments[0]].make_context(arguments[0], arguments[1:], parent=parent).close()
+
+
+def test_every_command_is_summed_up():
+    assert set(EXAMPLES) == set(SUMMARIES) == set(commands()[0])
+
+
+def test_completion_knows_the_commands():
+    code = "from omtwarp.cli import main; main()"
+    environment = {"_OMTWARP_COMPLETE": "complete_bash", "COMP_WORDS": "omtwarp te", "COMP_CWORD": "1"}
+
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
+    assert done.stdout.split() == ["texture"]
