@@ -32,6 +32,8 @@ class CommandLine(Directive):
         usage = " ".join(["omtwarp", name, *command.collect_usage_pieces(context)])
         section += nodes.literal_block(usage, usage, language="text")
         section += [nodes.paragraph(text, text) for text in more]
+        if command.epilog:
+            section += nodes.literal_block(command.epilog, command.epilog, language="console")
         rows = []
         for parameter in command.get_params(context):
             if getattr(parameter, "hidden", False):

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.location import Locator
@@ -50,6 +49,8 @@ def image_density(image: Any, floor: float = 0.0) -> TargetDensity:
     def density(points: NDArray[np.float64]) -> NDArray[np.float64]:
         u, v = direction_to_image(points).T
         places = [(1.0 - v) * height + 0.5, u * width + 0.5]
+        from scipy.ndimage import map_coordinates  # takes a tenth of a second to import
+
         return map_coordinates(padded, places, order=1, mode="nearest")
 
     return TargetDensity(density, floor)
