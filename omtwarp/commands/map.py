@@ -132,7 +132,7 @@ def map_mesh(
     )
     from omtwarp.mesh.write import SUFFIXES
 
-    targets = outputs_of(meshes, output, ".npz")
+    targets = outputs_of(meshes, output, ".ply" if beside else ".npz")
     reports = outputs_of(meshes, report, ".json")
     for target, report_target in zip(targets, reports, strict=True):
         if target is not None:
