@@ -20,7 +20,7 @@ STREAM = Path("-")
 _HEADS = (
     (b"PK", ".npz"), (b"glTF", ".glb"), (b"ply", ".ply"), (b"OFF", ".off"), (b"COFF", ".off"), (b"solid", ".stl"),
     (b"<?xml", ".gii"), (b"\x1f\x8b", ".gii.gz"), (b"\x89PNG", ".png"), (b"\xff\xd8\xff", ".jpg"),
-    (b"\xff\xff\xfe", ""), (b"{", ".gltf"),
+    (b"\xff\xff\xfe", ""), (b"{", ".gltf"), (b"# vtk", ".vtk"),
 )  # fmt: skip
 
 

@@ -183,7 +183,7 @@ from omtwarp import cli
 def busy(*args, **options):
     print("busy", file=sys.stderr, flush=True)
     {busy}
-def save(result, file):
+def save(result, file, **options):
     file.write_bytes(b"half")
     busy()
 import omtwarp.commands.map as map_command
