@@ -68,7 +68,7 @@ SUMMARIES = {
     "align": "Turn a map so that it matches another, or the shape's own axes.",
     "resample": "Carry data or a surface from one sphere to another.",
     "check": "List what keeps meshes from being mapped, and repair them.",
-    "cohort": "Map many surfaces: a process each, with limits; one table, one page.",
+    "cohort": "Map many surfaces, a process each, to one table and one page.",
     "spharm": "Expand a surface in spherical harmonics over its map.",
     "demo": "Make a shape, map it, texture it and draw it.",
     "benchmark": "Time every stage and its memory on meshes of several sizes.",

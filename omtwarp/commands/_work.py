@@ -109,7 +109,8 @@ def each(meshes: Sequence[Path], targets: Sequence[Path | None], action: Callabl
         except OmtwarpError as error:
             if len(meshes) == 1:
                 raise
-            say(str(error))
+            words = str(error)
+            say(words if str(mesh) in words else f"{mesh}: {words}")
             failed.append(str(mesh))
     if failed:
         raise OmtwarpError(f"{len(failed)} of {len(meshes)} meshes failed: {', '.join(failed)}")

@@ -309,7 +309,8 @@ def stage_lines(result: MapResult | TorusMap) -> list[str]:
     """What every stage did, a line each."""
     lines = []
     for stage in result.report["stages"]:
-        words = [f"{stage['seconds']:.2f} s", f"area {stage['area']['surface']:.4f}"]
-        words += [f"angle {stage['angle']['surface']:.4f}", f"flips {stage['flips']}"]
+        words = [f"{stage['seconds']:.2f} s"] if "seconds" in stage else []
+        words += [f"{kind} {stage[kind]['surface']:.4f}" for kind in ("area", "angle")]
+        words += [f"flips {stage['flips']}"] if "flips" in stage else []
         lines.append(f"{stage['name']}: {', '.join(words)}")
     return lines

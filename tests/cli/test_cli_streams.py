@@ -11,6 +11,7 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 import typer
 
 from omtwarp.cli import EXAMPLES, SUMMARIES, app, main
@@ -107,6 +108,23 @@ def test_maps_of_several_meshes(folder, monkeypatch, capfdbinary):
     assert sorted(path.name for path in (folder / "maps").iterdir()) == [
         "ball.json", "ball.npz", "other.json", "other.npz",
     ]  # fmt: skip
+
+
+def test_torus_and_exact_maps_of_several_meshes(folder, monkeypatch, capfdbinary):
+    ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+    write_mesh(folder / "ring.ply", ring.vertices, ring.faces)
+    status, out, err = run(
+        monkeypatch, capfdbinary, ["map", "ring.ply", "ball.ply", "-o", "maps", "--torus", "-q", "-v"]
+    )
+    assert status == 1 and not out and (folder / "maps/ring.npz").exists() and "omtwarp: omt: area " in err
+    assert "omtwarp: ball.ply: only a closed, connected surface of genus 1" in err
+    status, out, err = run(monkeypatch, capfdbinary, ["map", "ring.ply", "-o", "ring.obj", "--torus"])
+    assert status == 1 and err == (
+        "omtwarp: error: a map to a torus is written as .npz, or as .glb with a texture that repeats\n"
+    )
+    status, out, _ = run(monkeypatch, capfdbinary, ["map", "ball.ply", "-o", "ball.npz", "--exact", "-q", "--json"])
+    found = json.loads(out)
+    assert status == 0 and found["faces"] == 4 * len(BALL.faces) and found["largest_area_error"] < 1e-6
 
 
 def commands():
