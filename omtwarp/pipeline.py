@@ -462,7 +462,7 @@ class _Run:
     def keep_every_area(self) -> None:
         """The optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
 
-        def tell(stage: str, done: int, total: int, details: dict[str, Any]) -> None:
+        def notify(stage: str, done: int, total: int, details: dict[str, Any]) -> None:
             self.notify(EXACT, done, total, details)
 
         give_back()
@@ -480,7 +480,9 @@ class _Run:
         # Great circles cut what is one to one into what is one to one, but for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.mend(self.sphere, self.sphere)
-        found = exact_map(quartered, before, start=self.source, shape_weight=weight, device=self.device, progress=tell)
+        found = exact_map(
+            quartered, before, start=self.source, shape_weight=weight, device=self.device, progress=notify
+        )
         known = len(self.history)
         self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
         sphere, repaired = self.mend(before, found.sphere)

@@ -96,7 +96,7 @@ def _replace_streams(streams: _Streams) -> None:
 
 
 def input_file(given: Any) -> Any:
-    """What a command reads: the path itself, or a file that holds standard input for ``-``; of lists, each.
+    """Return the path to read: the one given, or a file that holds standard input for ``-``; of lists, each.
 
     Raises:
         OmtwarpError: nothing comes from standard input, or too much.
@@ -124,7 +124,7 @@ def input_file(given: Any) -> Any:
 
 
 def output_file(suffix: str) -> Callable[[Any], Any]:
-    """What a command writes: the path itself, or for ``-`` a file of this format that is sent to standard output."""
+    """Return a callback for paths to write: for ``-`` a file of this format that is sent to standard output."""
 
     def chosen(given: Any) -> Any:
         if given != STREAM or _current is None:

@@ -66,7 +66,7 @@ def check_mesh(
 
 
 def facts_of(mesh: Path, repair: bool, target: Path | None) -> dict[str, Any]:
-    """What is wrong with a mesh, ready for JSON; the repaired mesh is written where a target is given.
+    """List what is wrong with a mesh, ready for JSON; write the repaired mesh where a target is given.
 
     Raises:
         OmtwarpError: the file cannot be read, or the repaired mesh cannot be written.

@@ -273,7 +273,7 @@ def image_of(result: MapResult) -> NDArray:
 
 
 def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> dict[str, Any]:
-    """What matters most about a finished map and where it is, ready for JSON."""
+    """Sum up a finished map and where it was written, ready for JSON."""
     stages, certificate = result.report["stages"], result.certificate
     last = stages[-1]
     exact = next((stage for stage in stages if "largest_area_error" in stage), None)
@@ -306,7 +306,7 @@ def summary(facts: dict[str, Any]) -> str:
 
 
 def stage_lines(result: MapResult | TorusMap) -> list[str]:
-    """What every stage did, a line each."""
+    """Describe every stage of a map in a line."""
     lines = []
     for stage in result.report["stages"]:
         words = [f"{stage['seconds']:.2f} s"] if "seconds" in stage else []

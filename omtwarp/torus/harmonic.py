@@ -90,7 +90,7 @@ def conformal_torus(surface: Surface) -> FlatTorus:
 
 
 def _reduced(values: Floats, jumps: NDArray[np.int64], lattice: Floats) -> FlatTorus:
-    """The same torus with the shortest vectors of its lattice, the first along the x axis (Gauss's reduction)."""
+    """Change to the shortest vectors of the torus's lattice, the first along the x axis (Gauss's reduction)."""
     change = np.eye(2, dtype=np.int64)
     while True:
         if lattice[1] @ lattice[1] < lattice[0] @ lattice[0] * (1.0 - 1e-12):

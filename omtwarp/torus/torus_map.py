@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TorusCertificate:
-    """What was established about a map to a torus.
+    """Facts established about a map to a torus: its flips and its degree.
 
     Attributes:
         flips: triangles that are not counter-clockwise in the universal cover, decided exactly.
@@ -49,7 +49,7 @@ class TorusCertificate:
         return self.flips == 0 and self.degree == 1
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain values, ready for JSON."""
+        """Return plain values, ready for JSON."""
         return vars(self) | {"bijective": self.bijective}
 
     def __str__(self) -> str:
@@ -74,6 +74,16 @@ class TorusMap:
         face_origin: the same of the faces, shape [F].
         history: one record per step of the transport.
         report: how the map was made, ready for JSON.
+
+    Example:
+        >>> import trimesh
+        >>> from omtwarp import map_surface
+        >>> ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+        >>> result = map_surface(ring, domain="torus")
+        >>> result
+        TorusMap(72 vertices, 144 faces)
+        >>> result.certificate.flips, result.certificate.degree
+        (0, 1)
     """
 
     vertices: Floats
@@ -99,7 +109,7 @@ class TorusMap:
 
     @cached_property
     def certificate(self) -> TorusCertificate:
-        """What is certain about the map, established from its arrays when first asked for."""
+        """The flips and the degree of the map, established from its arrays at the first access."""
         corner = self.corners.reshape(-1, 2)
         lifted = np.concatenate([corner, np.ones((len(corner), 1))], axis=1)
         flipped = np.flatnonzero(flipped_faces(lifted, np.arange(len(corner)).reshape(-1, 3)))
@@ -231,11 +241,11 @@ def map_to_torus(surface: Surface, *, progress: Any = None) -> TorusMap:
         progress("conformal", 0, 1, {})
     start = conformal_torus(surface)
 
-    def tell(done: int, total: int, details: dict[str, Any]) -> None:
+    def notify(done: int, total: int, details: dict[str, Any]) -> None:
         if progress is not None:
             progress("omt", done, total, details)
 
-    moved = transport_on_torus(surface, start, progress=tell)
+    moved = transport_on_torus(surface, start, progress=notify)
     coordinates = quantised(start.coordinates + moved.displacement @ np.linalg.inv(start.lattice))
     area = float(triangle_areas(surface.vertices, surface.faces).sum())
     result = TorusMap(
