@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hostile_meshes import prism
 
 from omtwarp.flips.rings import is_bijective
+from omtwarp.mesh.surface import Surface
 from omtwarp.pipeline import map_to_sphere
 
 
@@ -23,4 +25,11 @@ def test_prisms_with_caps_of_long_triangles(count, height):
     for name, sphere in every_stage(result).items():
         assert is_bijective(sphere, faces), name
     assert result.bijective
-    assert result.distortion().area["surface"] < 2.1
+    # The map keeps areas around vertices. Those of triangles differ within them: 2.12 at the minimum for (300, 0.3).
+    corners = result.sphere[faces]
+    dots = [(corners[:, k] * corners[:, k - 1]).sum(axis=1) for k in range(3)]
+    solid = 2.0 * np.arctan2(np.linalg.det(corners), 1.0 + sum(dots))
+    shares = np.bincount(faces.ravel(), np.repeat(solid, 3)) / (12.0 * np.pi)
+    areas = Surface(vertices, faces).vertex_areas
+    assert np.abs(shares / (areas / areas.sum()) - 1.0).max() < 1e-3
+    assert result.distortion().area["surface"] < 2.15
