@@ -26,57 +26,13 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components, dijkstra
-
 import omtwarp
+from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
 from omtwarp.pipeline import as_surface
 
-LEVELS = 60
-LEAST_SHARE = 0.01  # smaller caps have few triangles
 LENGTHS = (4.0, 12.0, 24.0)
-
-
-def vertices_needed(share: float | np.ndarray, face_count: int) -> float | np.ndarray:
-    """How many vertices a ring needs that cuts off this share of the area of a mesh of so many faces."""
-    return 4.0 * np.pi * np.sqrt(share * (1.0 - share)) * (face_count / (64.0 * np.pi)) ** (1.0 / 3.0)
-
-
-def rings(surface: Surface) -> Iterator[tuple[float, float]]:
-    """Vertices and share of area cut off, of the rings at even distances from an end of the surface.
-
-    What lies farther than a distance falls into pieces, one for every limb, each with one ring around it. The edges
-    that cross the ring are as many as there are vertices on both its sides together.
-    """
-    start, end = surface.edges.astype(np.int64).T
-    count = surface.vertex_count
-    lengths = np.linalg.norm(surface.vertices[start] - surface.vertices[end], axis=1)
-    graph = sparse.csr_matrix((lengths, (start, end)), shape=(count, count))
-    pole = int(np.argmax(dijkstra(graph, directed=False, indices=0)))
-    distance = dijkstra(graph, directed=False, indices=pole)
-    areas = surface.vertex_areas / surface.vertex_areas.sum()
-    for level in np.linspace(0.0, distance.max(), LEVELS + 2)[1:-1]:
-        far = distance >= level
-        inside = far[start] & far[end]
-        kept = sparse.csr_matrix((np.ones(inside.sum()), (start[inside], end[inside])), shape=(count, count))
-        pieces, piece = connected_components(kept, directed=False)
-        crossing = far[start] != far[end]
-        outer = np.where(far[start], start, end)[crossing]
-        shares = np.bincount(piece[far], areas[far], minlength=pieces)
-        crossings = np.bincount(piece[outer], minlength=pieces)
-        for k in np.flatnonzero((shares > LEAST_SHARE) & (shares < 1.0 - LEAST_SHARE)):
-            yield crossings[k] / 2.0, float(shares[k])
-
-
-def thinnest_ring(surface: Surface) -> tuple[float, float, float]:
-    """Vertices, vertices needed and share of the ring for which these two compare worst."""
-    found = np.array(list(rings(surface)))
-    needed = vertices_needed(found[:, 1], surface.face_count)
-    worst = int(np.argmin(found[:, 0] / needed))
-    return float(found[worst, 0]), float(needed[worst]), float(found[worst, 1])
 
 
 def read_surfaces(paths: list[str]) -> Iterator[tuple[str, Surface]]:
@@ -101,7 +57,12 @@ def main() -> None:
     given = read_surfaces(options.meshes) if options.meshes else made_tubes(options.faces)
     print(f"{'':34s} vertices needed ratio share     area    p95  angle")
     for name, surface in given:
-        around, needed, share = thinnest_ring(surface)
+        ring = thinnest_ring(surface)
+        if ring is None:
+            print(f"{name[-34:]:34s} no ring cuts off more than a hundredth of the area")
+            continue
+        around, share = ring.around, ring.share
+        needed = vertices_needed(share, surface.face_count)
         judged = omtwarp.map_to_sphere(surface, device=options.device).distortion()
         print(
             f"{name[-34:]:34s} {around:8.1f} {needed:6.1f} {around / needed:5.2f} {share:5.3f} "

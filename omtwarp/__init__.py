@@ -18,6 +18,7 @@ _PUBLIC = {
     "MapResult": "omtwarp.result",
     "SurfaceMap": "omtwarp.surface_map",
     "OmtwarpError": "omtwarp.errors",
+    "OmtwarpWarning": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
     "TargetDensity": "omtwarp.measures",
     "align": "omtwarp.alignment",
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from omtwarp.conformal import conformal_map as conformal_map
     from omtwarp.conformal import mobius_centring as mobius_centring
     from omtwarp.errors import OmtwarpError as OmtwarpError
+    from omtwarp.errors import OmtwarpWarning as OmtwarpWarning
     from omtwarp.measures import TargetDensity as TargetDensity
     from omtwarp.measures import weighted_surface as weighted_surface
     from omtwarp.mesh import shapes as shapes

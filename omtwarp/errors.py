@@ -1,4 +1,4 @@
-"""The one exception a user of omtwarp has to know, and the form in which a terminal shows its text."""
+"""The one exception a user of omtwarp has to know, the category of its warnings, and their form in a terminal."""
 
 
 class OmtwarpError(ValueError):
@@ -27,3 +27,16 @@ def one_line(text: str) -> str:
         character if character.isprintable() else character.encode("unicode_escape", "backslashreplace").decode()
         for character in " ".join(text.split())
     )
+
+
+class OmtwarpWarning(UserWarning):
+    """A map that is one to one, but less good than it should be: the measure, the worst place and what would help.
+
+    Example:
+        >>> import warnings, omtwarp
+        >>> with warnings.catch_warnings(record=True) as caught:
+        ...     warnings.simplefilter("always", omtwarp.OmtwarpWarning)
+        ...     result = omtwarp.map_to_sphere(omtwarp.shapes.icosphere(4), device="cpu")
+        >>> len(caught), result.report["warnings"]
+        (0, [])
+    """

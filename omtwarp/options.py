@@ -192,6 +192,7 @@ class MapOptions:
         optimality: whether the map's distance from the optimum is bounded too.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         solver: how sparse systems are solved.
+        strict: whether what a map would be warned of is an error.
     """
 
     method: Method = Method.OMT
@@ -203,6 +204,7 @@ class MapOptions:
     optimality: bool = True
     device: str = "auto"
     solver: Solver = Solver.AUTO
+    strict: bool = False
 
     @classmethod
     def parse(
@@ -217,6 +219,7 @@ class MapOptions:
         optimality: bool,
         device: str | None,
         solver: str,
+        strict: bool = False,
     ) -> MapOptions:
         """Read options as users write them.
 
@@ -233,6 +236,7 @@ class MapOptions:
             optimality=bool(optimality),
             device=parse_device(device),
             solver=choose(Solver, solver),
+            strict=bool(strict),
         )
         optimal = options.method is Method.OMT and Stage.OMT in options.stages and options.refine is None
         if options.exact and not (optimal and options.cost is Cost.SQUARED and options.scheme is Scheme.DEFAULT):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from omtwarp.device.memory import give_back
 from omtwarp.device.policy import resolve_device, solving_with, wanted_solver
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.flips.guard import hold_back
 from omtwarp.flips.predicates import count_flips
 from omtwarp.flips.rings import is_bijective
@@ -46,6 +47,7 @@ from omtwarp.transport.paper import paper_flow
 from omtwarp.transport.polish import MAX_ROUNDS as POLISH_ROUNDS
 from omtwarp.transport.polish import polish_transport
 from omtwarp.untangling.untangle import RepairBudget, untangle
+from omtwarp.verdict import judge, refusal
 from omtwarp.version import package_version
 
 # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended, about
@@ -100,6 +102,7 @@ def map_to_sphere(
     target: Any = None,
     device: str | None = MapOptions.device,
     solver: str = MapOptions.solver,
+    strict: bool = MapOptions.strict,
     progress: Progress | None = None,
 ) -> MapResult:
     """Map a closed genus-0 surface to the unit sphere.
@@ -125,13 +128,18 @@ def map_to_sphere(
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         solver: how sparse systems are solved: ``scipy``, the plain way; ``cholesky`` on the host or ``multigrid`` on
             the device, built in; ``auto`` takes the built-in one that pays. The maps are the same to round-off.
+        strict: raise an error for a map that would come with a warning.
         progress: called as ``progress(stage, done, total, details)``.
 
     Returns:
         The map, in the order of the input's vertices.
 
     Raises:
-        OmtwarpError: the mesh cannot be mapped, or an option is unknown.
+        OmtwarpError: the mesh cannot be mapped, or an option is unknown; with ``strict`` also in place of a warning.
+
+    Warns:
+        OmtwarpWarning: areas are not kept as they should be, or the optimal map was not found: the measure, the worst
+            place and what would help. The texts are in ``report["warnings"]`` too.
 
     Example:
         >>> import omtwarp
@@ -151,6 +159,7 @@ def map_to_sphere(
         optimality=optimality,
         device=device,
         solver=solver,
+        strict=strict,
     )
     where = resolve_device(options.device)
     density = as_target(target, device=str(where))
@@ -160,7 +169,10 @@ def map_to_sphere(
         raise OmtwarpError("exact areas are for the uniform sphere: leave the target density out")
     surface = weighted_surface(as_surface(mesh), weights)
     with solving_with(options.solver):
-        return _Run(surface, options, str(where), progress, density).result()
+        result = _Run(surface, options, str(where), progress, density).result()
+    for finding in result.report["warnings"]:
+        warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
+    return result
 
 
 class _Run:
@@ -274,7 +286,13 @@ class _Run:
         transported = self.maps.get(Stage.OMT)
         face_density, vertex_density = density(surface, first)
         certificate = self.certificate()
-        report = self.report() | {"certificate": certificate.to_dict()}
+        found = judge(self.goal(self.sphere), self.sphere, self.records, options, uniform=self.target is None)
+        if found and options.strict:
+            raise refusal(found)
+        report = self.report() | {
+            "certificate": certificate.to_dict(),
+            "warnings": [finding.to_dict() for finding in found],
+        }
         if optimality is not None:
             report["optimality"] = optimality
         result = MapResult(

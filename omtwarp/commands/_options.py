@@ -94,6 +94,9 @@ RepairOption = Annotated[
         help="Mend the mesh first: equal vertices, orientation, small holes, the largest component; says what it did.",
     ),
 ]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="Refuse a map that would come with a warning: exit status 1, no output.")
+]
 ExactOption = Annotated[
     bool,
     typer.Option(

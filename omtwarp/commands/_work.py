@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -157,7 +158,7 @@ def report_text(report: Any) -> str:
 
 
 def make_map(surface: Surface, *, quiet: bool, any_surface: dict[str, Any] | None = None, **options: Any) -> Any:
-    """Map a mesh with a progress bar.
+    """Map a mesh with a progress bar; its warnings are lines on standard error.
 
     Args:
         surface: what to map.
@@ -166,14 +167,26 @@ def make_map(surface: Surface, *, quiet: bool, any_surface: dict[str, Any] | Non
         options: those of :func:`omtwarp.map_to_sphere`.
     """
     from omtwarp.commands._progress import progress_bar
+    from omtwarp.errors import OmtwarpWarning
     from omtwarp.pipeline import map_to_sphere
 
-    with progress_bar(quiet) as progress:
-        if any_surface is not None:
-            from omtwarp.any_surface import map_surface
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", OmtwarpWarning)
+        with progress_bar(quiet) as progress:
+            if any_surface is not None:
+                from omtwarp.any_surface import map_surface
 
-            return map_surface(surface, progress=progress, **any_surface, **options)
-        return map_to_sphere(surface, progress=progress, **options)
+                result: Any = map_surface(surface, progress=progress, **any_surface, **options)
+            else:
+                result = map_to_sphere(surface, progress=progress, **options)
+    for each_warning in caught:
+        if issubclass(each_warning.category, OmtwarpWarning):
+            say(f"warning: {each_warning.message}")
+        else:
+            warnings.showwarning(
+                each_warning.message, each_warning.category, each_warning.filename, each_warning.lineno
+            )
+    return result
 
 
 def require_bijective(result: MapResult, path: Path | None = None) -> None:

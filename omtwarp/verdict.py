@@ -1,0 +1,179 @@
+"""What a map or a mesh is warned of: measures, their limits, the worst place, and what would help, in one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.options import MapOptions, Method, Refinement, Stage
+from omtwarp.result import StageRecord
+from omtwarp.spheres import triangle_solid_angles
+
+# Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are
+# below 2.04, where flat triangles are a coarse picture of the sphere, and fine ones at 2.001.
+MAX_AREA_DISTORTION = 2.05
+# Relative error of the area around a vertex. Where the optimal map is found it is at round-off.
+MAX_VERTEX_AREA_ERROR = 0.10
+# An equilateral triangle with its corners on the sphere has the largest area, 3 sqrt(3) / 4: this share of 4π. With a
+# share of 0.086 the map of a small sphere is at 2.16.
+LARGE_FACE = 0.05
+# Vertices around a limb for those needed. Irregular tubes keep area at 1.3, and reach 2.004 at 1.1 and 2.03 at 0.9.
+ENOUGH_VERTICES = 1.1
+# Triangles count as long where the longest edge is so many times the height over it, and matter where they have this
+# share of the area, as on flat sides that are triangulated without a vertex inside, and where radii are noise: on
+# spheres with log-normal radii of 0.2, 0.32 and 0.5 the share is 0.08, 0.23 and 0.65, the distortion 2.04, 2.08, 2.11.
+LONG_TRIANGLE, LONG_SHARE = 5.0, 0.2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a map or a mesh is warned of.
+
+    Attributes:
+        kind: a short, stable name: ``area-distortion``, ``vertex-areas`` or ``not-converged`` of a map; ``large-face``,
+            ``coarse-limb`` or ``long-triangles`` of a mesh.
+        where: index of the worst face or vertex, as the message says; -1 where there is none to name.
+        message: the measure and the worst place.
+        remedy: what would help.
+    """
+
+    kind: str
+    where: int
+    message: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.message}; {self.remedy}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The finding as plain values, ready for JSON."""
+        return {"kind": self.kind, "where": self.where, "text": str(self)}
+
+
+def foretell(surface: Surface) -> list[Finding]:
+    """List what may keep the map of a valid mesh from keeping areas, before it is made."""
+    found = []
+    share = surface.own_areas / SPHERE_AREA
+    worst = int(np.argmax(share))
+    if share[worst] > LARGE_FACE:
+        text = f"face {worst} {_place_of_face(surface, worst)} has {share[worst]:.1%} of the area"
+        found.append(Finding("large-face", worst, text, "split large triangles"))
+    ring = thinnest_ring(surface)
+    if ring is not None:
+        needed = vertices_needed(ring.share, surface.face_count)
+        if ring.around < ENOUGH_VERTICES * needed:
+            text = (
+                f"about {ring.around:.0f} vertices around a limb with {ring.share:.1%} of the area, at vertex "
+                f"{ring.vertex} {_place(surface.vertices[ring.vertex])}, where {needed:.1f} are needed"
+            )
+            remedy = "remesh with more vertices around the limb, or use --refine area"
+            found.append(Finding("coarse-limb", ring.vertex, text, remedy))
+    long = elongation(surface)
+    share_long = float(share[long > LONG_TRIANGLE].sum())
+    if share_long > LONG_SHARE:
+        worst = int(np.argmax(np.where(long > LONG_TRIANGLE, share, 0.0)))
+        text = (
+            f"triangles {LONG_TRIANGLE:.0f} times as long as high have {share_long:.0%} of the area, the largest is "
+            f"face {worst} {_place_of_face(surface, worst)}"
+        )
+        found.append(Finding("long-triangles", worst, text, "remesh the long triangles into even ones"))
+    return found
+
+
+def elongation(surface: Surface) -> NDArray[np.float64]:
+    """Longest edge of every triangle over the height above it, shape [F]; 1.15 for an equilateral one."""
+    corners = surface.scaled_vertices[surface.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    return edges.max(axis=1) ** 2 / np.maximum(2.0 * surface.own_areas, np.finfo(np.float64).tiny)
+
+
+def judge(
+    goal: Surface,
+    sphere: NDArray[np.float64],
+    records: Iterable[StageRecord],
+    options: MapOptions,
+    *,
+    uniform: bool = True,
+) -> list[Finding]:
+    """List what a map is to be warned of; nothing of areas where the options do not ask for a map that keeps them.
+
+    Args:
+        goal: the surface, with the area that each of its triangles is to have on the sphere.
+        sphere: the map, unit vectors, shape [V, 3].
+        records: of its stages.
+        options: how it was made.
+        uniform: whether the sphere is to be filled evenly; areas around vertices are not judged otherwise.
+    """
+    if options.method is not Method.OMT or Stage.OMT not in options.stages:
+        return []
+    found = []
+    remedy = ""
+    if options.refine in (None, Refinement.AREA):
+        found = _area_findings(goal, sphere, uniform)
+    unfinished = [record for record in records if record.details.get("converged") is False and record.name != "refine"]
+    if found or unfinished:
+        causes = foretell(goal)
+        remedy = causes[0].remedy if causes else "remesh with more triangles, evenly shaped"
+        if causes:
+            remedy += f" ({causes[0].message})"
+        elif options.refine is None and uniform:
+            remedy += ", or use --refine area"
+    for record in unfinished:
+        text = f"the stage {record.name} did not converge: {record.details.get('ended') or 'most steps taken'}"
+        if record.details.get("gave_up"):
+            text += f", {record.details['gave_up']}"
+        found.append(Finding("not-converged", -1, text, ""))
+    return [Finding(each.kind, each.where, each.message, remedy) for each in found]
+
+
+def refusal(found: Sequence[Finding]) -> OmtwarpError:
+    """The error that stands for warnings where they are not accepted: the first in full, and the other kinds."""
+    others = ", ".join(finding.kind for finding in found[1:])
+    return OmtwarpError(f"not accepted with --strict: {found[0]}" + (f" (also: {others})" if others else ""))
+
+
+def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool) -> list[Finding]:
+    """What the areas of triangles and those around vertices are warned of."""
+    found = []
+    image = triangle_areas(sphere, goal.faces)
+    with np.errstate(divide="ignore"):
+        ratio = image / image.sum() * SPHERE_AREA / goal.face_areas
+        parts = goal.face_areas / SPHERE_AREA * (ratio + 1.0 / ratio)
+    mean = float(parts.sum())
+    if not mean < MAX_AREA_DISTORTION:
+        worst = int(np.argmax(parts - 2.0 * goal.face_areas / SPHERE_AREA))
+        text = (
+            f"area distortion {mean:.4g}, where 2 is perfect, most of it in face {worst} "
+            f"{_place_of_face(goal, worst)}, whose image has {ratio[worst]:.3g} times its area"
+        )
+        found.append(Finding("area-distortion", worst, text, ""))
+    if uniform:
+        around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
+        error = np.abs(around / (3.0 * goal.vertex_areas) - 1.0)
+        worst = int(np.argmax(error))
+        off = int((error > MAX_VERTEX_AREA_ERROR).sum())
+        if off:
+            text = (
+                f"areas around {off} vertices are off by more than {MAX_VERTEX_AREA_ERROR:.0%}, the most by "
+                f"{error[worst]:.0%} at vertex {worst} {_place(goal.vertices[worst])}"
+            )
+            found.append(Finding("vertex-areas", worst, text, ""))
+    return found
+
+
+def _place_of_face(surface: Surface, face: int) -> str:
+    return _place(surface.vertices[surface.faces[face]].mean(axis=0))
+
+
+def _place(point: NDArray[np.float64]) -> str:
+    return f"at ({', '.join(f'{coordinate:.4g}' for coordinate in point)})"
+
+
+__all__ = ["Finding", "elongation", "foretell", "judge", "refusal"]

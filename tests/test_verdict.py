@@ -1,0 +1,112 @@
+"""What maps are warned of, what ``strict`` makes of it, and that good maps are silent."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.mesh.shapes import blob, flip_edges, icosphere, tube
+from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.options import MapOptions
+from omtwarp.pipeline import map_to_sphere
+from omtwarp.result import StageRecord
+from omtwarp.verdict import elongation, foretell, judge
+
+sys.path.insert(0, str(Path(__file__).parent / "hostile"))
+from hostile_meshes import large_face, needle_pair, prism
+
+
+def kinds(result):
+    return [finding["kind"] for finding in result.report["warnings"]]
+
+
+def test_a_face_with_forty_percent_of_the_area_is_named_with_its_place():
+    vertices, faces = large_face(0.4, 3)
+    with pytest.warns(OmtwarpWarning, match=r"area distortion 2\.\d+.*face 0 at \(.*split large triangles") as caught:
+        result = map_to_sphere((vertices, faces), device="cpu")
+    assert kinds(result)[0] == "area-distortion"
+    assert [str(each.message) for each in caught] == [finding["text"] for finding in result.report["warnings"]]
+    assert all("\n" not in finding["text"] for finding in result.report["warnings"])
+    json.dumps(result.report["warnings"])
+    areas = triangle_areas(vertices, faces)
+    assert result.report["warnings"][0]["where"] == np.argmax(areas) == 0
+    with pytest.raises(OmtwarpError, match=r"--strict: area distortion"):
+        map_to_sphere((vertices, faces), device="cpu", strict=True)
+
+
+def test_a_plate_as_cad_programs_write_it():
+    with pytest.warns(OmtwarpWarning, match="long triangles"):
+        result = map_to_sphere(prism(40, 0.02, "fan"), device="cpu")
+    assert set(kinds(result)) >= {"area-distortion", "vertex-areas"}
+
+
+@pytest.mark.parametrize("ratio", [1e2, 1e8])
+def test_a_pair_of_needles_is_mapped_in_silence(ratio):
+    """The triangles are hard to map and the map is good all the same: it is what comes out that is warned of."""
+    vertices, faces = needle_pair(ratio)
+    assert elongation(Surface(vertices, faces)).max() > 0.9 * ratio
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", OmtwarpWarning)
+        assert kinds(map_to_sphere((vertices, faces), device="cpu", strict=True)) == []
+
+
+def test_good_maps_are_silent():
+    for surface in (icosphere(3), blob(seed=3, sphere=320), tube(4.0, face_count=600)):
+        assert foretell(surface) == []
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", OmtwarpWarning)
+            assert kinds(map_to_sphere(surface, device="cpu", strict=True, optimality=False)) == []
+
+
+def test_maps_that_do_not_promise_areas_are_silent():
+    vertices, faces = large_face(0.4, 3)
+    for options in ({"until": "moser"}, {"method": "haker"}, {"method": "tutte"}):
+        assert kinds(map_to_sphere((vertices, faces), device="cpu", strict=True, **options)) == []
+
+
+def test_the_worst_vertex_is_the_one_that_was_moved():
+    sphere = icosphere(4)
+    points = sphere.vertices.copy()
+    moved = 17
+    neighbour = sphere.edges[(sphere.edges == moved).any(axis=1)][0].sum() - moved
+    points[moved] = points[moved] + 0.45 * (points[neighbour] - points[moved])
+    points[moved] /= np.linalg.norm(points[moved])
+    goal = Surface(sphere.vertices, sphere.faces)
+    assert judge(goal, sphere.vertices, [], MapOptions()) == []
+    found = {finding.kind: finding for finding in judge(goal, points, [], MapOptions())}
+    assert "area-distortion" not in found  # one vertex of 160
+    near = {moved, *sphere.edges[(sphere.edges == moved).any(axis=1)].ravel().tolist()}
+    assert found["vertex-areas"].where in near
+    assert "at (" in str(found["vertex-areas"])
+
+
+def test_a_stage_that_did_not_converge_is_said():
+    sphere = icosphere(3)
+    measured = {"flips": 0, "degree": 1.0, "finite": True, "area": {}, "angle": {}}
+    details = {"converged": False, "ended": "no step lowers the cost", "gave_up": "3 flipped triangles were held back"}
+    record = StageRecord("omt", 0.0, 1, **measured, transport_cost=0.0, details=details)
+    (finding,) = judge(sphere, sphere.vertices, [record], MapOptions())
+    assert finding.kind == "not-converged"
+    assert "omt did not converge: no step lowers the cost, 3 flipped" in str(finding)
+    assert "remesh" in finding.remedy
+
+
+def test_what_is_foretold_names_the_cause():
+    assert next(finding.kind for finding in foretell(Surface(*large_face(0.4, 5)))) == "large-face"
+    assert [finding.kind for finding in foretell(Surface(*prism(40, 0.02, "fan")))] == ["long-triangles"]
+    limb = foretell(flip_edges(tube(19.0, face_count=500), rounds=3))
+    assert [finding.kind for finding in limb] == ["coarse-limb"]
+    assert "vertices around a limb" in str(limb[0]) and 0 <= limb[0].where < 252
+
+
+@pytest.mark.parametrize("scale", [1e-120, 1e140])
+def test_what_is_foretold_does_not_depend_on_the_scale(scale):
+    vertices, faces = large_face(0.3, 4)
+    same = foretell(Surface(vertices, faces)), foretell(Surface(scale * vertices, faces))
+    assert [(a.kind, a.where) for a in same[0]] == [(a.kind, a.where) for a in same[1]]
