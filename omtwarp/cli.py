@@ -20,6 +20,8 @@ from omtwarp.commands.benchmark import benchmark
 from omtwarp.commands.check import check_mesh
 from omtwarp.commands.cohort import cohort
 from omtwarp.commands.demo import demo
+from omtwarp.commands.distance import distance
+from omtwarp.commands.group import group
 from omtwarp.commands.map import map_mesh
 from omtwarp.commands.preview import preview_mesh
 from omtwarp.commands.report import report_on_map
@@ -55,6 +57,8 @@ EXAMPLES = {
         "omtwarp spharm left.npz -o left.coef --degree 15 --reconstruction smooth.ply\n"
         "omtwarp spharm left.npz -o left.csv --fit quadrature --json"
     ),
+    "distance": "omtwarp distance left.npz right.npz --json",
+    "group": "omtwarp group subjects.csv -o study\nomtwarp group left.npz right.npz -o study --grid ico3",
     "demo": "omtwarp demo -o out",
     "benchmark": ("omtwarp benchmark --sizes 5k,20k --repeats 1\nomtwarp benchmark scan.ply --sizes none --json -"),
 }
@@ -70,6 +74,8 @@ SUMMARIES = {
     "check": "List what keeps meshes from being mapped, and repair them.",
     "cohort": "Map many surfaces, a process each, to one table and one page.",
     "spharm": "Expand a surface in spherical harmonics over its map.",
+    "distance": "Measure how far two shapes are apart, from their maps.",
+    "group": "Mean, components and differences of a group of maps.",
     "demo": "Make a shape, map it, texture it and draw it.",
     "benchmark": "Time every stage and its memory on meshes of several sizes.",
 }
@@ -91,6 +97,8 @@ app.command("resample", cls=Command, short_help=SUMMARIES["resample"], epilog=EX
 app.command("check", cls=Command, short_help=SUMMARIES["check"], epilog=EXAMPLES["check"])(check_mesh)
 app.command("cohort", cls=Command, short_help=SUMMARIES["cohort"], epilog=EXAMPLES["cohort"])(cohort)
 app.command("spharm", cls=Command, short_help=SUMMARIES["spharm"], epilog=EXAMPLES["spharm"])(spharm)
+app.command("distance", cls=Command, short_help=SUMMARIES["distance"], epilog=EXAMPLES["distance"])(distance)
+app.command("group", cls=Command, short_help=SUMMARIES["group"], epilog=EXAMPLES["group"])(group)
 app.command("demo", cls=Command, short_help=SUMMARIES["demo"], epilog=EXAMPLES["demo"])(demo)
 app.command("benchmark", cls=Command, short_help=SUMMARIES["benchmark"], epilog=EXAMPLES["benchmark"])(benchmark)
 

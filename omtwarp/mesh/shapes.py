@@ -19,6 +19,9 @@ Points = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+# Diameter of the tail over that of the head, and the angle of the arc in radians.
+HIPPOCAMPUS_TAPER = 0.45
+HIPPOCAMPUS_BEND = 1.8
 
 
 # Spheres, and what is made by moving their vertices -----------------------------------------------------------------
@@ -243,6 +246,60 @@ def tube(
     ends = np.array([[0.0, 0.0, -radius], [0.0, 0.0, length + radius * taper]])
     vertices, faces = _capped_grid(grid, ends[1], ends[0], flip=True)
     return Surface(_bend(vertices, bend / length, length), faces)
+
+
+def hippocampus(
+    seed: int = 0,
+    bump: float = 0.0,
+    place: tuple[float, float] = (0.55, 90.0),
+    width: float = 0.5,
+    variation: float = 0.1,
+    face_count: int = 2000,
+) -> Surface:
+    """A bent, flattened tube with a thick head and a thin tail, different for every seed: a hippocampus-like shape.
+
+    The centre line is about 4 long and lies in the xz plane, the head at low z. Shapes of the same ``face_count`` have
+    the same faces; two that differ in ``bump`` alone are equal elsewhere.
+
+    Args:
+        seed: of the random numbers: length, bend and girth, and smooth thickening along the tube.
+        bump: how much thicker the tube is at the bump, as a share of its radius there; negative for a dent, above -1.
+        place: where the bump is: share of the centre line from head to tail, and angle around it in degrees, 0 being
+            the inside of the bend (+x).
+        width: standard deviation of the bump's bell curve, as a distance on the straight tube of girth 1.
+        variation: standard deviation of the random factors; 0 makes all seeds equal.
+        face_count: roughly how many faces.
+
+    Raises:
+        ValueError: a variation that is negative or above 0.15, from where on tubes might cut into themselves; a bump of
+            -1 or less; a width that is not positive.
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> plain, swollen = (omtwarp.shapes.hippocampus(3, bump) for bump in (0.0, 0.5))
+        >>> moved = np.linalg.norm(swollen.vertices - plain.vertices, axis=1)
+        >>> 0.1 < moved.max() < 0.4, bool(np.median(moved) < 0.01)
+        (True, True)
+    """
+    if not 0.0 <= variation <= 0.15 or bump <= -1.0 or width <= 0.0:
+        raise ValueError(f"variation {variation}, bump {bump}, width {width}: use 0 to 0.15, above -1, above 0")
+    length = 3.0
+    base = tube(length, girth=1.0, taper=HIPPOCAMPUS_TAPER, face_count=face_count)
+    points = base.vertices
+    across, along = points[:, :2], points[:, 2]
+    rng = np.random.default_rng(seed)
+    stretch, bend, flatness = 1.0 + variation * np.clip(rng.normal(size=3), -2.5, 2.5) * [1.0, 2.0, 0.5]
+    # Waves in space are smooth at the ends of the tube too, where angles around it are not.
+    waves, phases = rng.normal(size=(6, 3)) * [0.8, 0.8, 1.2], rng.uniform(0.0, 2.0 * np.pi, 6)
+    strengths = variation * np.clip(rng.normal(size=6), -2.5, 2.5) / np.sqrt(6 / 2)
+    factor = np.exp(np.cos(points @ waves.T + phases) @ strengths)
+    share, angle = place[0], np.radians(place[1])
+    radius = 0.5 + (HIPPOCAMPUS_TAPER - 1.0) * 0.5 * share
+    centre = np.array([radius * np.cos(angle), radius * np.sin(angle), share * length])
+    factor *= 1.0 + bump * np.exp(-((points - centre) ** 2).sum(axis=1) / (2.0 * width * width))
+    shaped = np.column_stack([across * factor[:, None] * [1.0, 0.8 * flatness], along])
+    bent = _bend(shaped, HIPPOCAMPUS_BEND * bend / length, length)
+    return Surface(bent * [1.0, 1.0, stretch], base.faces)
 
 
 def _bend(points: Points, curvature: float, length: float) -> Points:
@@ -534,6 +591,7 @@ __all__ = [
     "ellipsoid",
     "fibonacci_sphere",
     "flip_edges",
+    "hippocampus",
     "icosphere",
     "icosphere_near",
     "implicit_surface",

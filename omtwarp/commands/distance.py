@@ -1,0 +1,38 @@
+"""``omtwarp distance``: how far two shapes are apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._options import DeviceOption, QuietOption
+
+
+def distance(
+    first: Annotated[Path, typer.Argument(metavar="A", help="A map (.npz).")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another.")],
+    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64, help="Highest degree of the harmonics.")] = 12,
+    scale: Annotated[bool, typer.Option("--scale", help="Compare coefficients at the same size.")] = False,
+    device: DeviceOption = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the distances as JSON.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Measure how far two shapes are apart, wherever they are and however they are turned.
+
+    Twice: the root mean square distance of corresponding points, from coefficients of spherical harmonics; and the root
+    of the least transport cost between the densities of their conformal maps, in radians.
+    """
+    from omtwarp.commands._work import report_text, start_device
+    from omtwarp.result import MapResult
+    from omtwarp.shape_analysis.distance import shape_distance
+
+    start_device(device)
+    found = shape_distance(MapResult.load(first), MapResult.load(second), degree=degree, scale=scale, device=device)
+    if as_json:
+        print(report_text({"first": str(first), "second": str(second), **found.to_dict()}), end="")
+    elif quiet:
+        print(f"{found.coefficients:.6g} {found.transport:.6g}")
+    else:
+        print(f"coefficients {found.coefficients:.6g} (the surfaces' unit), transport {found.transport:.6g} radians")

@@ -1,0 +1,90 @@
+"""``omtwarp group``: mean, components and differences of a group of maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._options import DeviceOption, QuietOption
+from omtwarp.errors import OmtwarpError
+
+
+def group(
+    sources: Annotated[
+        list[str],
+        typer.Argument(metavar="MANIFEST|MAPS", help="A table with the columns 'path' and 'group', or maps (.npz)."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")],
+    grid: Annotated[str, typer.Option(metavar="GRID", help="Sphere whose points are compared.")] = "ico4",
+    components: Annotated[int, typer.Option(metavar="N", min=1, help="The most principal components.")] = 5,
+    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64, help="Of the harmonics in distances.")] = 12,
+    scale: Annotated[bool, typer.Option("--scale", help="Bring all shapes to the same size.")] = False,
+    permutations: Annotated[int, typer.Option(metavar="N", min=1, help="By which differences are judged.")] = 999,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the permutations.")] = 0,
+    device: DeviceOption = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Compare a group of maps: mean shape, principal components, distances, and where two groups differ.
+
+    The folder gets table.csv, distances.csv, the mean and the components as .ply, and report.html. Two groups, named in
+    the table's column 'group', are compared point by point with Student's t and permutations.
+    """
+    from omtwarp.commands._progress import progress_bar
+    from omtwarp.commands._work import report_text, start_device
+    from omtwarp.result import MapResult
+    from omtwarp.shape_analysis.group import study_group, two_groups
+    from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report
+
+    names, paths, labels = _members(sources)
+    if len(paths) < 2:
+        raise OmtwarpError(f"{len(paths)} map in all: a group needs at least two")
+    if labels is not None:
+        two_groups(labels, len(paths))
+    start_device(device)
+    with progress_bar(quiet) as progress:
+        found = study_group(
+            [MapResult.load(path) for path in paths],
+            labels,
+            grid=grid,
+            components=components,
+            scale=scale,
+            degree=degree,
+            permutations=permutations,
+            seed=seed,
+            device=device,
+            progress=progress,
+        )
+        files = write_group_report(found, output, names, labels)
+    smallest = None if found.difference is None else float(found.difference.p_values.min())
+    if as_json:
+        record = {
+            "output": str(output),
+            "files": [file.name for file in files],
+            "shapes": len(paths),
+            "explained": found.components.explained,
+            "smallest_p": smallest,
+            "significant_points": None
+            if found.difference is None
+            else int((found.difference.p_values <= SIGNIFICANT).sum()),
+        }
+        print(report_text(record), end="")
+    elif not quiet:
+        shares = ", ".join(f"{100 * share:.0f} %" for share in found.components.explained)
+        told = "" if smallest is None else f"; smallest corrected p of a difference {smallest:.3g}"
+        print(f"{output / 'report.html'}: {len(paths)} shapes, components with {shares} of the variance{told}")
+
+
+def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | None]:
+    """Names, files and groups; a table's column ``group`` makes groups."""
+    from omtwarp.cohort.manifest import read_manifest
+
+    if len(sources) == 1 and Path(sources[0]).suffix.lower() in (".csv", ".tsv"):
+        items = read_manifest(sources[0])
+        labels = [item.fields["group"] for item in items] if "group" in items[0].fields else None
+        return [item.id for item in items], [item.path for item in items], labels
+    paths = [Path(text) for text in sources]
+    stems = [path.stem for path in paths]
+    return (stems if len(set(stems)) == len(stems) else [str(path) for path in paths]), paths, None

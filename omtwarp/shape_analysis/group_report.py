@@ -1,0 +1,147 @@
+"""The files of a study: a table, distances, the mean and the components as meshes, and a page."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import staged
+from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.write import write_mesh
+from omtwarp.render import preview
+from omtwarp.render.scene import ScalarField
+from omtwarp.reporting.markup import Markup, element
+from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
+from omtwarp.shape_analysis.group import GroupStudy, vertex_normals
+
+SHOWN = 2.0  # standard deviations to either side of the mean
+SIGNIFICANT = 0.05
+PICTURE = (420, 300)
+DRAWN = 3  # components with pictures on the page
+MOST_ROWS = 200  # of the table on the page; table.csv has all
+
+
+def write_group_report(
+    study: GroupStudy, folder: Path, names: Sequence[str], labels: Sequence[str] | None = None
+) -> list[Path]:
+    """Write a study into a folder.
+
+    Args:
+        study: what :func:`omtwarp.shape_analysis.study_group` returned.
+        folder: made if there is none; files of the same names are replaced.
+        names: of the shapes, one each.
+        labels: their groups.
+
+    Returns:
+        The files: ``table.csv`` (distance from the mean, and scores), ``distances.csv``, ``mean.ply`` (with the
+        difference of two groups at its vertices), ``component_K_minus.ply`` and ``component_K_plus.ply`` (the mean less
+        and plus two standard deviations), ``report.html``.
+
+    Raises:
+        OmtwarpError: another number of names, or a folder that cannot be written to.
+    """
+    if len(names) != len(study.from_mean):
+        raise OmtwarpError(f"{len(names)} names for {len(study.from_mean)} shapes")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OmtwarpError(f"cannot write to '{folder}': {error.strerror}") from None
+    columns = ["id", *(["group"] if labels else []), "from_mean", "scale"]
+    columns += [f"score_{k + 1}" for k in range(len(study.components.deviations))]
+    rows = []
+    for k, name in enumerate(names):
+        numbers = [study.from_mean[k], study.alignment.scales[k], *study.components.scores[k]]
+        rows.append([name, *([labels[k]] if labels else []), *map(float, numbers)])
+    files = [_write_csv(folder / "table.csv", columns, rows)]
+    apart = [[name, *map(float, line)] for name, line in zip(names, study.distances, strict=True)]
+    files.append(_write_csv(folder / "distances.csv", ["id", *names], apart))
+    beside = {}
+    if study.difference is not None:
+        found = study.difference
+        beside = {"difference": found.outward, "t": found.statistic, "p": found.p_values}
+    files.append(folder / "mean.ply")
+    write_mesh(files[-1], study.alignment.mean, study.alignment.faces, beside=beside)
+    for k in range(len(study.components.deviations)):
+        for word, sign in (("minus", -1.0), ("plus", 1.0)):
+            moved = study.along(k, sign * SHOWN)
+            files.append(folder / f"component_{k + 1}_{word}.ply")
+            write_mesh(files[-1], moved.vertices, moved.faces)
+    files.append(write_plain_page(folder / "report.html", "Group of shapes", _body(study, columns, rows)))
+    return files
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Path:
+    with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        writer.writerows(rows)
+    return path
+
+
+def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[Markup]:
+    known = study.components
+    body = [
+        element("p", f"{len(rows)} shapes, {len(study.alignment.mean)} corresponding points."),
+        element("h2", "Mean"),
+        pictures([_picture(study.mean, "mean", view=view) for view in ("front", "back")]),
+    ]
+    if study.difference is not None:
+        body += _difference(study)
+    body += [element("h2", "Principal components")]
+    lines = [
+        (k + 1, f"{deviation:.4g}", f"{100 * share:.1f} %")
+        for k, (deviation, share) in enumerate(zip(known.deviations, known.explained, strict=True))
+    ]
+    body.append(table(("component", "standard deviation", "share of the variance"), lines))
+    body.append(
+        element("p", f"The mean less and plus {SHOWN:g} standard deviations; red lies outside it, blue inside.")
+    )
+    for k in range(min(DRAWN, len(known.deviations))):
+        normals = vertex_normals(study.alignment.mean, study.alignment.faces)
+        outward = SHOWN * known.deviations[k] * (known.directions[k] * normals).sum(axis=1)
+        pair = [(f"component {k + 1}, {word}", sign) for word, sign in (("minus", -1.0), ("plus", 1.0))]
+        drawn = [_picture(study.along(k, sign * SHOWN), name, sign * outward) for name, sign in pair]
+        body.append(pictures(drawn))
+    shown = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in rows[:MOST_ROWS]]
+    body += [element("h2", "Shapes"), table(columns, shown)]
+    if len(rows) > MOST_ROWS:
+        body.append(element("p", f"The first {MOST_ROWS} of {len(rows)}; table.csv has all."))
+    return body
+
+
+def _difference(study: GroupStudy) -> list[Markup]:
+    found = study.difference
+    assert found is not None
+    area = study.mean.vertex_areas
+    share = float(area[found.p_values <= SIGNIFICANT].sum() / area.sum())
+    first, second = found.names
+    words = f"Smallest corrected p {found.p_values.min():.3g}; p is at most {SIGNIFICANT} on {100 * share:.1f} %."
+    figures = [
+        _picture(study.mean, f"{second} less {first}, outwards", found.outward, view=view) for view in ("front", "back")
+    ]
+    for view in ("front", "back"):
+        field = ScalarField(-np.log10(found.p_values), "magma", (0.0, max(2.0, -np.log10(found.p_values.min()))))
+        figures.append(_picture(study.mean, "-log10 of the corrected p", field, view=view))
+    return [element("h2", f"Where {first} and {second} differ"), element("p", words), pictures(figures)]
+
+
+def _picture(
+    surface: Surface, name: str, values: NDArray[np.float64] | ScalarField | None = None, view: str = "front"
+) -> Markup:
+    """A picture of a surface, with numbers about zero coloured from blue to red where there are any."""
+    if isinstance(values, np.ndarray):
+        reach = max(float(np.abs(values).max()), np.finfo(float).tiny)
+        values = ScalarField(values, "coolwarm", (-reach, reach))
+    drawn = preview(
+        (surface.vertices, surface.faces), size=PICTURE, views=view, scalar=values, backend="warp", device="cpu"
+    )
+    return figure(drawn, name, f", {view}")
+
+
+__all__ = ["SIGNIFICANT", "write_group_report"]

@@ -1,0 +1,203 @@
+"""Groups and distances of shapes against closed forms, and a bump that is known to be there."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from sphere_truths import pushed_north, random_rotation
+
+import omtwarp
+from omtwarp.cli import main
+from omtwarp.measures import TargetDensity
+from omtwarp.mesh.shapes import hippocampus, icosphere
+from omtwarp.shape_analysis.distance import coefficient_distance, density_distance, shape_distance
+from omtwarp.shape_analysis.group import group_difference, hotelling, principal_components, study_group, vertex_normals
+from omtwarp.spheres import named_grid
+
+SPHERE = icosphere(8)
+
+
+def mapped(surface: omtwarp.Surface, until: str = "moser") -> omtwarp.MapResult:
+    return omtwarp.map_to_sphere(surface, until=until, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def pair() -> list[omtwarp.MapResult]:
+    return [mapped(hippocampus(seed, face_count=800 + 60 * seed)) for seed in (1, 2)]
+
+
+def test_made_shapes_are_sound_and_differ_by_the_bump_alone():
+    plain, swollen = (hippocampus(4, bump, place=(0.5, 90.0), width=0.3) for bump in (0.0, 0.5))
+    for one in (plain, swollen):
+        assert not omtwarp.check(one.vertices, one.faces)
+    assert np.array_equal(plain.faces, swollen.faces)
+    moved = np.linalg.norm(swollen.vertices - plain.vertices, axis=1)
+    places = plain.vertices[moved > 0.5 * moved.max()]
+    assert (places[:, 1] > 0).all()  # at 90 degrees around the centre line, which lies in y = 0
+    assert np.median(moved) < 1e-3 * moved.max()
+    assert np.array_equal(hippocampus(4).vertices, hippocampus(4).vertices)
+    assert not np.array_equal(hippocampus(4).vertices, hippocampus(5).vertices)
+    with pytest.raises(ValueError, match="variation"):
+        hippocampus(variation=0.5)
+
+
+def test_the_bump_is_found_at_its_place():
+    """Sixteen shapes on different meshes, half of them with the bump."""
+    count, bump = 16, 0.5
+    known = {"width": 0.4, "variation": 0.05}
+    shapes = [hippocampus(s, bump * (s % 2), face_count=700 + 14 * (s % 5), **known) for s in range(count)]
+    maps = [mapped(one) for one in shapes]
+    study = study_group(maps, ["control", "patient"] * (count // 2), grid="ico3", degree=8, device="cpu")
+    found = study.difference
+    plain, swollen = (hippocampus(0, b, face_count=700, **known).vertices for b in (0.0, bump))
+    truth = np.argmax(np.linalg.norm(swollen - plain, axis=1))
+    place = maps[0].sphere[truth] @ study.alignment.rotations[0].T
+    nearest = np.argmax(named_grid("ico3").points @ place)
+    peak = np.argmax(found.statistic)
+    middle = study.alignment.mean
+    assert np.linalg.norm(middle[peak] - middle[nearest]) < known["width"]
+    assert found.p_values[nearest] <= 0.01
+    assert found.statistic.max() > 3 * -found.statistic.min()  # a bump, and no dent elsewhere
+    assert found.p_values.min() <= 0.01
+    assert found.names == ("control", "patient")
+    assert found.outward[peak] > 0.05
+    # Nobody is told apart by labels that have nothing to do with the shapes.
+    even = group_difference(study.alignment.surfaces, np.arange(count) % 4 < 2, ("a", "b"), study.alignment.faces)
+    assert even.p_values.min() > 0.05
+
+
+def test_hotellings_statistic_is_the_textbooks():
+    rng = np.random.default_rng(1)
+    surfaces, chosen = rng.normal(size=(12, 42, 3)), np.arange(12) < 5
+    found, p_values = hotelling(surfaces, chosen, 50)
+    for k in (0, 17):
+        one, other = surfaces[~chosen, k], surfaces[chosen, k]
+        pooled = (6 * np.cov(one.T) + 4 * np.cov(other.T)) / 10
+        apart = one.mean(axis=0) - other.mean(axis=0)
+        wanted = 7 * 5 / 12 * apart @ np.linalg.solve(pooled, apart)
+        assert found[k] == pytest.approx(wanted, rel=1e-9)
+    assert np.array_equal(p_values, hotelling(surfaces, chosen, 50)[1])
+    assert found.max() > found[0]
+
+
+def test_components_of_shapes_that_vary_in_two_directions():
+    rng = np.random.default_rng(2)
+    shares = SPHERE.vertex_areas / SPHERE.vertex_areas.sum()
+    ways = np.stack([SPHERE.vertices * [1, 0, 0], SPHERE.vertices * [0, 1, 0]]) * np.sqrt(3.0)  # root mean square 1
+    factors = rng.normal(size=(10, 2)) * [0.3, 0.1]
+    factors -= factors.mean(axis=0)
+    found = principal_components(np.einsum("nk,kvd->nvd", factors, ways), shares, 5)
+    wanted = np.sqrt(np.linalg.eigvalsh(np.cov(factors.T))[::-1])
+    np.testing.assert_allclose(found.deviations, [*wanted, 0, 0, 0], rtol=1e-3, atol=1e-9)
+    assert found.explained[:2].sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(found.scores.std(axis=0, ddof=1)[:2], 1.0, rtol=1e-6)
+
+
+def test_mean_of_two_ellipsoids():
+    """Spheres stretched along the same axes: with correspondence by radius, their mean lies between them."""
+    axes = np.array([[1.0, 0.7, 0.5], [1.2, 0.8, 0.6]])
+    maps = [mapped(omtwarp.Surface(SPHERE.vertices * one, SPHERE.faces)) for one in axes]
+    study = study_group(maps, grid="ico3", degree=6, device="cpu")
+    middle = study.alignment.mean
+    _, frame = np.linalg.eigh(middle.T @ middle)
+    np.testing.assert_allclose(np.abs(middle @ frame[:, ::-1]).max(axis=0), axes.mean(axis=0), atol=0.03)
+    for sign in (-1, 1):  # two shapes lie on the line through them
+        ends = study.along(0, sign / np.sqrt(2)).vertices
+        assert min(np.abs(ends - one).max() for one in study.alignment.surfaces) < 1e-9
+    assert (vertex_normals(middle, study.alignment.faces) * middle).sum(axis=1).min() > 0
+
+
+def test_distance_is_none_to_itself_and_to_a_turned_copy_and_symmetric(pair):
+    one = pair[0]
+    surface = omtwarp.Surface(one.vertices @ random_rotation(5).T + [3.0, 1.0, 0.0], one.faces)
+    same, turned = (shape_distance(one, b, degree=8, device="cpu") for b in (one, mapped(surface)))
+    there, back = (shape_distance(*ends, degree=8, device="cpu") for ends in (pair, pair[::-1]))
+    assert same.coefficients < 1e-6
+    assert turned.coefficients < 0.02 * there.coefficients
+    assert same.transport < 0.1 * there.transport
+    assert turned.transport < 0.1 * there.transport
+    assert there.coefficients == pytest.approx(back.coefficients, rel=1e-4)
+    assert there.transport == pytest.approx(back.transport, rel=1e-2)
+    assert there.there == pytest.approx(there.back, rel=0.15)
+
+
+def test_coefficient_distance_of_ellipsoids_is_that_of_their_axes():
+    """x = a X: the root of Σ (a - b)² / 3, whatever rotation is between them."""
+    from omtwarp.shape_analysis.expansion import expand
+
+    a, b = np.array([3.0, 2.0, 1.0]), np.array([3.2, 1.9, 1.3])
+    one, other = (expand(SPHERE.vertices, SPHERE.vertices * axes, 4).coefficients[1:] for axes in (a, b))
+    wanted = np.sqrt(((a - b) ** 2).sum() / 3)
+    assert coefficient_distance(one, other @ random_rotation(2)) == pytest.approx(wanted, rel=1e-9)
+
+
+def test_transport_distance_to_a_known_density():
+    """From the uniform sphere to 1 / (1 - a z): the optimal map moves along meridians, in closed form."""
+    amount, sphere = 0.5, icosphere(16)
+    # The image of z is z + a (1 - z²) / 2; the density of the image at w is dz / dw.
+    target = TargetDensity(lambda y: 1.0 / np.sqrt(1.0 + amount**2 - 2.0 * amount * y[:, 2]))
+    found = density_distance(sphere, sphere.vertices, target, device="cpu")
+    moved = np.arccos(np.clip((pushed_north(sphere.vertices, amount) * sphere.vertices).sum(axis=1), -1, 1))
+    wanted = np.sqrt(sphere.vertex_areas @ moved**2 / sphere.vertex_areas.sum())
+    assert found == pytest.approx(wanted, rel=0.02)
+
+
+def run(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([*words])
+    return ended.value.code or 0
+
+
+def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
+    monkeypatch.chdir(tmp_path)
+    rows = ["path,group"]
+    for k in range(6):
+        pair[k % 2].save(f"m{k}.npz")
+        rows.append(f"m{k}.npz,{'ab'[k % 2]}")
+    (tmp_path / "subjects.csv").write_text("\n".join(rows))
+    options = ["--grid", "ico2", "--degree", "6", "--components", "1", "--permutations", "20"]
+    assert run("group", "subjects.csv", "-o", "study", *options, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["shapes"] == 6
+    assert told["explained"][0] == pytest.approx(1.0, abs=1e-6)  # two different shapes
+    assert {file.name for file in (tmp_path / "study").iterdir()} == set(told["files"])
+    table = list(csv.DictReader((tmp_path / "study" / "table.csv").open()))
+    assert [row["group"] for row in table] == list("ababab")
+    assert float(table[0]["score_1"]) == pytest.approx(-float(table[1]["score_1"]))
+    page = (tmp_path / "study" / "report.html").read_text()
+    assert page.count("<img") == 2 + 4 + 2
+    assert "Where a and b differ" in page
+    first = (tmp_path / "study" / "mean.ply").read_bytes()
+    assert run("group", *(f"m{k}.npz" for k in range(6)), "-o", "again", *options, "-q") == 0
+    assert capsys.readouterr().out == ""
+    assert run("group", "subjects.csv", "-o", "study", *options, "-q") == 0
+    assert (tmp_path / "study" / "mean.ply").read_bytes() == first
+    assert run("distance", "m0.npz", "m1.npz", "--degree", "6", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["coefficients"] > 0.01
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["group", "a.npz", "-o", "out"], "at least two"),
+        (["group", "one.csv", "-o", "out"], "differences need two"),
+        (["group", "few.csv", "-o", "out"], "too few shapes"),
+        (["group", "a.npz", "none.npz", "-o", "out"], "none.npz"),
+        (["group", "a.npz", "b.npz", "-o", "out", "--degree", "60"], "do not determine"),
+        (["group", "a.npz", "b.npz", "-o", "out", "--grid", "ico99"], "ico99"),
+        (["distance", "a.npz", "one.csv"], "one.csv"),
+        (["distance", "a.npz", "b.npz", "--degree", "60"], "do not determine"),
+    ],
+)
+def test_requests_that_cannot_be_met(tmp_path, monkeypatch, capsys, pair, words, message):
+    monkeypatch.chdir(tmp_path)
+    for name, one in zip("ab", pair, strict=True):
+        one.save(f"{name}.npz")
+    (tmp_path / "one.csv").write_text("path,group\na.npz,x\nb.npz,x\n")
+    (tmp_path / "few.csv").write_text("path,group\na.npz,x\nb.npz,y\n")
+    assert run(*words) == 1
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
