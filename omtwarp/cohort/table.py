@@ -9,7 +9,6 @@ from typing import Any
 
 from omtwarp.files import staged
 
-TEXTS = ("id", "path", "status", "version", "message", "key")
 WHOLE = ("vertices", "faces", "flips", "memory")
 NUMBERS = ("degree", "area", "area_p95", "angle", "ring", "gap", "seconds", "cpu_seconds")
 ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "key")

@@ -19,7 +19,7 @@ from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 from omtwarp.result import MapResult
 
-CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "1000"))
+CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "200"))
 SEED = int(os.environ.get("OMTWARP_HOSTILE_SEED", "0"))
 
 BALL = shapes.icosphere(2)
