@@ -17,7 +17,7 @@ GROUPS = {
         "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",
         "frames", "fps", "backend",
     ),
-    "Computation": ("device", "devices", "solver", "repair"),
+    "Computation": ("device", "devices", "solver", "repair", "strict"),
 }  # fmt: skip
 """Options by the heading that help shows them under; others are shown last."""
 

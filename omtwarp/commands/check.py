@@ -72,8 +72,10 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> dict[str, Any]:
         OmtwarpError: the file cannot be read, or the repaired mesh cannot be written.
     """
     from omtwarp.mesh.read import read_mesh
+    from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import check
     from omtwarp.mesh.write import write_mesh
+    from omtwarp.verdict import foretell
 
     given = read_mesh(mesh, triangulate=repair)
     vertices, faces = given.vertices, given.faces
@@ -92,6 +94,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> dict[str, Any]:
     facts["defects"] = [{"kind": defect.kind, "text": str(defect)} for defect in defects]
     facts["options"] = options_text(vertices, faces, defects)
     facts["mappable"] = not defects
+    facts["warnings"] = [] if defects else [finding.to_dict() for finding in foretell(Surface(vertices, faces))]
     if target is not None:
         write_mesh(target, vertices, faces)
         facts["output"] = {"path": str(target), "vertices": len(vertices), "faces": len(faces)}
@@ -113,6 +116,7 @@ def lines_about(facts: dict[str, Any]) -> list[str]:
         lines.append(f"{written['path']}: {written['vertices']} vertices, {written['faces']} faces")
     if facts["mappable"]:
         lines.append("  closed, manifold, oriented outward, one component, genus 0: it can be mapped")
+    lines += [f"  warning: {finding['text']}" for finding in facts["warnings"]]
     return lines
 
 

@@ -26,6 +26,7 @@ from omtwarp.commands._options import (
     RepairOption,
     SchemeOption,
     SolverOption,
+    StrictOption,
     TorusOption,
     UntilOption,
     VerboseOption,
@@ -73,6 +74,7 @@ def map_mesh(
     torus: TorusOption = False,
     device: DeviceOption = MapOptions.device,
     solver: SolverOption = MapOptions.solver,
+    strict: StrictOption = MapOptions.strict,
     weights: Annotated[
         Path | None,
         typer.Option(
@@ -166,6 +168,7 @@ def map_mesh(
             refine=refine,
             exact=exact,
             solver=solver,
+            strict=strict,
             weights=per_part,
             target=goal,
             device=device,
