@@ -1,20 +1,22 @@
 """Our maps beside those of other programs: is there a flip-free one with no more area and no more angle distortion?
 
     python examples/compare_peers.py DATA_DIR PEERS_CSV --out out/peers
-    python examples/compare_peers.py                     # two made shapes, our own curve alone
+    python examples/compare_peers.py DATA_DIR PEERS_CSV --smoothness SMOOTHNESS_CSV
+    python examples/compare_peers.py                     # two made shapes, our own maps alone
 
 DATA_DIR holds meshes; PEERS_CSV has a row per mesh (its file name without ending) and program, with the columns
 ``mesh``, ``peer``, ``flips``, ``area_surface`` and ``angle_surface``: means over triangles, weighted by original area,
 of s1 s2 + 1/(s1 s2) and s1/s2 + s2/s1; 2 is perfect. Rows that failed, or whose area is above --most-area, preserve no
-area and are left out.
+area and are left out. SMOOTHNESS_CSV has the columns ``mesh``, ``peer``, ``flips``, ``area_surface`` and ``jump``.
 
-Refinement minimises angle + λ area, so that every weight λ gives a point of a curve. Each map is refined from the one
-before it, the first from the transported map. A row is won if one of these maps, judged as it is, without a flipped
-triangle, has area and angle no higher than the row's. Between two weights nothing is interpolated: where a row falls
-between their maps, further maps are made there, by bisection of λ, until one wins or the row's area is met.
+Our maps are the default one, which is the optimal map, and refinements of it, each from the map made before whose
+weight is nearest. A row is won if one of these maps, judged as it is, without a flipped triangle, has area and angle no
+higher than the row's. The default map and the refinements that have names come first; where a row falls between two of
+our maps nothing is interpolated: further maps are made there, by bisection of the weight, until one wins or the row's
+area is met.
 
-Writes ``comparison.md``, ``peers.csv`` (the rows), ``curve.csv`` (all our maps) and ``area.csv`` (what ``--refine
-area`` gives). Meshes are done from the smallest to the largest, and the files written anew after each.
+Writes ``comparison.md``, ``peers.csv`` (the rows), ``smoothness.csv``, ``curve.csv`` (all our maps) and ``default.csv``
+(what the default gives). Meshes are done from the smallest to the largest, and the files written anew after each.
 """
 
 from __future__ import annotations
@@ -30,15 +32,15 @@ from typing import Any
 import numpy as np
 
 import omtwarp
-from omtwarp.device.policy import resolve_device
 from omtwarp.metrics import distortion
 from omtwarp.metrics.certificate import certify
-from omtwarp.refine.solver import Refiner
+from omtwarp.optimal.refinement import WEIGHTS as NAMED
 
-WEIGHTS = (1000.0, 300.0, 100.0, 50.0, 20.0, 10.0, 5.0, 3.0, 2.0, 1.2, 1.0)
+DEFAULT = "default"
+WEIGHTS = (1000.0, 300.0, 100.0, 50.0, 20.0, 10.0, 5.0, 3.0, 2.0, 1.0)
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".npz")
-ITERATIONS = 300
-TOLERANCE = 1e-6
+ITERATIONS = 200
+TOLERANCE = 1e-4
 # The range of λ in which further maps may be made, and how many for one row.
 LEAST, MOST = 1e-4, 1e5
 FURTHER = 12
@@ -46,13 +48,15 @@ FURTHER = 12
 
 @dataclass
 class Point:
-    """One of our maps: the weight it was refined with, how it was judged, and what it took."""
+    """One of our maps: the weight it was refined with (infinite for the default), how it was judged, what it took."""
 
+    name: str
     weight: float
     area: float
     angle: float
     area_p95: float
     area_max: float
+    jump: float
     flips: int
     degree: int
     seconds: float
@@ -62,40 +66,61 @@ class Point:
 
 
 class Curve:
-    """The trade-off curve of one surface, maps added as they are asked for; kept in the order of falling weight."""
+    """The maps of one surface between area and angle, added as they are asked for, in the order of falling weight.
 
-    def __init__(self, surface: omtwarp.Surface, transported: np.ndarray, device: str):
-        self.surface = surface
-        self.device = device
-        self.transported = transported
-        self.refiner = Refiner(surface, resolve_device(device))
-        self.points: list[Point] = []
+    Args:
+        surface: the surface.
+        result: its default map.
+        device: where kernels run.
+        tolerance: of refinement; with a weight below 1, times that weight.
+    """
 
-    def at(self, weight: float) -> Point:
-        """The map of a weight, refined from the map made before whose weight is nearest."""
-        known = [point for point in self.points if point.flips == 0]
-        nearest = min(known, key=lambda point: abs(np.log(point.weight / weight)), default=None)
-        start = self.transported if nearest is None else nearest.sphere
-        begun = time.perf_counter()
-        # The smaller λ, the closer the curve comes to the conformal map, and the less there is between two maps.
-        tolerance = TOLERANCE * min(1.0, weight)
-        refined = self.refiner.minimise(start, weight, iterations=ITERATIONS, tolerance=tolerance)
-        seconds = time.perf_counter() - begun
-        judged = distortion(self.surface.vertices, self.surface.faces, refined.sphere)
-        certificate = certify(self.surface.faces, refined.sphere)
-        point = Point(
+    def __init__(self, surface: omtwarp.Surface, result: omtwarp.MapResult, device: str, tolerance: float):
+        self.surface, self.device, self.tolerance = surface, device, tolerance
+        omt = next(stage for stage in result.report["stages"] if stage["name"] == "omt")
+        record = (result.report["seconds"], omt["iterations"], omt["converged"])
+        self.points = [self._judge(DEFAULT, np.inf, result.sphere, *record)]
+
+    def _judge(
+        self, name: str, weight: float, sphere: np.ndarray, seconds: float, iterations: int, converged: bool
+    ) -> Point:
+        judged = distortion(self.surface.vertices, self.surface.faces, sphere)
+        certificate = certify(self.surface.faces, sphere)
+        return Point(
+            name=name,
             weight=weight,
             area=judged.area["surface"],
             angle=judged.angle["surface"],
             area_p95=judged.area["p95"],
             area_max=judged.area["max"],
+            jump=metric_jump(self.surface, sphere),
             flips=certificate.flips,
             degree=certificate.degree,
             seconds=seconds,
-            iterations=len(refined.history) - 1,
-            converged=refined.converged,
-            sphere=refined.sphere,
+            iterations=iterations,
+            converged=converged,
+            sphere=sphere,
         )
+
+    def at(self, weight: float) -> Point:
+        """The map of a weight, refined from the map made before whose weight is nearest."""
+        known = [point for point in self.points if point.flips == 0]
+        nearest = min(known, key=lambda point: abs(np.log(min(point.weight, MOST) / weight)))
+        begun = time.perf_counter()
+        # The smaller λ, the closer the curve comes to the conformal map, and the less there is between two maps.
+        tolerance = self.tolerance * min(1.0, weight)
+        refined = omtwarp.refine_map(
+            self.surface,
+            nearest.sphere,
+            weight=weight,
+            iterations=ITERATIONS,
+            tolerance=tolerance,
+            device=self.device,
+        )
+        seconds = time.perf_counter() - begun
+        name = next((str(named) for named, value in NAMED.items() if value == weight), f"{weight:.4g}")
+        steps = len(refined.history) - 1
+        point = self._judge(name, weight, refined.sphere, seconds, steps, refined.converged)
         self.points.append(point)
         self.points.sort(key=lambda p: -p.weight)
         return point
@@ -107,10 +132,15 @@ class Curve:
             best = self.best(area, angle)
             if won(best, area, angle):
                 return best
-            within = [p.weight for p in self.points if p.area <= area]
-            beyond = [p.weight for p in self.points if p.area > area]
+            weights = [p for p in self.points if np.isfinite(p.weight)]
+            within = [p.weight for p in weights if p.area <= area]
+            beyond = [p.weight for p in weights if p.area > area]
             if not within:
-                weight = 4.0 * max(beyond)
+                # From about 100 on a larger weight keeps the areas around vertices better, and those of triangles less.
+                least = [w for w, _ in sorted(((p.weight, p.area) for p in weights), key=lambda pair: pair[1])[:2]]
+                if max(least) / min(least) < 1.05:
+                    break
+                weight = float(np.sqrt(least[0] * least[1]))
             elif not beyond:
                 weight = min(within) / 4.0
             else:
@@ -124,49 +154,105 @@ class Curve:
         return self.best(area, angle)
 
     def best(self, area: float, angle: float) -> Point:
+        """The best map made so far; where one with a name is good enough, that."""
         fit = [p for p in self.points if p.flips == 0]
+        for point in fit:
+            if point.name in (DEFAULT, *map(str, NAMED)) and won(point, area, angle):
+                return point
         within = [p for p in fit if p.area <= area]
         if within:
             return min(within, key=lambda p: p.angle)
         return min(fit or self.points, key=lambda p: p.area)
+
+    def smoothest(self, area: float) -> Point:
+        """Of the maps with no more than an area distortion the smoothest; of none such the one with the least."""
+        within = [p for p in self.points if p.flips == 0 and p.area <= area]
+        return min(within, key=lambda p: p.jump) if within else min(self.points, key=lambda p: p.area)
 
 
 def won(point: Point, area: float, angle: float) -> bool:
     return point.flips == 0 and point.degree == 1 and point.area <= area and point.angle <= angle
 
 
+def metric_jump(surface: omtwarp.Surface, sphere: np.ndarray) -> float:
+    """How much the metric G of the map differs between the two triangles of an edge: 0 for a map that is smooth.
+
+    The mean over edges of |G1 - G2| / (|G1| + |G2|), weighted by the area of the two triangles, which are unfolded into
+    one plane for it.
+    """
+    vertices, faces = surface.vertices, surface.faces
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))  # every edge twice in a row
+    pairs = order.reshape(-1, 2)
+    i, j = ends[pairs[:, 0]].T
+    apex = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
+
+    def metric(k: np.ndarray, side: float) -> np.ndarray:
+        edge, arm = vertices[j] - vertices[i], vertices[k] - vertices[i]
+        base = np.linalg.norm(edge, axis=1)[:, None]
+        foot = (arm * edge).sum(axis=1, keepdims=True) / base
+        height = side * np.linalg.norm(arm - foot / base * edge, axis=1, keepdims=True)
+        along = (sphere[j] - sphere[i]) / base
+        across = (sphere[k] - sphere[i] - foot * along) / height
+        parts = [along * along, np.sqrt(2.0) * along * across, across * across]
+        return np.stack([part.sum(axis=1) for part in parts], axis=1)
+
+    first, second = metric(apex[pairs[:, 0]], 1.0), metric(apex[pairs[:, 1]], -1.0)
+    size = np.linalg.norm(first, axis=1) + np.linalg.norm(second, axis=1)
+    area = surface.face_areas[pairs % len(faces)].sum(axis=1)
+    return float((np.linalg.norm(first - second, axis=1) / size * area).sum() / area.sum())
+
+
+def ring_error(surface: omtwarp.Surface, sphere: np.ndarray) -> float:
+    """Root mean square of the relative errors of the areas around vertices, weighted by these areas."""
+    a, b, c = (sphere[surface.faces[:, k]] for k in range(3))
+    below = 1.0 + (a * b).sum(axis=1) + (b * c).sum(axis=1) + (c * a).sum(axis=1)
+    solid = 2.0 * np.arctan2((a * np.cross(b, c)).sum(axis=1), below)
+    image = np.bincount(surface.faces.ravel(), np.repeat(solid, 3))
+    wanted = 3.0 * surface.vertex_areas
+    return float(np.sqrt((wanted * (image / wanted - 1.0) ** 2).sum() / wanted.sum()))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", nargs="?", type=Path, help="folder of meshes; none: two made shapes, our curve alone")
+    parser.add_argument("data", nargs="?", type=Path, help="folder of meshes; none: two made shapes, our maps alone")
     parser.add_argument("peers", nargs="?", type=Path, help="CSV of other programs' maps of these meshes")
     parser.add_argument("--out", type=Path, default=Path("out/peers"), help="folder for the tables")
     parser.add_argument("--meshes", nargs="+", help="names of the meshes to take; all when left out")
     parser.add_argument("--weights", nargs="+", type=float, default=list(WEIGHTS), help="weights λ of the curve")
+    parser.add_argument("--smoothness", type=Path, help="CSV of how smooth other programs' maps are")
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE, help="of refinement")
     parser.add_argument("--most-area", type=float, default=2.3, help="leave out rows with a larger area distortion")
     parser.add_argument("--device", default="cpu")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     peers = read_peers(options.peers, options.most_area) if options.peers else []
+    smoothness = read_smoothness(options.smoothness, options.most_area) if options.smoothness else []
     rows: list[dict[str, Any]] = []
+    smooth_rows: list[dict[str, Any]] = []
     curve_rows: list[dict[str, Any]] = []
-    area_rows: list[dict[str, Any]] = []
+    default_rows: list[dict[str, Any]] = []
     for name, surface in subjects(options.data, options.meshes):
         print(f"{name}: {surface.face_count} faces", flush=True)
-        result = omtwarp.map_to_sphere(surface, refine="area", device=options.device)
-        area_rows.append(area_row(name, surface, result))
-        print(f"  refined by area: {area_rows[-1]}", flush=True)
-        assert result.transported is not None
-        curve = Curve(surface, result.transported, options.device)
+        result = omtwarp.map_to_sphere(surface, device=options.device)
+        curve = Curve(surface, result, options.device, options.tolerance)
+        default_rows.append(default_row(name, surface, result, curve.points[0]))
+        print(f"  {describe(curve.points[0])}", flush=True)
         for weight in sorted(options.weights, reverse=True):
             print(f"  {describe(curve.at(weight))}", flush=True)
         for peer in (entry for entry in peers if entry["mesh"] == name):
             rows.append(compare(peer, curve))
             print(f"  {rows[-1]['peer']}: {'won' if rows[-1]['won'] else 'LOST'}", flush=True)
+        for peer in (entry for entry in smoothness if entry["mesh"] == name):
+            ours = curve.smoothest(peer["area"])
+            found = {"ours": ours.name, "our_area": ours.area, "our_jump": ours.jump}
+            smooth_rows.append(peer | found | {"won": ours.area <= peer["area"] and ours.jump <= peer["jump"]})
         curve_rows += [curve_row(name, point) for point in curve.points]
-        write_csv(options.out / "area.csv", area_rows)
+        write_csv(options.out / "default.csv", default_rows)
         write_csv(options.out / "curve.csv", curve_rows)
         write_csv(options.out / "peers.csv", rows)
-        text = markdown(area_rows, rows, curve_rows, options)
+        write_csv(options.out / "smoothness.csv", smooth_rows)
+        text = markdown(default_rows, rows, smooth_rows, curve_rows, options)
         (options.out / "comparison.md").write_text(text, encoding="utf-8")
     print(text)
 
@@ -204,11 +290,22 @@ def read_peers(path: Path, most_area: float) -> list[dict[str, Any]]:
     return sorted(out, key=lambda row: (row["mesh"], row["area"]))
 
 
+def read_smoothness(path: Path, most_area: float) -> list[dict[str, Any]]:
+    """How smooth the maps of other programs are that have no flips, by mesh and area."""
+    with path.open(newline="", encoding="utf-8") as file:
+        out = [
+            {"mesh": row["mesh"], "peer": row["peer"], "area": float(row["area_surface"]), "jump": float(row["jump"])}
+            for row in csv.DictReader(file)
+            if int(row["flips"]) == 0 and float(row["area_surface"]) <= most_area
+        ]
+    return sorted(out, key=lambda row: (row["mesh"], row["area"]))
+
+
 def compare(peer: dict[str, Any], curve: Curve) -> dict[str, Any]:
     """A row of theirs and our map against it."""
     ours = curve.against(peer["area"], peer["angle"])
     return peer | {
-        "weight": ours.weight,
+        "ours": ours.name,
         "our_flips": ours.flips,
         "our_area": ours.area,
         "our_angle": ours.angle,
@@ -216,26 +313,25 @@ def compare(peer: dict[str, Any], curve: Curve) -> dict[str, Any]:
     }
 
 
-def area_row(name: str, surface: omtwarp.Surface, result: omtwarp.MapResult) -> dict[str, Any]:
-    """What the refinement by area, the default, gives, and the flips of the stages before it."""
+def default_row(name: str, surface: omtwarp.Surface, result: omtwarp.MapResult, point: Point) -> dict[str, Any]:
+    """What the default, the optimal map, gives, and the flips of the stages before it."""
     stages = {stage["name"]: stage for stage in result.report["stages"]}
-    last = stages["refine"]
-    certificate = result.report["certificate"]
-    flips = [stages[stage]["flips"] for stage in ("conformal", "moser", "omt", "refine")]
+    optimality = result.report["optimality"]
     return {
         "mesh": name,
         "faces": surface.face_count,
         "start": result.report["start"]["route"],
-        "flips": "/".join(str(count) for count in flips),
-        "degree": certificate["degree"],
-        "bijective": certificate["bijective"],
-        "area": last["area"]["surface"],
-        "area_p95": last["area"]["p95"],
-        "area_max": last["area"]["max"],
-        "angle": last["angle"]["surface"],
-        "converged": last["converged"],
-        "refine_seconds": last["seconds"],
-        "seconds": result.report["seconds"],
+        "flips": "/".join(str(stages[stage]["flips"]) for stage in ("conformal", "moser", "omt")),
+        "degree": point.degree,
+        "area": point.area,
+        "area_p95": point.area_p95,
+        "area_max": point.area_max,
+        "angle": point.angle,
+        "ring": ring_error(surface, point.sphere),
+        "jump": point.jump,
+        "gap": optimality["gap"],
+        "relative_curl": optimality["relative_curl"],
+        "ended": stages["omt"]["ended"],
     }
 
 
@@ -245,14 +341,15 @@ def curve_row(name: str, point: Point) -> dict[str, Any]:
 
 def describe(point: Point) -> str:
     return (
-        f"λ {point.weight:g}: area {point.area:.5f}, angle {point.angle:.5f}, flips {point.flips}, "
+        f"{point.name}: area {point.area:.5f}, angle {point.angle:.5f}, flips {point.flips}, "
         f"{point.iterations} steps, {point.seconds:.1f} s{'' if point.converged else ', not converged'}"
     )
 
 
 def markdown(
-    areas: list[dict[str, Any]],
+    defaults: list[dict[str, Any]],
     rows: list[dict[str, Any]],
+    smooth: list[dict[str, Any]],
     curve: list[dict[str, Any]],
     options: argparse.Namespace,
 ) -> str:
@@ -265,40 +362,57 @@ def markdown(
         f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
         f"Warp {wp.config.version}.",
         "",
-        "## Refined by area",
+        "## The default map",
         "",
-        "Flips: of the start, Moser's map, the transported and the refined map.",
+        "Flips: of the start, Moser's map and the optimal map. Ring: root mean square error of the areas around "
+        "vertices. Jump: how much the metric differs between neighbouring triangles. Gap: how far the cost is above "
+        "the lower bound on the cost of every map.",
         "",
-        "| mesh | faces | start | flips | degree | area | area p95 | area max | angle | refinement | all |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| mesh | faces | start | flips | degree | area | 95 % below | largest | angle | ring | jump | gap | curl |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for a in areas:
+    for a in defaults:
         lines.append(
             f"| {a['mesh']} | {a['faces']} | {a['start']} | {a['flips']} | {a['degree']} | {a['area']:.5f} "
-            f"| {a['area_p95']:.4f} | {a['area_max']:.4g} | {a['angle']:.4f} "
-            f"| {a['refine_seconds']:.1f} s | {a['seconds']:.1f} s |"
+            f"| {a['area_p95']:.4f} | {a['area_max']:.4g} | {a['angle']:.4f} | {a['ring']:.1e} | {a['jump']:.4f} "
+            f"| {100 * a['gap']:.3f} % | {a['relative_curl']:.4f} |"
         )
     if rows:
         count, total = sum(row["won"] for row in rows), len(rows)
         lines += ["", "## Row by row", "", f"{count} of {total} rows won.", ""]
-        lines += ["| mesh | program | flips | area | angle | our λ | our flips | our area | our angle | |"]
+        lines += ["| mesh | program | flips | area | angle | ours | our flips | our area | our angle | |"]
         lines += ["|---|---|---|---|---|---|---|---|---|---|"]
         for row in rows:
             lines.append(
                 f"| {row['mesh']} | {row['peer']} | {row['flips']} | {row['area']:.5f} | {row['angle']:.5f} "
-                f"| {row['weight']:.4g} | {row['our_flips']} | {row['our_area']:.5f} | {row['our_angle']:.5f} "
+                f"| {row['ours']} | {row['our_flips']} | {row['our_area']:.5f} | {row['our_angle']:.5f} "
                 f"| {'won' if row['won'] else '**lost**'} |"
+            )
+    if smooth:
+        count, total = sum(row["won"] for row in smooth), len(smooth)
+        lines += ["", "## Smoothness", ""]
+        lines += ["Of our maps with no more area distortion the smoothest, beside other programs' maps without flips: "]
+        lines[-1] += f"{count} of {total} are smoother than theirs."
+        lines += [
+            "",
+            "| mesh | program | area | jump | ours | our area | our jump | |",
+            "|---|---|---|---|---|---|---|---|",
+        ]
+        for row in smooth:
+            lines.append(
+                f"| {row['mesh']} | {row['peer']} | {row['area']:.5f} | {row['jump']:.4f} | {row['ours']} "
+                f"| {row['our_area']:.5f} | {row['our_jump']:.4f} | {'won' if row['won'] else '**lost**'} |"
             )
     flipped = sum(entry["flips"] > 0 for entry in curve)
     which = f"All {len(curve)} maps" if flipped == 0 else f"{len(curve) - flipped} of {len(curve)} maps"
     lines += ["", "## The trade-off", ""]
-    lines += [f"Area / angle distortion of our maps by the weight λ of area. {which} made are without flips."]
+    lines += [f"Area / angle distortion of our maps, the default and by weight λ. {which} made are without flips."]
     weights = sorted(options.weights, reverse=True)
-    lines += ["", "| mesh | " + " | ".join(f"λ = {weight:g}" for weight in weights) + " |"]
-    lines += ["|---|" + "---|" * len(weights)]
+    lines += ["", "| mesh | default | " + " | ".join(f"λ = {weight:g}" for weight in weights) + " |"]
+    lines += ["|---|---|" + "---|" * len(weights)]
     for name in dict.fromkeys(entry["mesh"] for entry in curve):
         found = {entry["weight"]: entry for entry in curve if entry["mesh"] == name}
-        cells = [f"{found[w]['area']:.4f} / {found[w]['angle']:.3f}" if w in found else "" for w in weights]
+        cells = [f"{found[w]['area']:.4f} / {found[w]['angle']:.3f}" if w in found else "" for w in [np.inf, *weights]]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 

@@ -21,14 +21,14 @@ twisted = np.column_stack([x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn)
 
 # %%
 # Two ways down. The paper's Algorithms 1 and 2 follow the gradient in V-cycles over the levels of spherical wavelets,
-# and end where areas would no longer be kept. The default moves the vertices themselves, on all levels at once, each
-# wavelet with the step that suits its size.
+# and end where areas would no longer be kept. The flow on vertices moves these themselves, on all levels at once, each
+# wavelet with the step that suits its size. (A map's default ends with Newton's method, :func:`omtwarp.optimal_map`.)
 
-default = omtwarp.optimal_transport(surface, twisted, start=start)
+flow_on_vertices = omtwarp.optimal_transport(surface, twisted, start=start)
 paper = omtwarp.paper_flow(surface, twisted, start=start, cost="squared", cycles=10)
 
 figure, axis = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
-for name, flow in (("the paper's V-cycles", paper), ("default", default)):
+for name, flow in (("the paper's V-cycles", paper), ("on vertices", flow_on_vertices)):
     costs = [entry["cost"] for entry in flow.history]
     axis.semilogy(costs, label=f"{name}: {costs[-1]:.1e} after {len(costs) - 1} iterations")
 axis.set(xlabel="iteration", ylabel="transport cost M")
@@ -42,7 +42,7 @@ circles = rasterize("circles", 1024)
 sheet(
     [
         SurfaceView(surface.vertices, surface.faces, image=circles, sphere=sphere, up="z")
-        for sphere in (twisted, default.sphere)
+        for sphere in (twisted, flow_on_vertices.sphere)
     ],
     captions=["twisted", "optimal"],
     size=(400, 380),

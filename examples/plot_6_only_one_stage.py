@@ -22,14 +22,22 @@ conformal = omtwarp.conformal_map(surface).sphere
 moser = omtwarp.moser_map(surface, conformal).sphere
 
 # %%
+# The optimal map alone: it keeps the areas around vertices and, of all maps that do, moves mass the least from where
+# the conformal map has it. It begins at any map without flips.
+
+found = omtwarp.optimal_map(surface, moser, start=conformal)
+optimal = found.sphere
+print(f"{found.ended} after {len(found.history) - 1} steps")
+
+# %%
 # Refinement alone, from any map without flips.
 
-refined = omtwarp.refine_map(surface, moser, weight="balanced").sphere
+refined = omtwarp.refine_map(surface, optimal, weight="balanced").sphere
 
 # %%
 # And the judge alone, for maps from anywhere.
 
-maps = {"conformal": conformal, "Moser": moser, "refined, balanced": refined}
+maps = {"conformal": conformal, "Moser": moser, "optimal": optimal, "refined, balanced": refined}
 for name, sphere in maps.items():
     print(f"{name:18s} {omtwarp.distortion(surface.vertices, surface.faces, sphere)}")
 
@@ -37,6 +45,6 @@ checker = rasterize("checker", 1024)
 sheet(
     [SurfaceView(surface.vertices, surface.faces, image=checker, sphere=sphere) for sphere in maps.values()],
     captions=list(maps),
-    columns=3,
+    columns=2,
     size=(400, 380),
 )

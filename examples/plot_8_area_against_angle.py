@@ -2,8 +2,8 @@
 Area against angle
 ==================
 
-No map keeps both, unless the surface is a sphere. Refinement takes a weight of area against angle, and never flips a
-triangle, whatever the weight.
+No map keeps both, unless the surface is a sphere. From the optimal map refinement goes on with a weight of area against
+angle, and never flips a triangle, whatever the weight.
 """
 
 # sphinx_gallery_thumbnail_number = 2
@@ -17,7 +17,7 @@ mesh = omtwarp.shapes.limbs(length=1.2, sharpness=9.0, sphere=2000)
 transported = omtwarp.map_to_sphere(mesh, until="omt")
 surface = omtwarp.Surface(transported.vertices, transported.faces)
 
-weights = [100.0, 10.0, 3.0, 1.0]
+weights = [100.0, 10.0, 3.0, 1.0]  # beyond 10 the areas around vertices count, so that the mesh keeps its freedom
 maps = []
 sphere = transported.transported
 for weight in weights:

@@ -301,7 +301,8 @@ def normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def examine(surface: Surface, last: str = "sphere", device: str = "cpu") -> dict[str, Any]:
     """Map a surface and certify every stage up to the last one: flips and degrees by stage, area, seconds."""
     begun = time.perf_counter()
-    result = omtwarp.map_to_sphere(surface, until=STAGES[last], device=device)
+    refine = "area" if last == "sphere" else "none"
+    result = omtwarp.map_to_sphere(surface, until=STAGES[last], refine=refine, device=device)
     seconds = time.perf_counter() - begun
     wanted = list(STAGES)[: list(STAGES).index(last) + 1]
     maps = {stage: getattr(result, stage) for stage in wanted}
