@@ -1,4 +1,4 @@
-"""What a map or a mesh is warned of: measures, their limits, the worst place, and what would help, in one line each."""
+"""Warnings about a map or a mesh: measures, their limits, the worst place, and what would help, in one line each."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def refusal(found: Sequence[Finding]) -> OmtwarpError:
 
 
 def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool) -> list[Finding]:
-    """What the areas of triangles and those around vertices are warned of."""
+    """Find warnings about the areas of triangles and those around vertices."""
     found = []
     image = triangle_areas(sphere, goal.faces)
     with np.errstate(divide="ignore"):

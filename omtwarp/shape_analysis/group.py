@@ -66,7 +66,7 @@ class GroupDifference:
 
 @dataclass(frozen=True, eq=False)
 class GroupStudy:
-    """What is known of a group of shapes.
+    """Findings about a group of shapes.
 
     Attributes:
         alignment: all shapes in one position with the same faces, and their mean.

@@ -76,6 +76,7 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
     expected = {"until": "moser", "cost": "geodesic", "method": "omt", "scheme": "paper", "refine": "0.5"}
     assert radial == {
         **expected,
+        "strict": False,
         "device": "cpu",
         "solver": "auto",
         "exact": False,
