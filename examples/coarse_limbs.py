@@ -61,18 +61,16 @@ def main() -> None:
     given = read_surfaces(options.meshes) if options.meshes else made_tubes(options.faces)
     print(f"{'':34s} vertices needed ratio share     area    p95  angle")
     for name, surface in given:
-        around, needed, share = thinnest_ring(surface)
-        moser = omtwarp.map_to_sphere(surface, until="moser", device=options.device)
-        refiner = Refiner(surface, resolve_device(options.device))
-        refined = refiner.minimise(moser.sphere, TRIANGLE_WEIGHT, iterations=STEPS, tolerance=TOLERANCE)
-        judged = omtwarp.distortion(surface.vertices, surface.faces, refined.sphere)
         ring = thinnest_ring(surface)
         if ring is None:
             print(f"{name[-34:]:34s} no ring cuts off more than a hundredth of the area")
             continue
         around, share = ring.around, ring.share
         needed = vertices_needed(share, surface.face_count)
-        judged = omtwarp.map_to_sphere(surface, device=options.device).distortion()
+        moser = omtwarp.map_to_sphere(surface, until="moser", device=options.device)
+        refiner = Refiner(surface, resolve_device(options.device))
+        refined = refiner.minimise(moser.sphere, TRIANGLE_WEIGHT, iterations=STEPS, tolerance=TOLERANCE)
+        judged = omtwarp.distortion(surface.vertices, surface.faces, refined.sphere)
         print(
             f"{name[-34:]:34s} {around:8.1f} {needed:6.1f} {around / needed:5.2f} {share:5.3f} "
             f"{judged.area['surface']:8.4f} {judged.area['p95']:6.3f} {judged.angle['surface']:6.2f}",
