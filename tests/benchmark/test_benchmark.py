@@ -65,7 +65,7 @@ def test_kernels_of_all_stages_are_recorded(result):
     names = {row["name"] for row in kernels["kernels"]}
     assert {
         "moser.kernels.integrate_particles",
-        "transport.kernels.advect_points",
+        "optimal.kernels.transport_gradient",
         "refine.kernels.triangle_hessian",
     } <= names
     for row in kernels["kernels"]:
