@@ -103,7 +103,8 @@ def test_small_filling_takes_a_hundredth():
     mesh = without(ball, ball.vertices[:, 2] > -0.7)
     result = omtwarp.map_surface(mesh, domain="sphere", fill_area="small", device="cpu")
     areas = triangle_areas(result.filled_sphere, result.filled_faces)
-    assert areas[result.filled_loop >= 0].sum() < 0.012 * areas.sum()
+    # A hundredth, and what the rings at its edge share with the surface.
+    assert areas[result.filled_loop >= 0].sum() < 0.013 * areas.sum()
     assert result.report["certificate"]["bijective"] and result.distortion().area["surface"] < 2.02
 
 

@@ -191,10 +191,10 @@ def test_a_weight_that_is_not_positive_is_refused(weight):
         hierarchical_embedding(icosphere(2), area_weight=weight, device="cpu")
 
 
-def test_no_room_for_a_vertex_is_said_plainly(monkeypatch):
+def test_no_place_for_a_vertex_is_said_plainly(monkeypatch):
     """Where a kernel is too thin for float64 the coarse map is relaxed, a few times, and then the defect is named."""
     monkeypatch.setattr(hierarchical, "_LEAST_DETERMINANT", 2.0)
-    with pytest.raises(OmtwarpError, match="no room for a vertex"):
+    with pytest.raises(OmtwarpError, match="found no place for a vertex"):
         hierarchical_embedding(icosphere(3), device="cpu")
 
 
