@@ -77,7 +77,7 @@ def shape_distance(
         >>> from omtwarp.shape_analysis import shape_distance
         >>> result = omtwarp.map_to_sphere(omtwarp.shapes.blob(3, sphere=720), until="moser", device="cpu")
         >>> distance = shape_distance(result, result, degree=6, device="cpu")
-        >>> distance.coefficients < 1e-6, distance.transport < 0.02
+        >>> distance.coefficients < 1e-6, distance.transport < 0.05
         (True, True)
 
     .. [1] Z. Su, Y. Wang, R. Shi, W. Zeng, J. Sun, F. Luo, X. Gu, "Optimal mass transport for shape matching and

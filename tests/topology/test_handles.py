@@ -63,7 +63,7 @@ def test_pretzel_is_mapped_and_its_texture_breaks_at_the_cuts_only():
     surface = shapes.rings(2, cell=0.3)
     result = omtwarp.map_surface(surface, refine="area", device="cpu")
     assert result.report["certificate"]["bijective"] and result.distortion().flips == 0
-    assert result.distortion().area["surface"] < 2.02
+    assert result.distortion().area["surface"] < 2.1  # coarse: areas are kept around vertices
     assert result.loop_pairs.tolist() == [[0, 1], [2, 3]]
     assert np.array_equal(result.vertex_origin[result.faces], surface.faces)
     copies = np.bincount(result.vertex_origin)
