@@ -327,7 +327,7 @@ class _Newton:
             if not tried or tried[0][1] > 0:
                 held = self.steps.held_back(points, direction, volume, length)
                 if held is not None:
-                    tried.append((held[0], int((held[1] < 1.0).sum())))
+                    tried.append((held[0], int((held[1].numpy() < 1.0).sum())))
             for moved, mended in tried:
                 after = self.energy.terms(moved)
                 value = self._merit(after)

@@ -8,7 +8,7 @@ fails, the corners of the triangles in trouble are held back, and last of all th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,27 +16,20 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
-from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Progress
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
-from omtwarp.triangle_newton.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
-from omtwarp.untangling.untangle import RepairBudget, Schedule, untangle_patches
+from omtwarp.untangling.steps import FlipFreeSteps
+from omtwarp.untangling.untangle import RepairBudget
 
 MAX_HALVINGS = 25  # of the whole step, in a line search
 MAX_HALVINGS_CORRECTED = 2  # of a step with an older matrix: after that a new matrix gains more
 MAX_REPAIR_TRIALS = 3  # step lengths that are tried with repair of the triangles they flip
-MAX_HOLDING_ROUNDS = 30  # of halving the shares of corners of nearly flipped triangles
 MIN_CURVATURE_SHARE = 0.03  # of the curvature of D, see omtwarp.refine.kernels.triangle_hessian
-REPAIR_SCHEDULES = (
-    Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
-    Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02, largest=0.5),
-)  # how the few triangles that a step flips are mended, before the step is shortened
 MAX_TRUSTED_REPAIRS = 0.01  # of the vertices: a step after which fewer are repaired counts as a full step
-MAX_TROUBLED_SHARE = 0.05  # of the triangles: where a step flips more, it is shortened, not repaired
 MIN_GAIN_SHARE = 0.15  # of the gain of the last new matrix: where a corrected step gains less, the matrix is renewed
 
 # With a small weight of area, angle + λ area of a nearly conformal map is a few hundredths above its least value, of
@@ -79,7 +72,12 @@ class Refiner:
         self.device = device
         self.energy = DistortionEnergy(surface, device)
         self._steps = steps_for(self.energy)
-        self.budget = RepairBudget(surface)
+        self._flip_free = FlipFreeSteps(surface, device)
+
+    @property
+    def budget(self) -> RepairBudget:
+        """How much more may be untangled after steps."""
+        return self._flip_free.budget
 
     @blas_threads(1)
     def minimise(
@@ -169,72 +167,21 @@ class Refiner:
         length = 1.0 / max(1.0, 2.0 * direction.reach)  # no vertex may swing farther than half a radian
         for attempt in range(halvings):
             if attempt < MAX_REPAIR_TRIALS:
-                moved, mended = self._mended(points, direction.vectors, terms.d_volume, length, weight)
-                if moved is not None:
+                untangled = self._flip_free.untangled(points, direction.vectors, terms.d_volume, length, weight)
+                if untangled is not None:
+                    moved, mended = untangled
                     after = self.energy.terms(moved)
                     if after.total(weight) <= before + SUFFICIENT_DECREASE * length * direction.slope:
                         return moved, after, length, mended
-            moved, share = self._held_back(points, direction.vectors, terms.d_volume, length)
-            if moved is not None:
+            held = self._flip_free.held_back(points, direction.vectors, terms.d_volume, length)
+            if held is not None:
+                moved, share = held
                 slope = length * direction.slope_of(share)
                 after = self.energy.terms(moved)
                 if slope < 0.0 and after.total(weight) <= before + SUFFICIENT_DECREASE * slope:
                     return moved, after, length, int((share.numpy() < 1.0).sum())
             length *= 0.5
         return None
-
-    def _mended(self, points, direction, volume, length, weight):
-        """Points moved by the whole step, and the patches around triangles that it flips untangled where they are.
-
-        Holding a few vertices back while all around them move on would tangle them more.
-        """
-        device, energy = self.device, self.energy
-        vertices, faces = self.surface.vertex_count, self.surface.face_count
-        share = wp.full(vertices, 1.0, dtype=wp.float64, device=device)
-        moved = wp.empty(vertices, dtype=wp.vec3d, device=device)
-        trouble = wp.empty(faces, dtype=wp.int32, device=device)
-        inputs = [points, direction, share, wp.float64(length)]
-        wp.launch(retract_to_sphere, dim=vertices, inputs=inputs, outputs=[moved], device=device)
-        if self._count_trouble(moved, volume, trouble) == 0:
-            return moved, 0
-        seeds = trouble.numpy() > 0
-        mended = 0
-        for schedule in REPAIR_SCHEDULES:
-            if not seeds.any():
-                return moved, mended
-            if self.budget.exhausted or seeds.mean() > MAX_TROUBLED_SHARE:
-                return None, 0
-            schedule = replace(schedule, weight=weight)
-            sphere, patch = untangle_patches(self.surface, moved.numpy(), seeds, schedule, device, self.budget)
-            mended += patch
-            moved = energy.upload(sphere)
-            seeds = flipped_faces(sphere, self.surface.faces)
-        return (None, 0) if seeds.any() else (moved, mended)
-
-    def _held_back(self, points, direction, volume, length):
-        """Points moved with the largest shares of the step, halved corner by corner, that keep every triangle."""
-        device, energy = self.device, self.energy
-        count, faces = self.surface.vertex_count, self.surface.face_count
-        share = wp.full(count, 1.0, dtype=wp.float64, device=device)
-        other = wp.empty(count, dtype=wp.float64, device=device)
-        moved = wp.empty(count, dtype=wp.vec3d, device=device)
-        trouble = wp.empty(faces, dtype=wp.int32, device=device)
-        for _ in range(MAX_HOLDING_ROUNDS):
-            inputs = [points, direction, share, wp.float64(length)]
-            wp.launch(retract_to_sphere, dim=count, inputs=inputs, outputs=[moved], device=device)
-            if self._count_trouble(moved, volume, trouble) == 0:
-                return moved, share
-            inputs = [*energy.triangles.rows, trouble, share]
-            wp.launch(hold_back, dim=count, inputs=inputs, outputs=[other], device=device)
-            share, other = other, share
-        return None, None
-
-    def _count_trouble(self, moved, volume, trouble) -> int:
-        """Mark the triangles that a step must not leave as they are, and count them."""
-        count = wp.zeros(1, dtype=wp.int32, device=self.device)
-        inputs, outputs = [moved, self.energy.triangles.faces, volume], [trouble, count]
-        wp.launch(triangle_trouble, dim=trouble.size, inputs=inputs, outputs=outputs, device=self.device)
-        return int(count.numpy()[0])
 
 
 def _record(

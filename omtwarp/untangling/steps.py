@@ -72,11 +72,12 @@ class FlipFreeSteps:
 
     def held_back(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float
-    ) -> tuple[wp.array, NDArray[np.float64]] | None:
+    ) -> tuple[wp.array, wp.array] | None:
         """Points moved with the largest shares of the step, halved corner by corner, that keep every triangle.
 
         Returns:
-            The map and the shares, shape [V]; None where no shares were found. Arguments as of :meth:`untangled`.
+            The map and the shares, float64, shape [V], on the device; None where no shares were found. Arguments as of
+            :meth:`untangled`.
         """
         count = self._surface.vertex_count
         share = wp.full(count, 1.0, dtype=wp.float64, device=self._device)
@@ -85,7 +86,7 @@ class FlipFreeSteps:
             moved = self._moved(points, direction, share, length)
             trouble = self._trouble(moved, volume)
             if trouble is None:
-                return moved, share.numpy()
+                return moved, share
             marks = wp.array(trouble.astype(np.int32), dtype=wp.int32, device=self._device)
             wp.launch(hold_back, dim=count, inputs=[*self._rows, marks, share], outputs=[other], device=self._device)
             share, other = other, share
