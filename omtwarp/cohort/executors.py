@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, read_record, write_record
+from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, read_record, settle
 from omtwarp.errors import OmtwarpError
 
 Record = dict[str, Any]
@@ -50,11 +50,11 @@ class Host:
             if record is not None:
                 return record
             if late:
-                return write_record(job, TIMEOUT, f"took longer than {job.time_limit:g} s", seconds=job.time_limit)
+                return settle(job, TIMEOUT, f"took longer than {job.time_limit:g} s", seconds=job.time_limit)
             died = -exit_status
         if died == 9 and job.memory_limit:
-            return write_record(job, MEMORY, "was killed twice, most likely for want of memory")
-        return write_record(job, CRASHED, f"its process ended by signal {died}, {ATTEMPTS} times")
+            return settle(job, MEMORY, "was killed twice, most likely for want of memory")
+        return settle(job, CRASHED, f"its process ended by signal {died}, {ATTEMPTS} times")
 
     def _attempt(self, job: Job) -> tuple[int, bool]:
         process = self._started()
@@ -234,7 +234,7 @@ class DaskCluster:
                 if future.status == "finished":
                     yield future.result()
                 else:
-                    yield read_record(job) or write_record(job, CRASHED, f"Dask gave it up: {future.exception()}")
+                    yield settle(job, CRASHED, f"Dask gave it up: {future.exception()}")
                 future.release()
         finally:
             self._client.close()
@@ -278,7 +278,7 @@ class SubmititArray:
         for task in submitit.helpers.as_completed(running, poll_frequency=1):
             failed = task.exception()
             for job in by_id[task.job_id]:
-                yield read_record(job) or write_record(job, CRASHED, f"its job {task.job_id} ended: {failed}")
+                yield settle(job, CRASHED, f"its job {task.job_id} ended: {failed}")
 
 
 def executor_for(name: str, folder: Path, workers: int) -> Executor:

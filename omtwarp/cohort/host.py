@@ -72,9 +72,12 @@ def _load(job: Job) -> None:
 
 def _supervise(job: Job) -> dict[str, int | bool]:
     """Fork, and wait for the item, the end of its time, or the end of the driver."""
+    host = os.getpid()
     child = os.fork()
     if child == 0:
-        _work(job)
+        _work(job, host)
+    with contextlib.suppress(OSError):  # whichever of the two comes first: the group is there before it may be ended
+        os.setpgid(child, child)
     deadline = time.monotonic() + job.time_limit
     pidfd = None
     if hasattr(os, "pidfd_open"):
@@ -103,13 +106,15 @@ def _supervise(job: Job) -> dict[str, int | bool]:
             os.close(pidfd)
 
 
-def _work(job: Job) -> None:
-    """Be the process of an item, in a process group of its own, and end."""
+def _work(job: Job, host: int) -> None:
+    """Be the process of an item, in a process group of its own, and end; also where the host has died already."""
     status = 70
     try:
         os.setpgid(0, 0)
         if sys.platform == "linux":
             ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+            if os.getppid() != host:
+                return
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         run_item(job)
         status = 0

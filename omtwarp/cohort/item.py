@@ -8,7 +8,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -93,15 +93,69 @@ def read_record(job: Job) -> dict[str, Any] | None:
 
 
 def write_record(job: Job, status: str, message: str = "", **numbers: Any) -> dict[str, Any]:
-    """Write what became of an item, in one step, and a line in the journal of what was completed."""
+    """Write what became of an item, in one step, and a line in the journal; the caller holds the item's lock.
+
+    Where the process dies between the two, :func:`complete_journal` adds the line.
+    """
     record = {"id": job.id, "path": job.path, "key": job.key, "status": status, "version": package_version()}
     record |= {"message": " ".join(message.split()), **numbers}
     with staged(job.record_file) as file:
         file.write_text(json.dumps(record, indent=1), "utf-8")
-    line = json.dumps({"id": job.id, "key": job.key, "status": status, "time": time.time(), "process": os.getpid()})
-    with open(Path(job.folder) / "journal.jsonl", "a", encoding="utf-8") as journal:
-        journal.write(line + "\n")
+    _append_to_journal(job, status)
     return record
+
+
+def settle(job: Job, status: str, message: str, **numbers: Any) -> dict[str, Any]:
+    """Record a failure that was seen from outside, unless a process that worked on the item has written a record."""
+    with _locked(job):
+        return read_record(job) or write_record(job, status, message, **numbers)
+
+
+def forget_failure(job: Job) -> None:
+    """Remove the record of an item that failed, so that it is worked on again; never that of one which succeeded."""
+    with _locked(job):
+        record = read_record(job)
+        if record is not None and record["status"] != OK:
+            job.record_file.unlink(missing_ok=True)
+
+
+def read_journal(folder: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """The lines of a cohort's journal, without those that are not whole."""
+    try:
+        lines = (Path(folder) / "journal.jsonl").read_text("utf-8", "replace").splitlines()
+    except OSError:
+        return []
+    entries = []
+    for line in lines:
+        with contextlib.suppress(ValueError):
+            entry = json.loads(line)
+            if isinstance(entry, dict):
+                entries.append(entry)
+    return entries
+
+
+def complete_journal(jobs: Iterable[Job], folder: str | os.PathLike[str]) -> None:
+    """Add the journal's lines of processes that were killed after they had written their record."""
+    known = {(entry.get("id"), entry.get("key"), entry.get("status")) for entry in read_journal(folder)}
+    for job in jobs:
+        record = read_record(job)
+        if record is None or (job.id, job.key, record["status"]) in known:
+            continue
+        with _locked(job):  # whoever held the lock has written the line, or is dead
+            lines = {(entry.get("id"), entry.get("key"), entry.get("status")) for entry in read_journal(folder)}
+            if (job.id, job.key, record["status"]) not in lines:
+                _append_to_journal(job, record["status"])
+
+
+def _append_to_journal(job: Job, status: str) -> None:
+    """Append a line in one write, which processes that append at the same time do not mix."""
+    line = json.dumps({"id": job.id, "key": job.key, "status": status, "time": time.time(), "process": os.getpid()})
+    with open(Path(job.folder) / "journal.jsonl", "ab+", buffering=0) as journal:
+        torn = False  # the disk was full, or the machine stopped, in the middle of the last line
+        if journal.seek(0, os.SEEK_END):
+            journal.seek(-1, os.SEEK_END)
+            torn = journal.read(1) != b"\n"
+        journal.write((b"\n" if torn else b"") + line.encode() + b"\n")
 
 
 def run_item(job: Job) -> dict[str, Any]:
@@ -190,4 +244,15 @@ def _peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-__all__ = ["Job", "key_of", "numbers_of", "read_record", "run_item", "write_record"]
+__all__ = [
+    "Job",
+    "complete_journal",
+    "forget_failure",
+    "key_of",
+    "numbers_of",
+    "read_journal",
+    "read_record",
+    "run_item",
+    "settle",
+    "write_record",
+]

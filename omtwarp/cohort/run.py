@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from omtwarp.cohort.executors import executor_for, make_folders
-from omtwarp.cohort.item import OK, Job, key_of, read_record
+from omtwarp.cohort.item import OK, Job, complete_journal, forget_failure, key_of, read_record
 from omtwarp.cohort.manifest import Item
 from omtwarp.cohort.page import write_page
 from omtwarp.cohort.table import write_table
@@ -121,17 +121,19 @@ def run_cohort(
     ]
     mine = [] if collect else jobs[part - 1 :: parts]
     todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]
-    for job in todo:
-        job.record_file.unlink(missing_ok=True)
     failed = 0
     if todo:
         with _only_driver(target, part, parts):
+            if retry:
+                for job in todo:
+                    forget_failure(job)
             done = len(mine) - len(todo)
             for record in executor_for(executor, target, workers).records(todo):
                 done += 1
                 failed += record["status"] != OK
                 if progress is not None:
                     progress("cohort", done, len(mine), {"failed": failed})
+    complete_journal(jobs, target)
     rows = [_row(item, job) for item, job in zip(items, jobs, strict=True)]
     table = write_table(rows, target)
     page = write_page(rows, target)
