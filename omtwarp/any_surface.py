@@ -13,13 +13,11 @@ from omtwarp.joined_maps import joined
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import distortion
-from omtwarp.open_surfaces.hemisphere import mirror_frame, symmetric_map
+from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
 from omtwarp.open_surfaces.planar import mend_in_plane
-from omtwarp.optimal import optimal_map
-from omtwarp.optimal.refinement import refine_map
-from omtwarp.options import Cost, Domain, FillArea, MapOptions, Progress, Scheme, Stage, choose
-from omtwarp.pipeline import map_to_sphere
+from omtwarp.options import Domain, FillArea, MapOptions, Progress, choose
+from omtwarp.pipeline import map_double, map_to_sphere
 from omtwarp.result import MapResult
 from omtwarp.surface_map import SurfaceMap
 from omtwarp.topology.boundary import loop_length
@@ -247,6 +245,13 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
     )
 
 
+def _turned(closed: MapResult, frame: Floats) -> MapResult:
+    """A map with all its stages turned by a rotation, ``points @ frame``."""
+    stages = {name: getattr(closed, name) for name in ("sphere", "conformal", "source", "moser", "transported")}
+    turned = {name: None if points is None else points @ frame for name, points in stages.items()}
+    return replace(closed, **turned)
+
+
 def _on_hemisphere(
     part: Part, opened: _Opened, domain: str, progress: Progress | None, options: dict[str, Any]
 ) -> SurfaceMap:
@@ -254,37 +259,19 @@ def _on_hemisphere(
     half = _surface(opened)
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
-    closed = map_to_sphere(surface, progress=progress, **options)
-    device = options.get("device", "auto")
     chosen = MapOptions.parse(**(vars(MapOptions()) | options))
-    frame = mirror_frame(glued, closed.sphere, surface.vertex_areas)
-
-    def turned(points: Floats | None) -> Floats | None:
-        return None if points is None else points @ frame
-
-    start = (closed.conformal if closed.source is None else closed.source) @ frame
-
-    def improve(sphere: Floats) -> Floats:
-        if Stage.OMT in chosen.stages and (chosen.cost, chosen.scheme) == (Cost.SQUARED, Scheme.DEFAULT):
-            sphere = optimal_map(surface, sphere, start=start, device=device).sphere
-        if Stage.REFINE in chosen.stages and chosen.refine is not None:
-            sphere = refine_map(surface, sphere, weight=chosen.refine, device=device).sphere
-        return sphere
-
-    image = symmetric_map(glued, surface, closed.sphere @ frame, improve, device=device)
-    closed = MapResult(
-        vertices=closed.vertices,
-        faces=closed.faces,
-        sphere=image,
-        conformal=closed.conformal @ frame,
-        density=closed.density,
-        face_density=closed.face_density,
-        source=turned(closed.source),
-        moser=turned(closed.moser),
-        transported=turned(closed.transported),
-        history=closed.history,
-        report=closed.report,
-    )
+    closed = map_double(glued, surface, chosen, progress=progress, stacklevel=5)
+    image = closed.sphere
+    if not is_symmetric(glued, image):
+        frame = mirror_frame(glued, image, surface.vertex_areas)
+        found = symmetric_map(glued, surface, image @ frame, device=chosen.device)
+        if found is None:
+            raise OmtwarpError(
+                "the map of the doubled surface is not one to one once it is symmetric: use a finer mesh, or fill the "
+                "hole"
+            )
+        image = found
+        closed = _turned(closed, frame)
     result = _restricted(part, opened, closed, image, domain)
     return result if domain == "hemisphere" else _projected(part, result, glued.on_boundary, domain)
 

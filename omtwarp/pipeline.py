@@ -33,7 +33,9 @@ from omtwarp.metrics.certificate import Certificate, certify
 from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import Optimality, surface_optimality
 from omtwarp.moser import moser_map
-from omtwarp.optimal import SHAPE_WEIGHT, optimal_map
+from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetrised
+from omtwarp.open_surfaces.symmetric import symmetric_optimal_map
+from omtwarp.optimal import SHAPE_WEIGHT, OptimalMap, optimal_map
 from omtwarp.optimal.cells import exact_map
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Scheme, Stage
@@ -41,6 +43,7 @@ from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapResult, StageRecord
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import as_target
+from omtwarp.topology.doubling import Double
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import optimal_transport, transport_cost
 from omtwarp.transport.paper import paper_flow
@@ -175,6 +178,34 @@ def map_to_sphere(
     return result
 
 
+@blas_threads(1)
+def map_double(
+    double: Double, surface: Surface, options: MapOptions, *, progress: Progress | None = None, stacklevel: int = 3
+) -> MapResult:
+    """Map the double of a surface to the sphere; the optimal map is solved on one half, and is symmetric to the bit.
+
+    Args:
+        double: the surface and its copy.
+        surface: the double as a surface.
+        options: those of :func:`map_to_sphere`.
+        progress: called as ``progress(stage, done, total, details)``.
+        stacklevel: of warnings.
+
+    Returns:
+        The map of the double, the surface on the northern hemisphere. It is nearly symmetric where the last stage is
+        not the optimal map.
+
+    Raises:
+        OmtwarpError: the mesh cannot be mapped.
+    """
+    with solving_with(options.solver):
+        where = str(resolve_device(options.device))
+        result = _Run(as_surface(surface), options, where, progress, mirror=double).result()
+    for finding in result.report["warnings"]:
+        warnings.warn(finding["text"], OmtwarpWarning, stacklevel=stacklevel + 1)
+    return result
+
+
 class _Run:
     """One map in the making: the maps reached so far, the last one first in line, and the record of how.
 
@@ -187,6 +218,7 @@ class _Run:
         device: name of the device that kernels run on.
         progress: called at the begin and end of every stage, and during long ones.
         target: the density on the sphere that is to be reached; None for the uniform one.
+        mirror: what the surface is the double of, if it is one: the map is kept symmetric where it can be.
     """
 
     def __init__(
@@ -196,8 +228,10 @@ class _Run:
         device: str,
         progress: Progress | None,
         target: TargetDensity | None = None,
+        mirror: Double | None = None,
     ):
         self.target = target
+        self.mirror = mirror
         self.surface = surface
         self.options = options
         self.device = device
@@ -327,6 +361,8 @@ class _Run:
             if not start.route.startswith("conformal"):
                 sphere = turned_towards(sphere, self.source, self.surface.vertex_areas)
         sphere = self.orient(sphere)
+        if self.mirror is not None:
+            sphere = self.lay_symmetric(self.mirror, sphere)
         del start  # its factorisation is large, and not needed again
         self.finish(Stage.CONFORMAL, sphere, 1, **self.origin, repaired=repaired)
 
@@ -350,6 +386,20 @@ class _Run:
             self.source = turned if self.source is sphere else _normalised(self.source @ rotation.T)
         return turned
 
+    def lay_symmetric(self, mirror: Double, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Turn the first map, and the points that transport starts from, to be symmetric about the equator."""
+        given = sphere if self.source is None else self.source
+        frame = mirror_frame(mirror, given, self.surface.vertex_areas)
+        self.source = symmetrised(mirror, given @ frame)
+        return self.symmetric(sphere @ frame)
+
+    def symmetric(self, sphere: NDArray[np.float64], repair: bool = False) -> NDArray[np.float64]:
+        """The map of a double made symmetric, where that flips nothing; the map as it is where it does."""
+        if self.mirror is None:
+            return sphere
+        found = symmetric_map(self.mirror, self.surface, sphere, repair=repair, device=self.device)
+        return sphere if found is None else found
+
     def moser(self) -> None:
         """Moser's flow from the start, repeated from its own result, flips repaired after each pass."""
         sphere = self.sphere
@@ -364,7 +414,7 @@ class _Run:
             error = self.area_error(mended)
             if error >= least:
                 break  # where the image is badly stretched, repairs can lose more than the flow gains
-            sphere, least = mended, error
+            sphere, least = self.symmetric(mended), error
         self.finish(Stage.MOSER, sphere, steps, repaired=repaired)
 
     def transport(self) -> None:
@@ -425,22 +475,17 @@ class _Run:
         give_back()  # the largest matrices follow
         cost = transport_cost(surface, self.points(sphere), start=self.start, device=self.device)
         weight = min(SHAPE_WEIGHT, SHAPE_BY_DISTANCE * float(np.sqrt(cost / SPHERE_AREA)))
+        sphere = self.symmetric(sphere, repair=True)
+        if self.mirror is not None and not is_symmetric(self.mirror, sphere):
+            sphere = self.optimal(sphere, weight).sphere  # the optimal map is symmetric up to the mesh's error
+            frame = mirror_frame(self.mirror, sphere, surface.vertex_areas)
+            sphere = self.symmetric(sphere @ frame, repair=True)
         found = last = None
         used = weight
         excess = np.inf
         for _ in range(SHAPE_ROUNDS):
-            last, found = (
-                found,
-                optimal_map(
-                    surface,
-                    sphere if found is None else found.sphere,
-                    start=self.source,
-                    shape_weight=weight,
-                    multipliers=None if found is None else found.multipliers,
-                    device=self.device,
-                    progress=self.progress,
-                ),
-            )
+            multipliers = None if found is None else found.multipliers
+            last, found = found, self.optimal(sphere if found is None else found.sphere, weight, multipliers)
             known = len(self.history)
             self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
             before, measured_before = excess, self.measured
@@ -462,6 +507,22 @@ class _Run:
             "shape_weight": weight,
         }
         self.finish(Stage.OMT, sphere, len(self.history) - 1, **details)
+
+    def optimal(
+        self, sphere: NDArray[np.float64], weight: float, multipliers: NDArray[np.float64] | None = None
+    ) -> OptimalMap:
+        """The discrete optimal map with a weight of the shape term; symmetric where the map given is."""
+        assert self.source is not None
+        common: dict[str, Any] = {
+            "start": self.source,
+            "shape_weight": weight,
+            "multipliers": multipliers,
+            "device": self.device,
+            "progress": self.progress,
+        }
+        if self.mirror is not None and is_symmetric(self.mirror, sphere):
+            return symmetric_optimal_map(self.mirror, self.surface, sphere, **common)
+        return optimal_map(self.surface, sphere, **common)
 
     def shape_excess(self, sphere: NDArray[np.float64]) -> float:
         """How far gap and curl of a map are above what the shape term may cost; at most 1 where they are not."""
@@ -542,6 +603,7 @@ class _Run:
             refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=self.progress)
             sphere, flips = self.mend(sphere, refined.sphere)
             repaired += flips
+        sphere = self.symmetric(sphere, repair=True)
         record = {"weight": self.options.to_dict()["refine"], "converged": refined.converged, "repaired": repaired}
         self.finish(Stage.REFINE, sphere, len(refined.history), **record)
 

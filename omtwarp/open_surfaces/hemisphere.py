@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
+from omtwarp.open_surfaces.symmetric import ACROSS, folded_map
 from omtwarp.topology.doubling import Double
-from omtwarp.untangling.untangle import untangle
+from omtwarp.untangling.untangle import RepairBudget, untangle
 
 Floats = NDArray[np.float64]
 
@@ -49,46 +47,51 @@ def symmetrised(double: Double, turned: Floats) -> Floats:
         double: the surface and its copy.
         turned: a map whose plane of symmetry is nearly the equator's, shape [W, 3].
     """
-    mirrored = turned[double.mirror] * np.array([1.0, 1.0, -1.0])
+    mirrored = turned[double.mirror] * ACROSS
     # The sum of two numbers has the same bits in either order, so that mirror images agree exactly.
     means = turned + mirrored
     means[double.on_boundary, 2] = 0.0
     return means / np.linalg.norm(means, axis=1)[:, None]
 
 
+def is_symmetric(double: Double, sphere: Floats) -> bool:
+    """Whether a map is its own mirror image to the last bit."""
+    return bool(np.array_equal(sphere[double.mirror] * ACROSS, sphere))
+
+
 def symmetric_map(
-    double: Double,
-    surface: Surface,
-    sphere: Floats,
-    improve: Callable[[Floats], Floats],
-    *,
-    device: str | None = "auto",
-) -> Floats:
-    """An exactly mirror-symmetric map without flips, from a nearly symmetric one.
+    double: Double, surface: Surface, sphere: Floats, *, repair: bool = True, device: str | None = "auto"
+) -> Floats | None:
+    """An exactly mirror-symmetric map that is one to one, near one that is nearly symmetric.
 
     Args:
         double: the surface and its copy.
         surface: the same as a surface.
         sphere: a map of it that lies as :func:`mirror_frame` turns it, shape [W, 3].
-        improve: what follows a repair: from a map that is one to one to a better one.
+        repair: whether flipped triangles may be untangled.
         device: where the repair runs.
 
-    Raises:
-        OmtwarpError: it is still not one to one after several repairs.
+    Returns:
+        The map; the same array where it is symmetric already; None where none was found.
     """
-    image = symmetrised(double, sphere)
-    for number in range(ROUNDS):
+    if is_symmetric(double, sphere):
+        return sphere
+    budget = RepairBudget(surface)
+    for image in (symmetrised(double, sphere), folded_map(double, sphere)):
         if is_bijective(image, surface.faces, device=device):
             return image
-        mended = untangle(surface, image, device=device).sphere
-        if number == 0 and is_bijective(mended, surface.faces, device=device):
-            mended = improve(mended)
-        image = symmetrised(double, mended @ mirror_frame(double, mended, surface.vertex_areas))
-    if not is_bijective(image, surface.faces, device=device):
-        raise OmtwarpError(
-            "the map of the doubled surface is not one to one once it is symmetric: use a finer mesh, or fill the hole"
-        )
-    return image
+    if not repair:
+        return None
+    image = symmetrised(double, sphere)
+    for _ in range(ROUNDS):
+        mended = untangle(surface, image, budget=budget, device=device).sphere
+        if not is_bijective(mended, surface.faces, device=device):
+            return None
+        turned = mended @ mirror_frame(double, mended, surface.vertex_areas)
+        for image in (folded_map(double, turned), symmetrised(double, turned)):
+            if is_bijective(image, surface.faces, device=device):
+                return image
+    return None
 
 
-__all__ = ["mirror_frame", "symmetric_map", "symmetrised"]
+__all__ = ["is_symmetric", "mirror_frame", "symmetric_map", "symmetrised"]

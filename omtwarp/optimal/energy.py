@@ -37,6 +37,7 @@ from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, surface_saddle_factor
 from omtwarp.triangle_newton.newton import NewtonMatrix
 from omtwarp.untangling.kernels import solid_angles
+from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
@@ -76,7 +77,10 @@ class TransportEnergy:
         wanted: the areas that constraints ask for, 3 m_v, shape [V].
         area_tolerances: root mean square and largest relative error up to which they count as kept.
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
+        local_steps: whether some vertices of a map may be moved by themselves.
     """
+
+    local_steps = True
 
     area_tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
     exact_tolerance = 1e-6
@@ -105,6 +109,10 @@ class TransportEnergy:
     def saddle_factor(self) -> SaddlePointFactor:
         """What factorises the matrices that :meth:`blocks` gives."""
         return surface_saddle_factor(self.surface)
+
+    def flip_free_steps(self) -> FlipFreeSteps:
+        """What moves maps along directions."""
+        return FlipFreeSteps(self.surface, self.device)
 
     def terms(self, points: wp.array) -> MapTerms:
         """Areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""

@@ -50,10 +50,10 @@ def restore_areas(
     Returns:
         The map of the last step that made areas better, without flips, and whether they are right.
     """
-    surface, device = energy.surface, energy.device
+    device = energy.device
     points = vectors(sphere, device)
     terms = energy.terms(points)
-    steps = FlipFreeSteps(surface, device)
+    steps = energy.flip_free_steps()
     factor = energy.saddle_factor()
     compliance = energy.wanted * energy.wanted.sum() / STIFFNESS
     for number in range(rounds):

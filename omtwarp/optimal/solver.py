@@ -30,7 +30,6 @@ from omtwarp.options import Progress
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
-from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
@@ -172,7 +171,7 @@ class _Newton:
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
         self.surface = energy.surface
-        self.steps = FlipFreeSteps(self.surface, self.device)
+        self.steps = energy.flip_free_steps()
         self.factor = energy.saddle_factor()
         # Of the augmented Lagrangian: μ over the areas wanted, which sum to 12π for rings.
         self.stiffness = (PENALTY if penalty is None else penalty) / energy.wanted.sum() / energy.wanted

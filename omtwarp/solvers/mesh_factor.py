@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import solves_with_scipy
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, surface_dissection
+from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect, surface_dissection
 from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
 from omtwarp.solvers.cholesky.saddle import SaddleFactor, expand
 
@@ -195,6 +195,19 @@ def surface_saddle_factor(surface: Surface) -> SaddlePointFactor:
     return SaddleFactor(order, expanded=surface.kept("saddle-point order", lambda: expand(order)))
 
 
+def saddle_factor(points: NDArray[np.float64], edges: NDArray[np.int32]) -> SaddlePointFactor:
+    """Make the factorisation that is asked for, of saddle-point matrices on the edges of any mesh.
+
+    Args:
+        points: positions of the vertices, shape [V, 3]; they only say which are near one another.
+        edges: every edge (i, j) once, shape [E, 2].
+    """
+    if solves_with_scipy():
+        i, j = edges.T
+        return SparseSaddleFactor(len(points), edges, np.r_[i, j], np.r_[j, i])
+    return SaddleFactor(dissect(points, edges))
+
+
 def cell_saddle_factor(surface: Surface, cells: NDArray[np.int32]) -> SaddlePointFactor:
     """Solve with a multiplier for every cell, a group of vertices; shape [N, K]."""
     if solves_with_scipy():
@@ -210,6 +223,7 @@ __all__ = [
     "SparseSaddleFactor",
     "cell_saddle_factor",
     "mesh_factor",
+    "saddle_factor",
     "surface_factor",
     "surface_saddle_factor",
 ]

@@ -104,6 +104,11 @@ class Double:
     mirror: NDArray[np.int64]
     on_boundary: NDArray[np.bool_]
 
+    @property
+    def half_count(self) -> int:
+        """Number of vertices of the surface itself, with its boundary."""
+        return int(np.count_nonzero(self.mirror >= np.arange(len(self.mirror))))
+
 
 def double(vertices: NDArray[np.float64], faces: NDArray) -> Double:
     """Glue a surface to its mirror copy along its boundary; the copy lies where the surface lies.

@@ -66,8 +66,9 @@ class FlipFreeSteps:
             schedule = replace(schedule, weight=weight)
             sphere, patch = untangle_patches(self._surface, moved.numpy(), seeds, schedule, self._device, self.budget)
             count += patch
+            sphere = self._admitted(sphere)
             moved = vectors(sphere, self._device)
-            seeds = flipped_faces(sphere, self._surface.faces)
+            seeds = self._counted(flipped_faces(sphere, self._surface.faces))
         return None if seeds.any() else (moved, count)
 
     def held_back(
@@ -91,6 +92,14 @@ class FlipFreeSteps:
             wp.launch(hold_back, dim=count, inputs=[*self._rows, marks, share], outputs=[other], device=self._device)
             share, other = other, share
         return None
+
+    def _admitted(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The map nearby of the kind that these steps lead to, shape [V, 3]; here every map is."""
+        return sphere
+
+    def _counted(self, faces: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Those of some triangles that have to be seen to, shape [F]; here all of them."""
+        return faces
 
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
         count = self._surface.vertex_count
