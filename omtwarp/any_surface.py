@@ -247,9 +247,18 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
 
 def _turned(closed: MapResult, frame: Floats) -> MapResult:
     """A map with all its stages turned by a rotation, ``points @ frame``."""
-    stages = {name: getattr(closed, name) for name in ("sphere", "conformal", "source", "moser", "transported")}
-    turned = {name: None if points is None else points @ frame for name, points in stages.items()}
-    return replace(closed, **turned)
+
+    def turned(points: Floats | None) -> Floats | None:
+        return None if points is None else points @ frame
+
+    return replace(
+        closed,
+        sphere=closed.sphere @ frame,
+        conformal=closed.conformal @ frame,
+        source=turned(closed.source),
+        moser=turned(closed.moser),
+        transported=turned(closed.transported),
+    )
 
 
 def _on_hemisphere(
