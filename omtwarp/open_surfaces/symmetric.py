@@ -95,8 +95,6 @@ class SymmetricEnergy(TransportEnergy):
         start, device, shape_weight, cost_weight, area_weight: as of :class:`TransportEnergy`.
     """
 
-    local_steps = False
-
     def __init__(
         self,
         double: Double,

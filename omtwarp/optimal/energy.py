@@ -77,10 +77,7 @@ class TransportEnergy:
         wanted: the areas that constraints ask for, 3 m_v, shape [V].
         area_tolerances: root mean square and largest relative error up to which they count as kept.
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
-        local_steps: whether some vertices of a map may be moved by themselves.
     """
-
-    local_steps = True
 
     area_tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
     exact_tolerance = 1e-6
