@@ -96,6 +96,18 @@ class Solver(StrEnum):
     MULTIGRID = "multigrid"
 
 
+class Backend(StrEnum):
+    """Programs that draw pictures: OpenGL through pyrender, the built-in ray caster, or whichever works."""
+
+    AUTO = "auto"
+    PYRENDER = "pyrender"
+    WARP = "warp"
+
+
+PICTURE_SIZE = (1024, 1024)
+BACKGROUND = "white"
+FILM_RATE = 20.0  # frames per second; a .gif counts in hundredths of a second, of which this is a whole number
+
 Kind = TypeVar("Kind", bound=StrEnum)
 
 _NAMES: dict[type[StrEnum], str] = {
@@ -105,6 +117,7 @@ _NAMES: dict[type[StrEnum], str] = {
     Scheme: "scheme",
     Refinement: "refinement",
     Solver: "solver",
+    Backend: "backend",
     Interpolation: "interpolation",
     Domain: "domain",
     FillArea: "fill area",

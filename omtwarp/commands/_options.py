@@ -46,6 +46,10 @@ def picture_size(text: str) -> str:
     return text
 
 
+def size_text(size: tuple[int, int]) -> str:
+    return "x".join(str(length) for length in size)
+
+
 def as_size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition("x")
     return int(width), int(height or width)

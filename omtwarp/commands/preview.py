@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption, SizeOption, as_size
+from omtwarp.commands._options import DeviceOption, QuietOption, SizeOption, as_size, size_text
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
+from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend
 
+DEFAULT_SIZE = size_text(PICTURE_SIZE)
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
 
 
@@ -20,12 +22,6 @@ class LightName(StrEnum):
     STUDIO = "studio"
     SOFT = "soft"
     FLAT = "flat"
-
-
-class BackendName(StrEnum):
-    AUTO = "auto"
-    PYRENDER = "pyrender"
-    WARP = "warp"
 
 
 class CameraProjection(StrEnum):
@@ -56,7 +52,7 @@ def preview_mesh(
             "--map", metavar="NPZ", callback=input_file, help="A finished map (from 'omtwarp map') to be shown."
         ),
     ] = None,
-    size: SizeOption = "1024x1024",
+    size: SizeOption = DEFAULT_SIZE,
     view: Annotated[
         list[str] | None,
         typer.Option(
@@ -72,15 +68,15 @@ def preview_mesh(
         str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
     ] = None,
     light: Annotated[LightName, typer.Option(help="flat shows the colours themselves.")] = LightName.STUDIO,
-    background: Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")] = "white",
+    background: Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")] = BACKGROUND,
     transparent: Annotated[bool, typer.Option("--transparent", help="Leave the background out.")] = False,
     wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the triangles' edges.")] = False,
     image: Annotated[
         Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture, shown through a map.")
     ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="Draw a turntable of so many frames.")] = None,
-    fps: Annotated[float, typer.Option(help="Frames per second of the turntable.")] = 20.0,
-    backend: Annotated[BackendName, typer.Option(help="OpenGL or the ray caster.")] = BackendName.AUTO,
+    fps: Annotated[float, typer.Option(help="Frames per second of the turntable.")] = FILM_RATE,
+    backend: Annotated[Backend, typer.Option(help="OpenGL or the ray caster.")] = Backend.AUTO,
     device: DeviceOption = "auto",
     quiet: QuietOption = False,
 ) -> None:
@@ -93,13 +89,12 @@ def preview_mesh(
         raise OmtwarpError("give either a mesh or map to draw, or a map with --map")
     if not shown.is_file():
         raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
-    views: Any = view[0] if view and len(view) == 1 else view
     camera = Camera(zoom=zoom, field_of_view=field_of_view, projection=projection.value)
     preview(
         shown,
         output,
         size=as_size(size),
-        views=views or None,
+        views=(view[0] if len(view) == 1 else view) if view else None,
         camera=camera,
         up=up,
         front=front,

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
@@ -19,7 +20,43 @@ from omtwarp.render.scene import SurfaceView, as_image
 from omtwarp.texturing.image import read_image as read_picture
 
 
-def as_surface_view(subject: Any, image: Any = None) -> SurfaceView:
+@runtime_checkable
+class Triangles(Protocol):
+    """Vertices and faces under these names, such as a ``trimesh.Trimesh`` or a textured surface."""
+
+    @property
+    def vertices(self) -> ArrayLike:
+        """Positions, shape [V, 3]."""
+
+    @property
+    def faces(self) -> ArrayLike:
+        """Vertex indices of the triangles, shape [F, 3]."""
+
+
+@runtime_checkable
+class FinishedMap(Triangles, Protocol):
+    """A surface with its final and its conformal map, such as a :class:`omtwarp.MapResult`."""
+
+    @property
+    def sphere(self) -> ArrayLike:
+        """Images of the vertices, shape [V, 3]."""
+
+    @property
+    def conformal(self) -> ArrayLike | None:
+        """Images of the vertices by the conformal map, shape [V, 3]."""
+
+
+@runtime_checkable
+class _Textured(Triangles, Protocol):
+    uv: ArrayLike
+    image: Picture
+
+
+Picture: TypeAlias = "str | os.PathLike[str] | Image.Image | ArrayLike"
+Subject: TypeAlias = "str | os.PathLike[str] | Triangles | SurfaceView | tuple[ArrayLike, ArrayLike]"
+
+
+def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceView:
     """Make a view of a file, a ``trimesh.Trimesh``, a ``MapResult``, ``TexturedSurface``, (vertices, faces) or a view.
 
     Args:
@@ -38,15 +75,15 @@ def as_surface_view(subject: Any, image: Any = None) -> SurfaceView:
 
             return map_view(MapResult.load(path), image)
         view = _from_trimesh(read_mesh(path))
-    elif all(hasattr(subject, name) for name in ("vertices", "faces", "sphere", "conformal")):
+    elif isinstance(subject, FinishedMap):
         return map_view(subject, image)
     elif hasattr(subject, "visual") and hasattr(subject, "faces"):
         view = _from_trimesh(subject)
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
-    elif all(hasattr(subject, name) for name in ("vertices", "faces", "uv", "image")):
+    elif isinstance(subject, _Textured):
         view = SurfaceView(subject.vertices, subject.faces, image=subject.image, uv=subject.uv)
-    elif hasattr(subject, "vertices") and hasattr(subject, "faces"):
+    elif isinstance(subject, Triangles):
         view = SurfaceView(subject.vertices, subject.faces)
     else:
         raise OmtwarpError(
@@ -63,7 +100,7 @@ def as_surface_view(subject: Any, image: Any = None) -> SurfaceView:
 
 
 def map_view(
-    result: Any, image: Any = None, *, which: str = "optimal", on: str = "surface", caption: str = ""
+    result: FinishedMap, image: Picture | None = None, *, which: str = "optimal", on: str = "surface", caption: str = ""
 ) -> SurfaceView:
     """A view of a finished map: the surface, or the sphere it was mapped to, with an image carried over by the map.
 
@@ -99,7 +136,7 @@ def checker_image(columns: int = 24, rows: int = 12, cell: int = 64) -> NDArray[
     return np.rint(255.0 * np.where(chosen == 1, light, dark[None])).astype(np.uint8)
 
 
-def read_image(image: Any) -> NDArray[np.uint8]:
+def read_image(image: Picture) -> NDArray[np.uint8]:
     """A picture from a file, a PIL image or an array, uint8 [H, W, 3].
 
     Raises:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,15 +57,15 @@ class SphereMap(Protocol):
     """A surface and its map to the sphere, such as a :class:`~omtwarp.MapResult`."""
 
     @property
-    def vertices(self) -> Any:
+    def vertices(self) -> ArrayLike:
         """Positions, shape [V, 3]."""
 
     @property
-    def faces(self) -> Any:
+    def faces(self) -> ArrayLike:
         """Vertex indices of the triangles, shape [F, 3]."""
 
     @property
-    def sphere(self) -> Any:
+    def sphere(self) -> ArrayLike:
         """Images of the vertices, shape [V, 3]."""
 
 
@@ -120,47 +120,30 @@ def texture(
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     check_projection(projection)
-    if isinstance(rotate, str):
-        if rotate != "auto":
-            raise OmtwarpError(f"rotate '{rotate}': give degrees, a matrix, or auto")
-        # The texture's own borders, at longitude 180 degrees before the turn, go to the least visible meridian.
-        rotation = rotation_matrix(np.rad2deg(least_visible_meridian(vertices, faces, sphere)) - 180.0)
-    else:
-        rotation = rotation_matrix(rotate)
+    rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if atlas == "equirectangular" else np.pi
-
-    picture = None if image is None else read_image(image)
-    if size is None and picture is not None:
-        size = _natural_size(picture, atlas)
-    layout = make_atlas(atlas, size, seam=seam)
-    verbatim = (
-        picture is not None
-        and isinstance(layout, Equirectangular)
-        and projection == "equirectangular"
-        and picture.shape[:2] == (layout.height, layout.width)
-    )
-    if isinstance(layout, Equirectangular) and picture is not None and verbatim:
-        # The image itself, to the byte: a moved seam shifts its columns by a whole number.
-        columns = round((seam - np.pi) / (2.0 * np.pi) * layout.width)
-        layout = make_atlas(atlas, size, seam=np.pi + 2.0 * np.pi * columns / layout.width)  # type: ignore[assignment]
-        texels = np.roll(as_bytes(picture), -columns, axis=1)
-    else:
-        source = picture if picture is not None else (pattern if pattern is not None else "circles")
-        if isinstance(source, str):
-            source = by_name(source)
+    if image is None:
+        layout = make_atlas(atlas, size, seam=seam)
+        chosen = "circles" if pattern is None else pattern
+        source = by_name(chosen) if isinstance(chosen, str) else chosen
         texels = as_bytes(bake(source, layout, projection=projection, device=device))
+    else:
+        picture = read_image(image)
+        size = _natural_size(picture, atlas) if size is None else size
+        layout = make_atlas(atlas, size, seam=seam)
+        unchanged = isinstance(layout, Equirectangular) and projection == "equirectangular"
+        if unchanged and picture.shape[:2] == (layout.height, layout.width):
+            layout, texels = _shifted(picture, seam)
+        else:
+            texels = as_bytes(bake(picture, layout, projection=projection, device=device))
     if texels.shape[2] == 4 and texels[..., 3].min() == 255:
         texels = texels[..., :3]
-
     cut = unwrap(sphere, faces, layout, rotation=rotation)
-    normals = cut.weights @ vertex_normals(vertices, faces)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
     return TexturedSurface(
         vertices=cut.weights @ vertices,
         faces=cut.faces,
         uv=cut.uv,
-        normals=normals,
+        normals=_unit_normals(cut.weights @ vertex_normals(vertices, faces)),
         image=np.ascontiguousarray(texels),
         sphere=cut.sphere,
         source_vertex=cut.source_vertex,
@@ -192,6 +175,35 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return total / np.where(length > 0, length, 1.0)
+
+
+def _unit_normals(normals: Floats) -> Floats:
+    """Normals of length one; the north pole where there is none, as formats of files demand some direction."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
+
+
+def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
+    """The matrix that turns the texture.
+
+    ``auto`` turns its left and right borders, at longitude 180 degrees, to the least visible meridian.
+    """
+    if not isinstance(rotate, str):
+        return rotation_matrix(rotate)
+    if rotate != "auto":
+        raise OmtwarpError(f"rotate '{rotate}': give degrees, a matrix, or auto")
+    return rotation_matrix(np.rad2deg(least_visible_meridian(vertices, faces, sphere)) - 180.0)
+
+
+def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, NDArray[np.uint8]]:
+    """An equirectangular picture itself, to the byte, in the layout whose seam is nearest to the wanted one.
+
+    A seam that is moved by whole columns shifts the picture by as many.
+    """
+    height, width = picture.shape[:2]
+    columns = round((seam - np.pi) / (2.0 * np.pi) * width)
+    layout = Equirectangular(width, height, np.pi + 2.0 * np.pi * columns / width)
+    return layout, np.roll(as_bytes(picture), -columns, axis=1)
 
 
 def _map_of(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[Floats, Ints, Floats]:
