@@ -19,18 +19,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
-from scipy.sparse.linalg import splu
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.solvers.cholesky import dissect
+from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
 from omtwarp.topology.handles import cut_handles
+from omtwarp.torus.intrinsic import WeightedEdges, delaunay_edges
 
 Floats = NDArray[np.float64]
 
 # Coordinates are whole multiples of 2^-40, so that adding whole numbers to them is exact.
 QUANTUM = 2.0**-40
-LEAST_WEIGHT = 1e-3  # of a corner's cotangent: positive weights keep every triangle's orientation
+LEAST_WEIGHT, MOST_WEIGHT = 0.05, 20.0  # of edges of the mesh itself, so that slivers neither let go nor clamp
+RELAXATIONS = 60  # of weights towards equal areas
+RELAXATION = 0.8  # what of a vertex's wrong area, as a logarithm, its weights change by in a step
+EVEN_AREAS = 0.02  # logarithms of areas around vertices, rms: near enough to begin with
+MOST_SOFTNESS = 40.0  # logarithms of weights; a surface with limbs needs 30
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,10 @@ class FlatTorus:
 
 
 def conformal_torus(surface: Surface) -> FlatTorus:
-    """Map a surface of genus 1 to a flat torus, as conformally as its mesh allows.
+    """Map a surface of genus 1 to the flat torus that it is conformal to.
+
+    The energy is that of the intrinsic Delaunay triangulation, whose weights are never negative: it maps the triangles
+    of that with their orientation. Triangles of the mesh itself may be turned over.
 
     Args:
         surface: closed, connected, of genus 1.
@@ -63,30 +72,102 @@ def conformal_torus(surface: Surface) -> FlatTorus:
     Raises:
         OmtwarpError: the mesh is too coarse for two loops that cross once.
     """
-    points, faces = surface.scaled_vertices, surface.faces.astype(np.int64)
-    jumps = np.stack(_two_loops(points, faces), axis=2)
-    halves = 0.5 * np.maximum(corner_cotangents(points, faces), LEAST_WEIGHT)
-    tail, head = np.roll(faces, -1, axis=1), np.roll(faces, -2, axis=1)
-    steps = np.roll(jumps, -2, axis=1) - np.roll(jumps, -1, axis=1)  # of the integers along the side opposite a corner
-    count = len(points)
-    weights = sparse.coo_array((halves.ravel(), (tail.ravel(), head.ravel())), shape=(count, count)).tocsr()
-    weights = weights + weights.T
-    laplacian = (sparse.diags_array(weights.sum(axis=1)) - weights).tocsc()
-    flow = halves[..., None] * steps
-    right = np.zeros((count, 2))
-    for k in (0, 1):
-        right[:, k] = np.bincount(tail.ravel(), flow[..., k].ravel(), minlength=count)
-        right[:, k] -= np.bincount(head.ravel(), flow[..., k].ravel(), minlength=count)
-    inner = splu(laplacian[1:, 1:]).solve(right[1:])
-    values = np.concatenate([np.zeros((1, 2)), inner])
-    forms = values[head] - values[tail] + steps
-    gram = np.einsum("fk,fki,fkj->ij", halves, forms, forms)
-    corner = values[faces] + jumps
+    jumps = np.stack(_two_loops(surface.scaled_vertices, surface.faces.astype(np.int64)), axis=2)
+    edges = delaunay_edges(surface, jumps)
+    values = _harmonic(surface.vertex_count, surface.scaled_vertices, edges)
+    forms = values[edges.ends[:, 1]] - values[edges.ends[:, 0]] + edges.steps
+    gram = np.einsum("e,ei,ej->ij", edges.weights, forms, forms)
+    corner = values[surface.faces] + jumps
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     if (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() < 0.0:
         values, jumps, gram = values[:, ::-1], jumps[..., ::-1], gram[::-1, ::-1]
     lattice = np.linalg.inv(np.linalg.cholesky(gram))  # rows: lattice' gram lattice is a multiple of the identity
     return _reduced(values, jumps, lattice.T * np.sqrt(SPHERE_AREA / abs(np.linalg.det(lattice))))
+
+
+def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
+    """Map the triangles of a surface without flips, where the conformal map may turn some over.
+
+    Every vertex lies at the mean of its neighbours under positive weights, which gives an embedding [1]_. Weights
+    begin with the cotangents, kept away from zero, and fall where areas are too small, as long as that brings areas
+    nearer to those of the surface (S. Yoshizawa, A. Belyaev, H.-P. Seidel, "A fast and simple stretch-minimizing mesh
+    parameterization", Shape Modeling International (2004)).
+
+    Args:
+        surface: closed, connected, of genus 1.
+        torus: its conformal map; the wraps and the lattice are taken from it.
+
+    Raises:
+        OmtwarpError: in floating point numbers, triangles are turned over all the same.
+    """
+    edges = _mesh_edges(surface, torus.wraps)
+    masses = surface.vertex_areas
+    factor = surface_factor(surface)
+    softness = np.zeros(surface.vertex_count)  # logarithms of what weights are divided by
+    best: tuple[float, Floats] | None = None
+    for _ in range(RELAXATIONS):
+        weights = edges.weights * np.exp(-0.5 * softness[edges.ends].sum(axis=1))
+        values = _solved(factor, edges.ends, weights, edges.steps, surface.vertex_count)
+        corner = (values[surface.faces] + torus.wraps) @ torus.lattice
+        one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+        areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+        around = np.maximum(surface.sum_to_vertices(areas) / 3.0, 1e-300)
+        wrong = np.log(masses / around)
+        spread = float(np.sqrt(masses @ wrong**2 / SPHERE_AREA))
+        if (areas > 0.0).all():
+            if best is not None and spread > best[0]:
+                break
+            best = spread, values
+            if spread < EVEN_AREAS:
+                break
+        softness = np.clip(softness + RELAXATION * wrong, -MOST_SOFTNESS, MOST_SOFTNESS)
+        softness -= softness.mean()
+    if best is None:
+        raise OmtwarpError("parts of the surface are so narrow that no map to the torus without flips was found")
+    return FlatTorus(best[1], torus.wraps, torus.lattice)
+
+
+def _mesh_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
+    """The edges of the mesh itself, their weights kept within bounds."""
+    faces, opposite = surface.faces, surface.edge_corners
+    cotangents = corner_cotangents(surface.scaled_vertices, faces).ravel()
+    corner = opposite[:, 0].astype(np.int64)
+    face, place = corner // 3, corner % 3
+    after, before = (place + 1) % 3, (place + 2) % 3
+    steps = jumps[face, before] - jumps[face, after]
+    ends = np.stack([faces[face, after], faces[face, before]], axis=1).astype(np.int64)
+    turned = ends[:, 0] > ends[:, 1]
+    ends[turned], steps[turned] = ends[turned, ::-1], -steps[turned]
+    weights = np.clip(0.5 * cotangents[opposite].sum(axis=1), LEAST_WEIGHT, MOST_WEIGHT)
+    return WeightedEdges(ends, weights, steps, 0)
+
+
+def _harmonic(count: int, points: Floats, edges: WeightedEdges) -> Floats:
+    """Functions at vertices whose differences and the steps make harmonic forms, shape [V, 2]."""
+    apart = edges.ends[:, 0] != edges.ends[:, 1]
+    keys = edges.ends.min(axis=1) * count + edges.ends.max(axis=1)
+    unique, which = np.unique(keys[apart], return_inverse=True)
+    # Edges of the same two vertices act as one, whose step is the weighted mean.
+    forward = np.where(edges.ends[apart, 0] < edges.ends[apart, 1], 1.0, -1.0)
+    weights: Floats = np.bincount(which, edges.weights[apart], len(unique)).astype(np.float64)
+    flow = [np.bincount(which, edges.weights[apart] * forward * edges.steps[apart, k], len(unique)) for k in (0, 1)]
+    ends = np.stack([unique // count, unique % count], axis=1)
+    factor = mesh_factor(count, ends.astype(np.int32), lambda: dissect(points, ends.astype(np.int32)))
+    steps = np.stack(flow, axis=1) / np.maximum(weights, np.finfo(float).tiny)[:, None]
+    return _solved(factor, ends, weights, steps, count)
+
+
+def _solved(factor: MeshFactor, ends: NDArray[np.int64], weights: Floats, steps: NDArray, count: int) -> Floats:
+    """Minimise Σ w |u_j - u_i + s|² over the edges (i, j); the first vertex lies at 0."""
+    i, j = ends.T
+    diagonal: Floats = (np.bincount(i, weights, count) + np.bincount(j, weights, count)).astype(np.float64)
+    flow = weights[:, None] * steps
+    right = np.stack([np.bincount(i, flow[:, k], count) - np.bincount(j, flow[:, k], count) for k in (0, 1)], axis=1)
+    held = diagonal.copy()
+    held[0] *= 2.0  # one vertex is tied to its place; what pulls at all of them adds up to nothing
+    factor.factorise(held, -weights)
+    values = factor.solve(right)
+    return values - values[0]
 
 
 def _reduced(values: Floats, jumps: NDArray[np.int64], lattice: Floats) -> FlatTorus:
@@ -145,4 +226,4 @@ def _jumps(faces: NDArray, side: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.isin(faces, side).astype(np.int64)
 
 
-__all__ = ["QUANTUM", "FlatTorus", "conformal_torus", "quantised"]
+__all__ = ["QUANTUM", "FlatTorus", "conformal_torus", "embedded_torus", "quantised"]

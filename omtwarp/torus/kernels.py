@@ -1,66 +1,251 @@
-"""Triangles of a map to the plane: distortion energy, its gradient, and a positive semidefinite Hessian."""
+"""Kernels of maps to a flat torus: triangles in the universal cover, cost, areas around vertices, their derivatives.
 
-# mypy: ignore-errors
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, wp
+The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plane.
+"""
+
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
+LINE = wp.constant(wp.float64(1e-9))  # see omtwarp.optimal.kernels
+SMALLEST = wp.constant(wp.float64(1e-300))
+
+
+@wp.func
+def turned(v: wp.vec2d) -> wp.vec2d:
+    """A vector turned by +90 degrees."""
+    return wp.vec2d(-v[1], v[0])
+
+
+@wp.func
+def area_by_corner(p: wp.vec2d, q: wp.vec2d) -> wp.vec2d:
+    """Gradient of the area of the triangle (own, p, q) by its first corner."""
+    return HALF * turned(q - p)
+
 
 @wp.kernel
-def plane_triangle_distortion(
-    corners: wp.array2d[wp.vec2d],
+def plane_triangles(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    # Data out:
+    areas: wp.array[wp.float64],
+    angle: wp.array[wp.float64],
+    area: wp.array[wp.float64],
+):
+    """Signed areas, and distortion of angle and area less 2, of every triangle; infinite where it is turned over."""
+    f = wp.tid()
+    face, frame = faces[f], frames[f]
+    a = points[face[0]] + shift[f, 0]
+    b = points[face[1]] + shift[f, 1] - a
+    c = points[face[2]] + shift[f, 2] - a
+    one = frame[0] * b
+    two = frame[1] * b + frame[2] * c
+    d = one[0] * two[1] - one[1] * two[0]
+    areas[f] = HALF * (b[0] * c[1] - b[1] * c[0])
+    if d > ZERO:
+        # What a triangle has above 2, without cancellation where it has next to nothing.
+        sheer = one - wp.vec2d(two[1], -two[0])
+        angle[f] = wp.dot(sheer, sheer) / d
+        area[f] = (d - ONE) * (d - ONE) / d
+    else:
+        angle[f] = wp.float64(wp.inf)
+        area[f] = wp.float64(wp.inf)
+
+
+@wp.kernel
+def plane_gradients(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    weights: wp.array[wp.float64],
+    area_weight: wp.float64,
+    potential: wp.array[wp.float64],
+    # Data out:
+    gradients: wp.array2d[wp.vec2d],
+):
+    """Gradient by its corners of a triangle's distortion, weighted, and of its area times a potential, shape [F, 3]."""
+    f = wp.tid()
+    face, frame = faces[f], frames[f]
+    a = points[face[0]] + shift[f, 0]
+    b = points[face[1]] + shift[f, 1] - a
+    c = points[face[2]] + shift[f, 2] - a
+    one = frame[0] * b
+    two = frame[1] * b + frame[2] * c
+    d = one[0] * two[1] - one[1] * two[0]
+    square = wp.dot(one, one) + wp.dot(two, two)
+    by_ratio = -square / (d * d) + area_weight * (ONE - ONE / (d * d))
+    by_one = weights[f] * (TWO / d * one - by_ratio * turned(two))
+    by_two = weights[f] * (TWO / d * two + by_ratio * turned(one))
+    by_b = frame[0] * by_one + frame[1] * by_two - potential[f] * HALF * turned(c)
+    by_c = frame[2] * by_two + potential[f] * HALF * turned(b)
+    gradients[f, 0] = -(by_b + by_c)
+    gradients[f, 1] = by_b
+    gradients[f, 2] = by_c
+
+
+@wp.kernel
+def plane_hessians(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
     frames: wp.array[wp.vec3d],
     weights: wp.array[wp.float64],
     area_weight: wp.float64,
     # Data out:
-    energies: wp.array[wp.float64],
-    gradients: wp.array2d[wp.float64],
-    hessians: wp.array3d[wp.float64],
-    ratios: wp.array[wp.float64],
+    hessians: wp.array2d[wp.float64],
 ):
-    """Angle + λ area distortion of a triangle, weighted, by the coordinates (x0, y0, x1, y1, x2, y2) of its corners.
+    """A positive semidefinite Hessian of a triangle's distortion, the entries on and above the diagonal, shape [F, 21].
 
     With the Jacobian J and its determinant D the energy is |J|² / D + λ (D + 1 / D). Both terms are convex in (J, D);
     the Hessian leaves out the curvature of D, which is not.
     """
     f = wp.tid()
-    frame = frames[f]
-    a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
-    one = frame[0] * (b - a)
-    two = frame[1] * (b - a) + frame[2] * (c - a)
-    square = wp.dot(one, one) + wp.dot(two, two)
+    face, frame = faces[f], frames[f]
+    a = points[face[0]] + shift[f, 0]
+    b = points[face[1]] + shift[f, 1] - a
+    c = points[face[2]] + shift[f, 2] - a
+    one = frame[0] * b
+    two = frame[1] * b + frame[2] * c
     d = one[0] * two[1] - one[1] * two[0]
-    ratios[f] = d
-    energies[f] = weights[f] * (square / d - TWO + area_weight * (d + ONE / d - TWO))
-    by_ratio = -square / (d * d) + area_weight * (ONE - ONE / (d * d))
-    by_ratio_twice = TWO * area_weight / (d * d * d)
+    square = wp.dot(one, one) + wp.dot(two, two)
+    twice = TWO * area_weight / (d * d * d)
+    at = int(0)
     for p in range(6):
         k = p // 2
+        x = p - 2 * k
         first, second = -frame[0], -frame[1] - frame[2]
         if k == 1:
             first, second = frame[0], frame[1]
         elif k == 2:
-            first, second = wp.float64(0.0), frame[2]
-        x = p - 2 * k
-        # Derivatives of the determinant, and of the columns (first and second along the axis x).
-        slope = first * two[1] - second * one[1]
+            first, second = ZERO, frame[2]
+        slope = first * two[1] - second * one[1]  # of the determinant
         if x == 1:
             slope = second * one[0] - first * two[0]
-        gradients[f, p] = weights[f] * (TWO * (first * one[x] + second * two[x]) / d + by_ratio * slope)
-        for q in range(6):
+        along = first * one[x] + second * two[x]
+        for q in range(p, 6):
             m = q // 2
+            y = q - 2 * m
             first_q, second_q = -frame[0], -frame[1] - frame[2]
             if m == 1:
                 first_q, second_q = frame[0], frame[1]
             elif m == 2:
-                first_q, second_q = wp.float64(0.0), frame[2]
-            y = q - 2 * m
+                first_q, second_q = ZERO, frame[2]
             slope_q = first_q * two[1] - second_q * one[1]
             if y == 1:
                 slope_q = second_q * one[0] - first_q * two[0]
-            both = wp.float64(0.0)
+            along_q = first_q * one[y] + second_q * two[y]
+            both = ZERO
             if x == y:
                 both = first * first_q + second * second_q
-            along, along_q = first * one[x] + second * two[x], first_q * one[y] + second_q * two[y]
             mixed = both - (along * slope_q + along_q * slope) / d + square * slope * slope_q / (d * d)
-            hessians[f, p, q] = weights[f] * (TWO * mixed / d + by_ratio_twice * slope * slope_q)
+            hessians[f, at] = weights[f] * (TWO * mixed / d + twice * slope * slope_q)
+            at += 1
+
+
+@wp.kernel
+def sum_at_vertices(
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    values: wp.array[wp.vec2d],
+    # Data out:
+    sums: wp.array[wp.vec2d],
+):
+    """Sum of what the corners around every vertex have."""
+    v = wp.tid()
+    total = wp.vec2d()
+    for k in range(offsets[v], offsets[v + 1]):
+        total += values[corners[k]]
+    sums[v] = total
+
+
+@wp.kernel
+def plane_couplings(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    edges: wp.array[wp.vec2i],
+    edge_corners: wp.array[wp.vec2i],
+    # Data out:
+    forward: wp.array[wp.vec2d],
+    backward: wp.array[wp.vec2d],
+):
+    """Derivatives of the areas around vertices, shape [E] each: see :func:`omtwarp.optimal.kernels.ring_couplings`."""
+    e = wp.tid()
+    i = edges[e][0]
+    by_i, by_j = wp.vec2d(), wp.vec2d()
+    for k in range(2):
+        f = edge_corners[e][k] // 3
+        apex = edge_corners[e][k] - 3 * f
+        one, two = (apex + 1) % 3, (apex + 2) % 3
+        top = points[faces[f][apex]] + shift[f, apex]
+        p = points[faces[f][one]] + shift[f, one]
+        q = points[faces[f][two]] + shift[f, two]
+        if faces[f][one] == i:
+            by_i += area_by_corner(q, top)
+            by_j += area_by_corner(top, p)
+        else:
+            by_j += area_by_corner(q, top)
+            by_i += area_by_corner(top, p)
+    forward[e] = by_j
+    backward[e] = by_i
+
+
+@wp.kernel
+def plane_cost_metric(
+    start: wp.array[wp.vec2d],
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    scale: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    least: wp.float64,
+    # Data out:
+    metric: wp.array2d[wp.float64],
+):
+    """The derivative of the inverse map y -> x at every vertex, fitted to its neighbours, scaled, shape [V, 4].
+
+    It is made symmetric and its eigenvalues raised to ``least``: see :func:`omtwarp.optimal.kernels.cost_metric`.
+    """
+    v = wp.tid()
+    a11, a12, a22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    b11, b12, b21, b22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    count = wp.float64(0.0)
+    for k in range(offsets[v], offsets[v + 1]):
+        f = corners[k] // 3
+        own = corners[k] - 3 * f
+        other = (own + 1) % 3
+        w = faces[f][other]
+        apart = shift[f, other] - shift[f, own]
+        d = points[w] - points[v] + apart
+        e = start[w] - start[v] + apart
+        weight = ONE / wp.max(wp.dot(d, d), SMALLEST)
+        a11 += weight * d[0] * d[0]
+        a12 += weight * d[0] * d[1]
+        a22 += weight * d[1] * d[1]
+        b11 += weight * e[0] * d[0]
+        b12 += weight * e[0] * d[1]
+        b21 += weight * e[1] * d[0]
+        b22 += weight * e[1] * d[1]
+        count += ONE
+    a11 += LINE * count
+    a22 += LINE * count
+    det = a11 * a22 - a12 * a12
+    j11 = (b11 * a22 - b12 * a12) / det
+    j12 = (b12 * a11 - b11 * a12) / det
+    j21 = (b21 * a22 - b22 * a12) / det
+    j22 = (b22 * a11 - b21 * a12) / det
+    mean, gap, off = HALF * (j11 + j22), HALF * (j11 - j22), HALF * (j12 + j21)
+    radius = wp.sqrt(gap * gap + off * off)
+    high, low = wp.max(mean + radius, least), wp.max(mean - radius, least)
+    cosine, sine = ONE, ZERO
+    if radius > SMALLEST:
+        cosine, sine = gap / radius, off / radius
+    centre, spread = scale[v] * HALF * (high + low), scale[v] * HALF * (high - low)
+    metric[v, 0] = centre + spread * cosine
+    metric[v, 1] = spread * sine
+    metric[v, 2] = spread * sine
+    metric[v, 3] = centre - spread * cosine

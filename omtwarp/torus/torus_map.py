@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +21,7 @@ from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.texturing.image import as_bytes, read_image
-from omtwarp.torus.harmonic import QUANTUM, conformal_torus, quantised
+from omtwarp.torus.harmonic import QUANTUM, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.transport import transport_on_torus
 
 if TYPE_CHECKING:
@@ -239,35 +240,44 @@ def map_to_torus(surface: Surface, *, progress: Any = None) -> TorusMap:
     """
     if progress is not None:
         progress("conformal", 0, 1, {})
-    start = conformal_torus(surface)
+    clock = time.perf_counter()
+    conformal = conformal_torus(surface)
+    start = embedded_torus(surface, conformal)
+    seconds = [time.perf_counter() - clock]
 
     def notify(done: int, total: int, details: dict[str, Any]) -> None:
         if progress is not None:
             progress("omt", done, total, details)
 
-    moved = transport_on_torus(surface, start, progress=notify)
-    coordinates = quantised(start.coordinates + moved.displacement @ np.linalg.inv(start.lattice))
+    moved = transport_on_torus(surface, conformal, start, progress=notify)
+    seconds.append(time.perf_counter() - clock - seconds[0])
+    coordinates = quantised(moved.points @ np.linalg.inv(conformal.lattice))
     area = float(triangle_areas(surface.vertices, surface.faces).sum())
     result = TorusMap(
         vertices=surface.vertices,
         faces=surface.faces,
         coordinates=coordinates,
-        wraps=start.wraps,
-        lattice=start.lattice * np.sqrt(area / SPHERE_AREA),
-        conformal=start.coordinates,
+        wraps=conformal.wraps,
+        lattice=conformal.lattice * np.sqrt(area / SPHERE_AREA),
+        conformal=conformal.coordinates,
         history=moved.history,
     )
-    measured = result.distortion().to_dict()
     last = moved.history[-1]
+    found = {"iterations": len(moved.history) - 1, "converged": moved.converged, "ended": moved.ended}
+    found |= {
+        "transport_cost": last["cost"],
+        "area_error": last["ring_rms"],
+        "largest_ring_error": last["ring_largest"],
+    }
     result.report.update(
         {
             "domain": "torus",
             "mesh": {"vertices": surface.vertex_count, "faces": surface.face_count},
             "quantum": QUANTUM,
+            "seconds": sum(seconds),
             "stages": [
-                {"name": "omt", "iterations": len(moved.history), "converged": moved.converged}
-                | {"transport_cost": last["cost"], "area_error": last["area_error"]}
-                | measured
+                {"name": "conformal", "seconds": seconds[0]} | result.distortion("conformal").to_dict(),
+                {"name": "omt", "seconds": seconds[1]} | found | result.distortion().to_dict(),
             ],
             "certificate": result.certificate.to_dict(),
         }

@@ -1,206 +1,326 @@
 """The optimal map to a flat torus: least squared distance among the maps that keep the areas around vertices.
 
-A step solves the saddle point of a quadratic model under linearised areas; its Hessian is that of the cost plus a
-small multiple of the triangles' distortion, which keeps them from collapsing. Steps are shortened until no triangle
-turns over and the augmented Lagrangian falls. Before that the areas asked for go from those of the conformal map to
-those of the surface in stages, a discrete form of Moser's flow.
+Newton's method on the saddle point of the Lagrangian, each step one of the augmented Lagrangian method, as
+:mod:`omtwarp.optimal.solver` does it on the sphere: the same matrices on the same edges, in the plane. Steps are held
+back, vertex by vertex, where a triangle would turn over.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from omtwarp.device.start import wp
+from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.solver import (
+    DAMPING_DECAY,
+    DAMPING_GROWTH,
+    GAIN,
+    LEAST_DAMPING,
+    MIN_COST,
+    MIN_GAIN_SHARE,
+    MOST_DAMPING,
+    PENALTY,
+    REGULARISATION,
+    SHAPE_WEIGHT,
+    STIFFER,
+)
+from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.torus.energy import PlaneTerms, TorusEnergy
 from omtwarp.torus.harmonic import FlatTorus
-from omtwarp.torus.kernels import plane_triangle_distortion
-from omtwarp.triangle_newton.frames import triangle_frames
+from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
+from omtwarp.triangle_newton.motion_kernels import hold_back
 
 Floats = NDArray[np.float64]
 
-SHAPE_WEIGHT = 0.01  # of the triangles' distortion beside the mean squared distance
-AREA_WEIGHT = 10.0  # of area against angle distortion of triangles
-HALVINGS = 30
-GAIN = 1e-7  # a step that promises less, relative to cost and areas, ends the iteration
-AREA_ERROR = 1e-6  # relative error of areas around vertices (rms) that is small enough to end with
+ITERATIONS = 60
+# β is this times the root mean squared distance of the start where that is less than the sphere's: see
+# omtwarp.pipeline. The least one is for surfaces whose conformal map already keeps areas.
+SHAPE_BY_DISTANCE, LEAST_SHAPE_WEIGHT = 0.036, 1e-6
+REACH = 0.5  # the farthest that a vertex goes in one step; the torus has the area 4π
+HALVINGS = 20  # of a step
+HALVINGS_OLD = 1  # of a step with an older matrix
+HOLDS = 30  # halvings of the shares of single vertices
+LEAST_AREA = 0.1  # of a triangle's area, that a step has to leave
+MOST_HELD = 0.002  # of the vertices: with so few held back the matrix still serves
+RESTORATIONS = 10  # steps that make areas right after a minimum was found
+STIFFNESS = 1e7  # of the areas beside cost and shape there, which only choose among the steps
+EXACT = 1e-6  # largest relative error of the areas, with which they count as right
 
 
 @dataclass(frozen=True)
 class TorusTransport:
-    """How the optimal map was found.
+    """A minimum on the torus and how it was found.
 
     Attributes:
-        displacement: of every vertex from the conformal map, in the plane, shape [V, 2].
-        history: one record per step: ``cost`` (mean squared distance), ``area_error`` (relative, rms), ``length``.
-        converged: whether the last step promised next to nothing.
+        points: the map in the plane, shape [V, 2].
+        multipliers: of the areas, as of :class:`omtwarp.optimal.OptimalMap`.
+        history: one record per step, the first of the start: ``cost`` (Σ m |y - x|², masses 4π in all), ``energy``,
+            ``ring_rms`` and ``ring_largest`` (relative errors of the areas), ``area`` and ``angle`` (distortions of
+            triangles), ``decrement`` (what the step was expected to gain), ``length``, ``factorised``, ``mended``
+            (vertices held back).
+        converged: whether gain and areas reached their tolerances.
+        ended: how it ended, in words.
     """
 
-    displacement: Floats
+    points: Floats
+    multipliers: Floats
     history: list[dict[str, Any]]
     converged: bool
-
-
-class _Problem:
-    """Cost, areas and distortion of maps of one surface to one torus."""
-
-    def __init__(self, surface: Surface, torus: FlatTorus):
-        self.faces, self.count = surface.faces.astype(np.int64), surface.vertex_count
-        self.start = torus.coordinates @ torus.lattice
-        self.shift = torus.wraps @ torus.lattice
-        self.masses, self.weights = surface.vertex_areas, SHAPE_WEIGHT * surface.face_areas / SPHERE_AREA
-        self.frames = triangle_frames(surface)
-        flat = 2 * np.repeat(self.faces, 2, axis=1) + np.tile([0, 1], 3)  # places of the six coordinates, [F, 6]
-        self.places = flat
-        self.rows = np.repeat(flat, 6, axis=1).ravel()
-        self.columns = np.tile(flat, (1, 6)).ravel()
-
-    def corners(self, points: Floats) -> Floats:
-        return points[self.faces] + self.shift
-
-    def areas(self, points: Floats) -> tuple[Floats, Floats]:
-        """Signed areas of triangles, shape [F], and a third of those around vertices, shape [V]."""
-        corner = self.corners(points)
-        one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-        areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
-        return areas, np.bincount(self.faces.ravel(), np.repeat(areas, 3), minlength=self.count) / 3.0
-
-    def area_gradient(self, points: Floats) -> sparse.csr_array:
-        """Derivative of the areas around vertices, shape [V, 2V]."""
-        corner = self.corners(points)
-        opposite = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)
-        slopes = np.stack([-opposite[..., 1], opposite[..., 0]], axis=2).reshape(-1, 6) / 6.0
-        rows = np.repeat(self.faces, 6, axis=1).ravel()
-        columns, values = np.tile(self.places, (1, 3)).ravel(), np.tile(slopes, (1, 3)).ravel()
-        return sparse.coo_array((values, (rows, columns)), shape=(self.count, 2 * self.count)).tocsr()
-
-    def distortion(self, points: Floats, whole: bool) -> tuple[float, Floats, Any]:
-        """The triangles' energy, and where asked for its gradient, shape [2V], and Hessian, shape [2V, 2V]."""
-        count = len(self.faces)
-        shapes: dict[str, tuple[int, ...]] = {"e": (count,), "g": (count, 6), "h": (count, 6, 6), "d": (count,)}
-        out = {name: wp.empty(shape, dtype=wp.float64, device="cpu") for name, shape in shapes.items()}
-        corners = wp.array(np.ascontiguousarray(self.corners(points)), dtype=wp.vec2d, device="cpu")
-        frames = wp.array(self.frames, dtype=wp.vec3d, device="cpu")
-        weights = wp.array(self.weights, dtype=wp.float64, device="cpu")
-        inputs = [corners, frames, weights, wp.float64(AREA_WEIGHT)]
-        wp.launch(plane_triangle_distortion, dim=count, inputs=inputs, outputs=list(out.values()), device="cpu")
-        energy = float(out["e"].numpy().sum())
-        if not whole:
-            return energy, np.zeros(0), None
-        gradient = np.bincount(self.places.ravel(), out["g"].numpy().ravel(), minlength=2 * self.count)
-        size = (2 * self.count, 2 * self.count)
-        hessian = sparse.coo_array((out["h"].numpy().ravel(), (self.rows, self.columns)), shape=size).tocsr()
-        return energy, gradient.astype(np.float64), hessian
+    ended: str
 
 
 def transport_on_torus(
-    surface: Surface, torus: FlatTorus, *, stages: int = 6, iterations: int = 40, progress: Any = None
+    surface: Surface,
+    torus: FlatTorus,
+    start: FlatTorus | None = None,
+    *,
+    shape_weight: float | None = None,
+    iterations: int = ITERATIONS,
+    progress: Any = None,
 ) -> TorusTransport:
     """Find the optimal map of a surface to a flat torus.
 
     Args:
         surface: of genus 1; its vertex areas, total 4π, are the masses.
-        torus: a conformal map without flips; distances are measured from it.
-        stages: in how many parts the areas go from those of the conformal map to the surface's.
-        iterations: most steps after that.
-        progress: called as ``progress(done, total, details)``.
+        torus: the conformal map, from which distances are measured; triangles may be turned over there.
+        start: a map without flips to begin with; the conformal map by default.
+        shape_weight: weight of the triangles' distortion beside the mean squared distance; by default as on the
+            sphere, less for maps that move little.
+        iterations: most steps.
+        progress: called as ``progress(done, most, record)``.
 
     Raises:
-        OmtwarpError: a triangle of the conformal map is turned over.
+        OmtwarpError: a triangle of the start is turned over.
     """
-    problem = _Problem(surface, torus)
-    points = problem.start.copy()
-    flat, first = problem.areas(points)
-    if (flat <= 0.0).any():
-        raise OmtwarpError(f"the conformal map to the torus has {int((flat <= 0.0).sum())} flipped triangles")
-    pressure = np.zeros(problem.count)
-    history: list[dict[str, Any]] = []
-    converged = False
-    total = stages + iterations
-    for step in range(total):
-        share = min(1.0, (step + 1.0) / stages) if stages else 1.0
-        # Geometric means, so that areas that differ by orders of magnitude change by equal factors.
-        wanted = first ** (1.0 - share) * problem.masses**share
-        wanted *= SPHERE_AREA / wanted.sum()
-        points, pressure, record = _step(problem, points, pressure, wanted)
-        history.append(record | {"iteration": step})
-        if progress is not None:
-            progress(step + 1, total, {"cost": record["cost"], "area": record["area_error"]})
-        if share == 1.0 and record["promise"] < GAIN and record["area_error"] < AREA_ERROR:
-            converged = True
+    x = torus.coordinates @ torus.lattice
+    y = x if start is None else start.coordinates @ start.lattice
+    masses = surface.vertex_areas / SPHERE_AREA
+    y = y - masses @ (y - x)
+    if shape_weight is None:
+        shape_weight = min(SHAPE_WEIGHT, SHAPE_BY_DISTANCE * float(np.sqrt(masses @ ((y - x) ** 2).sum(axis=1))))
+    energy = TorusEnergy(surface, torus, x, max(shape_weight, LEAST_SHAPE_WEIGHT))
+    found = minimise(energy, y, gain=GAIN, iterations=iterations, progress=progress)
+    points, terms = restore_areas(energy, found.points)
+    rms, largest = energy.area_errors(terms)
+    last = found.history[-1] | {"cost": energy.cost(terms), "ring_rms": rms, "ring_largest": largest}
+    return replace(found, points=points, history=[*found.history, last | {"area": terms.area, "angle": terms.angle}])
+
+
+@blas_threads(1)
+def minimise(
+    energy: TorusEnergy,
+    points: Floats,
+    *,
+    multipliers: Floats | None = None,
+    gain: float,
+    iterations: int = ITERATIONS,
+    penalty: float | None = None,
+    progress: Any = None,
+) -> TorusTransport:
+    """Minimise an energy under its constraints.
+
+    Args:
+        energy: what is minimised.
+        points: a map without flips to begin with, shape [V, 2].
+        multipliers: of a map nearby, to begin with.
+        gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this.
+        iterations: most steps.
+        penalty: μ, with which Σ (a_v - 3m_v)² / 3m_v, over 24π, is added to the energy in place of the constraints.
+        progress: called as ``progress(done, most, record)``.
+
+    Raises:
+        OmtwarpError: a triangle of the map is turned over.
+    """
+    flipped = int((~(energy.terms(points).triangles > 0.0)).sum())
+    if flipped:
+        raise OmtwarpError(f"the map to the torus has {flipped} flipped triangles to begin with")
+    return _Newton(energy, gain, penalty, multipliers).run(points, iterations, progress)
+
+
+class _Newton:
+    """One minimisation: the map, its multipliers, and the matrix of some earlier map."""
+
+    def __init__(self, energy: TorusEnergy, gain: float, penalty: float | None, multipliers: Floats | None):
+        self.energy, self.gain, self.constrained = energy, gain, penalty is None
+        self.factor = energy.saddle_factor()
+        self.stiffness = (PENALTY if penalty is None else penalty) / energy.wanted.sum() / energy.wanted
+        self.known = multipliers is not None
+        self.multipliers = np.zeros(len(energy.wanted)) if multipliers is None else multipliers
+        self.damping = LEAST_DAMPING
+
+    def run(self, points: Floats, iterations: int, progress: Any) -> TorusTransport:
+        """Take steps until the map is as good as asked for."""
+        energy = self.energy
+        terms = energy.terms(points)
+        if self.constrained and not self.known:
+            self.multipliers = -energy.potential(terms, self.multipliers)
+        history = [self._record(terms)]
+        ended, converged, renew, last = "most steps taken", False, True, np.inf
+        for number in range(iterations):
+            fresh = renew
+            if renew:
+                _factorise(self.energy, self.factor, points, terms, self.damping, 1.0 / self.stiffness)
+                if number == 0 and self.constrained and not self.known:  # those with which it is least steep
+                    gradient = energy.gradient(points, terms, self.multipliers)
+                    self.multipliers = self.multipliers + self._solve(-gradient, np.zeros_like(self.multipliers))[1]
+            missing = energy.missing(terms)
+            gradient = energy.gradient(points, terms, self.multipliers)
+            step, q = self._solve(-gradient, -missing)
+            # The slope of the penalty along the step is that of B u = C q - missing.
+            slope = float((gradient * step).sum()) + float(missing @ q) - float(self.stiffness @ missing**2)
+            decrement = -slope
+            if self._reached(terms, decrement):
+                ended, converged = "optimal", True
+                break
+            moved = None
+            if decrement > 0.0 and (fresh or decrement <= (1.0 - MIN_GAIN_SHARE) * last):
+                moved = self._search(points, terms, step, decrement, HALVINGS if fresh else HALVINGS_OLD)
+            if moved is None:
+                if fresh:
+                    ended = "no step lowers the cost"
+                    break
+                renew = True
+                continue
+            points, terms, length, held, gained = moved
+            if self.constrained:
+                self.multipliers = self.multipliers + length * q
+            last = decrement
+            history.append(self._record(terms, decrement, length, fresh, held))
+            if progress is not None:
+                progress(number + 1, iterations, history[-1])
+            if fresh:
+                change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
+                self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
+            renew = bool(length < 1.0 or held > MOST_HELD * len(points) or gained < 0.3 * length * decrement)
+        return TorusTransport(points, self.multipliers, history, converged, ended)
+
+    def _reached(self, terms: PlaneTerms, decrement: float) -> bool:
+        if not self.constrained:
+            return 0.5 * decrement <= self.gain
+        rms, largest = self.energy.area_errors(terms)
+        gain = self.gain * max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST)
+        return decrement <= gain and rms <= self.energy.area_tolerances[0] and largest <= self.energy.area_tolerances[1]
+
+    def _merit(self, terms: PlaneTerms) -> float:
+        if not (terms.triangles > 0.0).all():
+            return float(np.inf)
+        missing = self.energy.missing(terms)
+        return self.energy.lagrangian(terms, self.multipliers) + 0.5 * float(self.stiffness @ missing**2)
+
+    def _solve(self, first: Floats, second: Floats) -> tuple[Floats, Floats]:
+        return self.factor.solve(first, second)
+
+    def _search(self, points: Floats, terms: PlaneTerms, step: Floats, decrement: float, halvings: int) -> Any:
+        """A step that lowers the merit and flips nothing: map, terms, length, vertices held back, what it gained."""
+        before = self._merit(terms)
+        length = min(1.0, REACH / max(float(np.linalg.norm(step, axis=1).max()), 1e-300))
+        for _ in range(halvings + 1):
+            found = _held_back(self.energy, points, terms, length * step)
+            if found is not None:
+                moved, after, held = found
+                value = self._merit(after)
+                if value <= before - SUFFICIENT_DECREASE * length * decrement:
+                    return moved, after, length, held, before - value
+            length *= 0.5
+        return None
+
+    def _record(
+        self, terms: PlaneTerms, decrement: float = 0.0, length: float = 0.0, factorised: bool = False, held: int = 0
+    ) -> dict[str, Any]:
+        rms, largest = self.energy.area_errors(terms)
+        missing = self.energy.missing(terms)
+        cost = self.energy.cost_weight * self.energy.cost(terms) / SPHERE_AREA
+        return {
+            "cost": self.energy.cost(terms),
+            "energy": cost + self.energy.shape(terms) + 0.5 * float(self.stiffness @ missing**2),
+            "ring_rms": rms,
+            "ring_largest": largest,
+            "area": terms.area,
+            "angle": terms.angle,
+            "decrement": decrement,
+            "length": length,
+            "factorised": factorised,
+            "mended": held,
+        }
+
+
+def restore_areas(energy: TorusEnergy, points: Floats, rounds: int = RESTORATIONS) -> tuple[Floats, PlaneTerms]:
+    """Move a map without flips to the nearest one whose areas are right: see :mod:`omtwarp.optimal.restoration`.
+
+    Args:
+        energy: says which areas are wanted, and what near means.
+        points: the map, shape [V, 2].
+        rounds: most steps.
+
+    Returns:
+        The map of the last step that made areas better, and its terms.
+    """
+    factor, terms = energy.saddle_factor(), energy.terms(points)
+    compliance = energy.wanted * energy.wanted.sum() / STIFFNESS
+    for _ in range(rounds):
+        if max(energy.area_errors(terms)) <= EXACT:
             break
-        if record["length"] == 0.0 and share == 1.0:
+        _factorise(energy, factor, points, terms, LEAST_DAMPING, compliance)
+        step, _ = factor.solve(np.zeros_like(points), -energy.missing(terms))
+        before, length = _error(energy, terms), 1.0
+        for _ in range(HALVINGS):
+            found = _held_back(energy, points, terms, length * step)
+            if found is not None and _error(energy, found[1]) <= (1.0 - 0.1 * length) * before:
+                points, terms = found[0], found[1]
+                break
+            length *= 0.5
+        else:
             break
-    return TorusTransport(points - problem.start, history, converged)
+    return points, terms
 
 
-def _step(problem: _Problem, points: Floats, pressure: Floats, wanted: Floats) -> tuple[Floats, Floats, dict[str, Any]]:
-    """One step of sequential quadratic programming towards areas wanted around vertices."""
-    count = problem.count
-    mass = np.repeat(problem.masses, 2) / SPHERE_AREA
-    _, around = problem.areas(points)
-    error = around - wanted
-    moved = (points - problem.start).ravel()
-    energy, gradient, hessian = problem.distortion(points, True)
-    gradient = gradient + 2.0 * mass * moved
-    slopes = problem.area_gradient(points)
-    # The areas add up to the torus's: one pressure is free, and a small entry on the diagonal fixes it.
-    loose = sparse.diags_array(1e-9 * wanted)
-    matrix = sparse.block_array([[hessian + sparse.diags_array(2.0 * mass), slopes.T], [slopes, -loose]]).tocsc()
-    solution = _solve(matrix, np.concatenate([-gradient, -error]))
-    move, pressure = solution[: 2 * count].reshape(-1, 2), solution[2 * count :]
-    penalty = 2.0 * float(np.abs(pressure).max())
-
-    def merit(at: Floats) -> float:
-        flat, areas = problem.areas(at)
-        if (flat <= 0.0).any():
-            return np.inf
-        away = (at - problem.start).ravel()
-        return problem.distortion(at, False)[0] + float(mass @ away**2) + penalty * float(np.abs(areas - wanted).sum())
-
-    before = energy + float(mass @ moved**2) + penalty * float(np.abs(error).sum())
-    slope = float(gradient @ move.ravel()) - penalty * float(np.abs(error).sum())
-    length = 1.0
-    for _ in range(HALVINGS):
-        if merit(points + length * move) <= before + 1e-4 * length * min(slope, 0.0):
-            break
-        length *= 0.5
-    else:
-        length = 0.0
-    points = points + length * move
-    _, around = problem.areas(points)
-    away = (points - problem.start).ravel()
-    relative = (around - problem.masses) / problem.masses
-    record = {
-        "cost": float(mass @ away**2),
-        "area_error": float(np.sqrt(np.mean(relative**2))),
-        "length": length,
-        "promise": -slope / max(before, np.finfo(float).tiny),
-    }
-    return points, pressure, record
+def _error(energy: TorusEnergy, terms: PlaneTerms) -> float:
+    return float(np.sqrt((energy.missing(terms) ** 2 / energy.wanted).sum()))
 
 
-def _solve(matrix: sparse.csc_array, right: Floats) -> Floats:
-    """Solve a quasi-definite system, which needs no pivots off the diagonal in any order (Vanderbei 1995)."""
-    # Minimum degree is fast on a mesh only when its numbering is not regular.
-    order = np.random.default_rng(0).permutation(len(right))
-    factor = splu(
-        matrix[order][:, order].tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    solution = np.empty_like(right)
-    solution[order] = factor.solve(right[order])
-    residual = right - matrix @ solution
-    solution[order] += factor.solve(residual[order])  # what pivots without a search lose
-    return solution
+def _factorise(
+    energy: TorusEnergy, factor: Any, points: Floats, terms: PlaneTerms, damping: float, compliance: Floats
+) -> None:
+    diagonal, off_diagonal, gradients = energy.blocks(points, terms, damping)
+    own = diagonal[:, [0, 1], [0, 1]]
+    for part in STIFFER:
+        diagonal[:, [0, 1], [0, 1]] = own * (1.0 + part) + REGULARISATION * own.mean()
+        try:
+            factor.factorise(diagonal, off_diagonal, gradients, compliance)
+            return
+        except NotPositiveDefinite:
+            continue
+    raise OmtwarpError("the second derivative of the transport cost on the torus is not finite")
 
 
-__all__ = ["TorusTransport", "transport_on_torus"]
+def _held_back(
+    energy: TorusEnergy, points: Floats, terms: PlaneTerms, step: Floats
+) -> tuple[Floats, PlaneTerms, int] | None:
+    """Points moved by the largest shares of a step, halved corner by corner, that keep every triangle.
+
+    Returns:
+        The map, its terms, and how many vertices were held back; None where no shares were found.
+    """
+    count = len(points)
+    share = np.ones(count)
+    for _ in range(HOLDS):
+        moved = points + share[:, None] * step
+        after = energy.terms(moved)
+        trouble = ~(after.triangles > LEAST_AREA * terms.triangles)
+        if not trouble.any():
+            return moved, after, int((share < 1.0).sum())
+        marks = wp.array(trouble.astype(np.int32), dtype=wp.int32, device="cpu")
+        held = wp.empty(count, dtype=wp.float64, device="cpu")
+        shares = wp.array(share, dtype=wp.float64, device="cpu")
+        wp.launch(hold_back, dim=count, inputs=[*energy.rows, marks, shares], outputs=[held], device="cpu")
+        share = held.numpy()
+    return None
+
+
+__all__ = ["TorusTransport", "minimise", "restore_areas", "transport_on_torus"]

@@ -116,7 +116,7 @@ def test_torus_and_exact_maps_of_several_meshes(folder, monkeypatch, capfdbinary
     status, out, err = run(
         monkeypatch, capfdbinary, ["map", "ring.ply", "ball.ply", "-o", "maps", "--torus", "-q", "-v"]
     )
-    assert status == 1 and not out and (folder / "maps/ring.npz").exists() and "omtwarp: omt: area " in err
+    assert status == 1 and not out and (folder / "maps/ring.npz").exists() and "omtwarp: omt: " in err
     assert "omtwarp: ball.ply: only a closed, connected surface of genus 1" in err
     status, out, err = run(monkeypatch, capfdbinary, ["map", "ring.ply", "-o", "ring.obj", "--torus"])
     assert status == 1 and err == (
