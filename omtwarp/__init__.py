@@ -21,6 +21,8 @@ _PUBLIC = {
     "OmtwarpWarning": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
     "TargetDensity": "omtwarp.measures",
+    "Material": "omtwarp.materials",
+    "PaintedMesh": "omtwarp.materials",
     "align": "omtwarp.alignment",
     "TorusMap": "omtwarp.torus.torus_map",
     "barycentric_map": "omtwarp.baselines",
@@ -40,6 +42,7 @@ _PUBLIC = {
     "paper_flow": "omtwarp.transport",
     "preview": "omtwarp.render",
     "read_mesh": "omtwarp.mesh.read",
+    "read_painted_mesh": "omtwarp.materials",
     "refine_map": "omtwarp.optimal.refinement",
     "repair": "omtwarp.mesh.repair",
     "resample": "omtwarp.resampling",
@@ -61,6 +64,9 @@ if TYPE_CHECKING:
     from omtwarp.conformal import mobius_centring as mobius_centring
     from omtwarp.errors import OmtwarpError as OmtwarpError
     from omtwarp.errors import OmtwarpWarning as OmtwarpWarning
+    from omtwarp.materials import Material as Material
+    from omtwarp.materials import PaintedMesh as PaintedMesh
+    from omtwarp.materials import read_painted_mesh as read_painted_mesh
     from omtwarp.measures import TargetDensity as TargetDensity
     from omtwarp.measures import weighted_surface as weighted_surface
     from omtwarp.mesh import shapes as shapes

@@ -23,6 +23,10 @@ _CORNERS = ("vertex_indices", "vertex_index")
 _LONGEST_HEADER = 1_000_000  # bytes
 
 
+Column = NDArray | tuple[NDArray, NDArray]
+"""The values of a property: numbers, or the lengths of lists and their values."""
+
+
 @dataclass(frozen=True)
 class _Property:
     """A property: its name, the type of its numbers and, for a list, the type of its length."""
@@ -51,10 +55,27 @@ def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArr
         OmtwarpError: the file is not as long as its header says, or has no vertices or no faces.
         ValueError: it is no PLY file.
     """
+    return polygons_of(ply_columns(data))
+
+
+def ply_columns(data: bytes) -> dict[str, dict[str, Column]]:
+    """Every property of every element of a PLY file, lists as (lengths, values one after another).
+
+    Raises:
+        OmtwarpError: the file is not as long as its header says.
+        ValueError: it is no PLY file.
+    """
     elements, order, body = _header(data)
-    columns = _text_columns(body, elements) if order is None else _binary_columns(body, elements, order)
-    names = [element.name for element in elements]
-    if "vertex" not in names or not {"x", "y", "z"} <= set(columns["vertex"]):
+    return _text_columns(body, elements) if order is None else _binary_columns(body, elements, order)
+
+
+def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float64], NDArray, NDArray]:
+    """Vertices, the corners of all polygons and their numbers, as :func:`read_ply` returns them.
+
+    Raises:
+        OmtwarpError: no vertices or no faces among the elements.
+    """
+    if not {"x", "y", "z"} <= set(columns.get("vertex", {})):
         raise OmtwarpError("not a triangle mesh: no vertices with x, y and z in it")
     points = np.stack([np.asarray(columns["vertex"][axis], dtype=np.float64) for axis in "xyz"], axis=1)
     corners = next((columns["face"][name] for name in _CORNERS if name in columns.get("face", {})), None)
@@ -97,21 +118,18 @@ def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
     return [element for element in elements if element.properties], order, data[found.end() :]
 
 
-_Column = NDArray | tuple[NDArray, NDArray]
-
-
 def _cut(elements: list[_Element]) -> OmtwarpError:
     announced = " and ".join(f"{element.count} of '{element.name}'" for element in elements)
     return OmtwarpError(f"the file is not as long as its header says, cut short or damaged: {announced} announced")
 
 
-def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[str, dict[str, _Column]]:
+def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[str, dict[str, Column]]:
     """Every property of every element, lists as (lengths, values).
 
     Raises:
         OmtwarpError: the body is shorter or longer than the header says.
     """
-    columns: dict[str, dict[str, _Column]] = {}
+    columns: dict[str, dict[str, Column]] = {}
     place = 0
     for element in elements:
         lengths = _first_lengths(body, place, element, order)
@@ -155,7 +173,7 @@ def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> di
 
 def _binary_rows(
     body: bytes, place: int, element: _Element, order: str, elements: list[_Element]
-) -> tuple[int, dict[str, _Column]]:
+) -> tuple[int, dict[str, Column]]:
     """The rows of an element whose lists differ in length, one by one; and where they end.
 
     Raises:
@@ -178,14 +196,14 @@ def _binary_rows(
                 raise _cut(elements)
             values[k].append(np.frombuffer(body, kind, count, place))
             place += count * kind.itemsize
-    found: dict[str, _Column] = {}
+    found: dict[str, Column] = {}
     for k, part in enumerate(element.properties):
         flat = np.concatenate([*values[k], np.empty(0, kinds[k][0])])
         found[part.name] = flat if part.length is None else (np.array(sizes[k], dtype=np.int64), flat)
     return place, found
 
 
-def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, _Column]]:
+def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, Column]]:
     """Every property of every element of a text file, lists as (lengths, values); numbers are float64.
 
     Raises:
@@ -194,11 +212,11 @@ def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, 
     if body.translate(None, _NUMBERS):
         raise OmtwarpError("damaged: letters or signs among its numbers")
     numbers = np.array(body.split(), dtype=np.float64)
-    columns: dict[str, dict[str, _Column]] = {}
+    columns: dict[str, dict[str, Column]] = {}
     place = 0
     for element in elements:
         starts, place = _row_starts(numbers, place, element, elements)
-        found: dict[str, _Column] = {}
+        found: dict[str, Column] = {}
         at = starts
         for part in element.properties:
             if part.length is None:
@@ -249,4 +267,4 @@ def _row_starts(
     return starts, place
 
 
-__all__ = ["read_ply"]
+__all__ = ["Column", "ply_columns", "polygons_of", "read_ply"]

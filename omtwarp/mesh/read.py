@@ -129,11 +129,11 @@ def _read_npz(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
-    vertices, corners, sizes = read_ply(_utf8(data))
-    return vertices, *_fans(corners, sizes, triangulate)
+    vertices, corners, sizes = read_ply(utf8(data))
+    return vertices, *fans(corners, sizes, triangulate)
 
 
-def _utf8(data: bytes) -> bytes:
+def utf8(data: bytes) -> bytes:
     """Text without a byte order mark, and in UTF-8 where the mark says that it is in another encoding."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16").encode("utf-8")
@@ -142,7 +142,7 @@ def _utf8(data: bytes) -> bytes:
 
 def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
     """Object File Format by its lines; what follows coordinates and corners, such as colours, is left."""
-    lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", _utf8(data)).replace(b"\r", b"\n").split(b"\n")]
+    lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", utf8(data)).replace(b"\r", b"\n").split(b"\n")]
     lines = [line for line in lines if line]
     if lines and lines[0][0].endswith(b"OFF"):
         lines[0].pop(0)  # the counts may stand beside the keyword
@@ -167,7 +167,7 @@ def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
 
     Its texture coordinates, normals, materials and groups make a general reader split, drop and reorder vertices.
     """
-    text = _utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
+    text = utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
     lines = re.findall(rb"^[ \t]*([vf])[ \t]+([^\n#]*)", text, flags=re.MULTILINE)
     vertices = np.array([rest.split()[:3] for kind, rest in lines if kind == b"v"], dtype=np.float64)
     polygons = [[word.partition(b"/")[0] for word in rest.split()] for kind, rest in lines if kind == b"f"]
@@ -188,12 +188,10 @@ def _from_polygons(
     flat = np.array([int(word) for polygon in polygons for word in polygon], dtype=np.int64)
     if vertices_before is not None:
         flat = np.where(flat < 0, flat + np.repeat(vertices_before, corners), flat - 1)
-    return _fans(flat, corners, triangulate)
+    return fans(flat, corners, triangulate)
 
 
-def _fans(
-    flat: NDArray[np.int64], corners: NDArray[np.int64], triangulate: bool
-) -> tuple[NDArray[np.int64], list[str]]:
+def fans(flat: NDArray[np.int64], corners: NDArray[np.int64], triangulate: bool) -> tuple[NDArray[np.int64], list[str]]:
     """Triangles from polygons: the corners of all one after another, and how many each has."""
     if not len(corners):
         raise OmtwarpError("not a triangle mesh: no faces in it")
@@ -298,4 +296,4 @@ def _cut(count: int) -> str:
     return f"cut {count} faces with more than three corners into triangles"
 
 
-__all__ = ["MeshFile", "read_mesh"]
+__all__ = ["MeshFile", "fans", "read_mesh", "utf8"]

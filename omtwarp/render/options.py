@@ -199,7 +199,7 @@ def view_of(subject: Subject, options: PreviewOptions) -> SurfaceView:
     if scalar is not None:
         if not isinstance(scalar, ScalarField):
             scalar = ScalarField(scalar, options["colormap"], options["scalar_range"], options["scalar_label"])
-        view = replace(view, scalar=scalar, image=None, uv=None, colors=None)
+        view = replace(view, scalar=scalar, image=None, uv=None, colors=None, materials=None)
     if arrows is not None:
         view = replace(view, arrows=arrows if isinstance(arrows, Arrows) else Arrows(arrows))
     return view

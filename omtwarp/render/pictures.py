@@ -29,7 +29,7 @@ from omtwarp.render.options import (
     takes,
     view_of,
 )
-from omtwarp.render.scene import RenderJob, Wireframe, build_part, normalised_points
+from omtwarp.render.scene import RenderJob, Wireframe, build_parts, normalised_points
 from omtwarp.render.subject import FinishedMap, Subject, map_view
 
 logger = logging.getLogger("omtwarp.render")
@@ -206,11 +206,11 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
     width, height = options["size"]
     bar = view.scalar if options["color_bar"] else None
     drawn_width = max(width - annotate.bar_width(options["size"]), SMALLEST_VIEW) if bar is not None else width
-    parts = [build_part(view, edges=bool(wireframe) or view.edges)]
-    if view.arrows is not None:
-        field = arrow_part(view, view.arrows)
-        parts += [] if field is None else [field]
-    points = np.concatenate([normalised_points(view), *(part.positions.astype(np.float64) for part in parts[1:])])
+    parts = build_parts(view, edges=bool(wireframe) or view.edges)
+    field = None if view.arrows is None else arrow_part(view, view.arrows)
+    arrows = [] if field is None else [field]
+    parts += arrows
+    points = np.concatenate([normalised_points(view), *(part.positions.astype(np.float64) for part in arrows)])
     centred = options["frames"] is not None
     job = RenderJob(
         parts=parts,

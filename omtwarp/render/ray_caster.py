@@ -16,7 +16,7 @@ from omtwarp.device.start import wp
 from omtwarp.render import ray_kernels as kernels
 from omtwarp.render.camera import Shot
 from omtwarp.render.colors import parse_color, srgb_to_linear
-from omtwarp.render.scene import RenderJob
+from omtwarp.render.scene import Part, RenderJob
 
 # A step of 6/255 between neighbours is the least that the eye makes out as a jagged edge.
 CONTRAST = 6.0 / 255.0
@@ -40,9 +40,11 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
     """
     where = resolve_device(device)
     shape, mesh = _geometry(job, where)
-    picture = _picture(job, where)
+    images = [part for part in job.parts if part.image is not None]
+    kept = [_picture(part, where) for part in images] or [_picture(None, where)]
+    pictures: Any = wp.array(kept, dtype=kernels.Picture, device=where)
     look = _look(job, where)
-    pictures = []
+    drawn = []
     for shot in job.shots:
         view = _view(shot, job.width, job.height)
         colors = wp.empty((job.height, job.width), dtype=wp.vec4, device=where)
@@ -51,7 +53,7 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
         wp.launch(
             kernels.draw_centres,
             size,
-            inputs=[view, shape, picture, look, FIRST_SPACING],
+            inputs=[view, shape, pictures, look, FIRST_SPACING],
             outputs=[colors],
             device=where,
         )
@@ -63,13 +65,13 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
             wp.launch(
                 kernels.draw_finely,
                 len(chosen),
-                inputs=[view, shape, picture, look, pixels, side],
+                inputs=[view, shape, pictures, look, pixels, side],
                 outputs=[colors],
                 device=where,
             )
-        pictures.append(np.rint(np.clip(colors.numpy(), 0.0, 1.0) * 255.0).astype(np.uint8))
-    del mesh  # kept until here: the kernels know it by its number only
-    return pictures
+        drawn.append(np.rint(np.clip(colors.numpy(), 0.0, 1.0) * 255.0).astype(np.uint8))
+    del mesh, kept  # kept until here: the kernels know them by numbers only
+    return drawn
 
 
 def _geometry(job: RenderJob, where: Any) -> tuple[Any, Any]:
@@ -88,14 +90,18 @@ def _geometry(job: RenderJob, where: Any) -> tuple[Any, Any]:
     shape.faces = wp.array(faces.astype(np.int32), dtype=wp.int32, device=where)
     kinds = np.concatenate([np.full(len(part.faces), _KINDS[part.kind], np.int32) for part in job.parts])
     edges = np.concatenate([np.full(len(part.faces), int(part.edges), np.int32) for part in job.parts])
+    having = np.cumsum([part.image is not None for part in job.parts]) - 1
+    numbers = np.concatenate(
+        [np.full(len(p.faces), max(k, 0), np.int32) for p, k in zip(job.parts, having, strict=True)]
+    )
+    shape.pictures = wp.array(numbers, dtype=wp.int32, device=where)
     shape.kinds = wp.array(kinds, dtype=wp.int32, device=where)
     shape.edges = wp.array(edges, dtype=wp.int32, device=where)
     return shape, mesh
 
 
-def _picture(job: RenderJob, where: Any) -> Any:
-    """The image with its mip levels; a single grey texel where no part has one."""
-    part = next((part for part in job.parts if part.image is not None), None)
+def _picture(part: Part | None, where: Any) -> Any:
+    """A part's image with its mip levels; a single grey texel for none."""
     image = part.image if part is not None and part.image is not None else np.full((1, 1, 3), 128, np.uint8)
     sizes = [(image.shape[1], image.shape[0])]
     if part is not None and part.mipmaps:

@@ -36,6 +36,7 @@ class Geometry:
     values: wp.array[wp.vec3]
     faces: wp.array2d[wp.int32]
     kinds: wp.array[wp.int32]  # per face, one of KIND_*
+    pictures: wp.array[wp.int32]  # per face, number of its picture
     edges: wp.array[wp.int32]  # per face, 1 where its edges are drawn
 
 
@@ -262,7 +263,7 @@ def line_strength(weight: float, gradient_x: float, gradient_y: float, width: fl
 
 
 @wp.func
-def sample(view: View, shape: Geometry, picture: Picture, look: Look, x: float, y: float, spacing: float):
+def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look, x: float, y: float, spacing: float):
     """Colour and coverage seen at a place of the picture; ``spacing`` is the width of the area it stands for."""
     origin = ray_origin(view, x, y)
     way = ray_way(view, x, y)
@@ -275,6 +276,7 @@ def sample(view: View, shape: Geometry, picture: Picture, look: Look, x: float, 
     color = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if hit.result:
         face = hit.face
+        picture = pictures[shape.pictures[face]]
         i0 = shape.faces[face, 0]
         i1 = shape.faces[face, 1]
         i2 = shape.faces[face, 2]
@@ -343,14 +345,14 @@ def sample(view: View, shape: Geometry, picture: Picture, look: Look, x: float, 
 def draw_centres(
     view: View,
     shape: Geometry,
-    picture: Picture,
+    pictures: wp.array[Picture],
     look: Look,
     spacing: wp.float32,
     # Data out:
     colors: wp.array2d[wp.vec4],
 ):
     row, column = wp.tid()
-    colors[row, column] = sample(view, shape, picture, look, float(column) + 0.5, float(row) + 0.5, spacing)
+    colors[row, column] = sample(view, shape, pictures, look, float(column) + 0.5, float(row) + 0.5, spacing)
 
 
 @wp.func
@@ -383,7 +385,7 @@ def mark_contrast(
 def draw_finely(
     view: View,
     shape: Geometry,
-    picture: Picture,
+    pictures: wp.array[Picture],
     look: Look,
     pixels: wp.array[wp.int32],
     side: wp.int32,
@@ -400,7 +402,7 @@ def draw_finely(
         for j in range(side):
             x = float(column) + (float(j) + 0.5) * step
             y = float(row) + (float(k) + 0.5) * step
-            total += sample(view, shape, picture, look, x, y, step)
+            total += sample(view, shape, pictures, look, x, y, step)
     colors[row, column] = total * (step * step)
 
 

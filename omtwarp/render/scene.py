@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -87,9 +88,22 @@ class Arrows:
     uniform: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class SurfaceMaterial:
+    """How the triangles of one material of a surface look.
+
+    Attributes:
+        image: a picture as :class:`SurfaceView` takes it, looked up by the surface's ``uv``; None for one colour.
+        color: any colour; a factor on the picture where there is one. None is white with a picture, and clay without.
+    """
+
+    image: Any = None
+    color: Any = None
+
+
 @dataclass(eq=False)
 class SurfaceView:
-    """A surface and how it looks: an image with ``sphere`` or with ``uv``, ``colors``, a ``scalar``, or plain.
+    """A surface and how it looks: plain, with an image (``sphere`` or ``uv``), ``colors``, a ``scalar``, ``materials``.
 
     Attributes:
         vertices: shape [V, 3], any unit.
@@ -102,6 +116,8 @@ class SurfaceView:
         colors: RGB per vertex [V, 3] or per face [F, 3]; bytes, or numbers in [0, 1].
         scalar: a number per vertex or per face with its colour map.
         color: the colour where nothing else is given (None: clay), and a factor on an image (None: white).
+        materials: several appearances, of which ``face_material`` gives every triangle one.
+        face_material: number of the material of every triangle, shape [F].
         up: axis that points upwards in pictures.
         front: axis that points at the viewer in the front view; None takes +z, or -y where z is up.
         smooth: interpolate normals across faces; they are averaged over all vertices at the same place, so that the
@@ -122,6 +138,8 @@ class SurfaceView:
     colors: ArrayLike | None = None
     scalar: ScalarField | None = None
     color: Any = None
+    materials: Sequence[SurfaceMaterial] | None = None
+    face_material: ArrayLike | None = None
     up: str = "y"
     front: str | None = None
     smooth: bool = True
@@ -156,6 +174,7 @@ class SurfaceView:
                 ("image", self.image is not None),
                 ("colors", self.colors is not None),
                 ("scalar", self.scalar is not None),
+                ("materials", self.materials is not None),
             )
             if present
         ]
@@ -165,6 +184,14 @@ class SurfaceView:
             if (self.sphere is None) == (self.uv is None):
                 raise OmtwarpError("an image needs either points on the sphere (sphere=) or texture coordinates (uv=)")
             self.image = as_image(self.image)
+        if self.materials is not None:
+            which = np.asarray(self.face_material)
+            numbers = which.shape == (triangles,) and np.issubdtype(which.dtype, np.integer)
+            if not numbers or which.min() < 0 or which.max() >= len(self.materials):
+                raise OmtwarpError(
+                    f"face_material: give one of {len(self.materials)} numbers to each of {triangles} faces"
+                )
+            self.face_material = which
         if self.sphere is not None:
             self.sphere = _checked("sphere", self.sphere, [(count, 3)])
         if self.uv is not None:
@@ -233,7 +260,7 @@ class RenderJob:
     """Everything a renderer needs for a set of pictures of one scene.
 
     Attributes:
-        parts: triangles; at most one part has an image.
+        parts: triangles, each part with an image of its own or without.
         shots: one per picture.
         width: pixels.
         height: pixels.
@@ -323,14 +350,34 @@ def normalised_points(view: SurfaceView) -> NDArray[np.float64]:
     return (_used(view) - centre) / radius
 
 
-def build_part(view: SurfaceView, edges: bool = False) -> Part:
-    """The surface in the form the renderers take.
+def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
+    """The surface in the form the renderers take: one part, or one for every material that is used."""
+    if view.materials is None:
+        return [_build_part(view, edges)]
+    _, faces = _arrays(view)
+    which, parts = np.asarray(view.face_material), []
+    for number in np.unique(which):
+        material, of_it = view.materials[number], which == number
+        image, uv = material.image, view.uv
+        if image is None or uv is None:
+            image = uv = None
+        elif np.ndim(uv) == 3:
+            uv = np.asarray(uv)[of_it]
+        alone = replace(
+            view, faces=faces[of_it], image=image, uv=uv, color=material.color, materials=None, face_material=None
+        )
+        parts.append(_build_part(alone, edges, view))
+    return parts
+
+
+def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | None = None) -> Part:
+    """One part of a surface in the form the renderers take; ``whole`` is the surface it is a part of.
 
     Corners are given their own rows only where something differs between the faces around a vertex: per-face colours,
     per-corner coordinates, flat shading, or edges.
     """
     vertices, faces = _arrays(view)
-    centre, radius = normalisation(view)
+    centre, radius = normalisation(view if whole is None else whole)
     positions = (vertices - centre) / radius
     image, tint, repeat, mipmaps, kind = None, (1.0, 1.0, 1.0), True, True, "color"
     per_face, repeat_rows = False, False
@@ -360,7 +407,7 @@ def build_part(view: SurfaceView, edges: bool = False) -> Part:
         corner_value = np.repeat(value, 3, axis=0)
     else:
         corner_value = None
-    normals = welded_normals(positions, faces) if view.smooth else None
+    normals = welded_normals(positions, _arrays(whole or view)[1]) if view.smooth else None
     if corner_value is not None or normals is None or edges:
         flat = faces.ravel()
         corner_value = value[flat] if corner_value is None else corner_value

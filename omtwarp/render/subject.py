@@ -14,9 +14,12 @@ from PIL import Image
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.materials.base import WHITE
+from omtwarp.materials.painted import PaintedMesh
+from omtwarp.materials.read import read_painted_mesh
 from omtwarp.mesh.read import read_mesh as read_triangles
 from omtwarp.mesh.scenes import load_scene, scene_formats
-from omtwarp.render.scene import SurfaceView, as_image
+from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
 from omtwarp.texturing.image import read_image as read_picture
 
 
@@ -74,11 +77,13 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
             from omtwarp.result import MapResult
 
             return map_view(MapResult.load(path), image)
-        view = _from_trimesh(read_mesh(path))
+        view = _file_view(path)
     elif isinstance(subject, FinishedMap):
         return map_view(subject, image)
     elif hasattr(subject, "visual") and hasattr(subject, "faces"):
         view = _from_trimesh(subject)
+    elif isinstance(subject, PaintedMesh):
+        view = painted_view(subject)
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
     elif isinstance(subject, _Textured):
@@ -147,8 +152,36 @@ def read_image(image: Picture) -> NDArray[np.uint8]:
     return as_image(read_picture(image))
 
 
+def _file_view(path: Path) -> SurfaceView:
+    """A view of a mesh file; of one with several materials, every triangle in its own."""
+    if path.suffix.lower() == ".obj":
+        return painted_view(read_painted_mesh(path, triangulate=True))
+    found = read_mesh(path)
+    return painted_view(read_painted_mesh(path, triangulate=True)) if found is None else _from_trimesh(found)
+
+
+def painted_view(mesh: PaintedMesh) -> SurfaceView:
+    """A view of a mesh with materials; of colours at the vertices alone where no material says anything."""
+    plain = all(material.picture is None and material.color == WHITE for material in mesh.materials)
+    if plain:
+        return SurfaceView(mesh.vertices, mesh.faces, colors=mesh.vertex_colors)
+    materials = []
+    for number, material in enumerate(mesh.materials):
+        image, uv = material.picture, mesh.uv
+        known = uv is not None and np.isfinite(uv[mesh.material_of == number]).all()
+        color = None if material.color[:3] == WHITE[:3] else material.color[:3]
+        materials.append(SurfaceMaterial(image if known else None, color))
+    uv = None if mesh.uv is None else np.nan_to_num(mesh.uv)
+    if not any(material.image is not None for material in materials):
+        uv = None
+    return SurfaceView(mesh.vertices, mesh.faces, uv=uv, materials=materials, face_material=mesh.material_of)
+
+
 def read_mesh(path: Path) -> Any:
     """A mesh file with its texture and colours, as one ``trimesh.Trimesh`` with vertices as the file has them.
+
+    Returns:
+        None for a scene of several geometries, which differ in their materials.
 
     Raises:
         OmtwarpError: the file is missing, unreadable, or holds no triangles.
@@ -182,8 +215,8 @@ def read_mesh(path: Path) -> Any:
             if not np.array_equal(transform, np.eye(4)):
                 loaded = loaded.copy()
                 loaded.apply_transform(transform)
-        else:
-            loaded = loaded.to_mesh() if nodes else None
+        elif nodes:
+            return None
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         raise OmtwarpError(f"{path}: no triangles in it, so nothing to draw")
     return loaded

@@ -247,7 +247,7 @@ def resample(
     return bake(_picture_source(array, atlas, where), to, size=size, supersample=supersample, device=device)
 
 
-class _Layout:
+class Layout:
     """Triangles laid out on a picture: which one owns each texel, and values linear over it."""
 
     def __init__(self, corner_uv: Floats, width: int, height: int, where: Any, padding: int = -1):
@@ -376,7 +376,7 @@ def bake_to_uv(
     faces = np.asarray(faces)
     s = np.asarray(sphere, dtype=np.float64)
     width, height = _picture_size(size)
-    layout = _Layout(_own_uv(uv, faces, uv_faces), width, height, where, padding)
+    layout = Layout(_own_uv(uv, faces, uv_faces), width, height, where, padding)
     if isinstance(source, VertexValues):
         return _bake_linear(layout, source.corner_values(faces), supersample, padding)
     given = _source(source, projection, where)
@@ -419,7 +419,7 @@ class VertexValues:
         return self.values[faces]
 
 
-def _bake_linear(layout: _Layout, corner_values: Floats, supersample: int, padding: int) -> Picture:
+def _bake_linear(layout: Layout, corner_values: Floats, supersample: int, padding: int) -> Picture:
     where = layout.where
     values: Any = wp.array(np.ascontiguousarray(corner_values), dtype=wp.float64, device=where)
     channels = corner_values.shape[2]
@@ -525,7 +525,7 @@ def uv_to_sphere(
 
 def _sphere_layout(
     cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: Any
-) -> tuple[_Layout, NDArray[np.int64]]:
+) -> tuple[Layout, NDArray[np.int64]]:
     """The parts of faces laid out on the picture of an atlas, and which part each triangle of the layout is, [K]."""
     points = cut.weights @ np.asarray(sphere, dtype=np.float64)
     chords = (points if rotation is None else points @ np.asarray(rotation, dtype=np.float64))[cut.faces]
@@ -541,7 +541,7 @@ def _sphere_layout(
         over_a, over_b = np.stack([a[:, 0], pole[:, 1]], axis=1), np.stack([b[:, 0], pole[:, 1]], axis=1)
         corner_uv = np.concatenate([corner_uv, np.stack([over_a, a, b], 1), np.stack([over_a, b, over_b], 1)])
         part = np.concatenate([part, at, at])
-    layout = _Layout(corner_uv, atlas.width, atlas.height, where)
+    layout = Layout(corner_uv, atlas.width, atlas.height, where)
     layout.show_sphere(atlas, chords[part])
     return layout, part
 

@@ -20,7 +20,7 @@ from omtwarp.render import Camera, Light, ScalarField, SurfaceView, gl_client, o
 from omtwarp.render.annotate import ticks
 from omtwarp.render.camera import VIEWS, camera_axes, frame, turntable
 from omtwarp.render.colors import COLORMAPS, colormap_table
-from omtwarp.render.scene import build_part, weld, welded_normals
+from omtwarp.render.scene import build_parts, weld, welded_normals
 
 TRIANGLE = (np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
 
@@ -104,9 +104,9 @@ def test_weld_numbers_distinct_places(digits) -> None:
 def test_parts_share_vertices_unless_something_differs() -> None:
     ball = trimesh.creation.icosphere(subdivisions=1)
     view = SurfaceView(ball.vertices, ball.faces)
-    assert len(build_part(view).positions) == len(ball.vertices)
-    assert len(build_part(view, edges=True).positions) == 3 * len(ball.faces)
-    flat = build_part(SurfaceView(ball.vertices, ball.faces, smooth=False))
+    assert len(build_parts(view)[0].positions) == len(ball.vertices)
+    assert len(build_parts(view, edges=True)[0].positions) == 3 * len(ball.faces)
+    flat = build_parts(SurfaceView(ball.vertices, ball.faces, smooth=False))[0]
     assert np.allclose(flat.normals[::3], ball.face_normals, atol=1e-6)
 
 

@@ -1,0 +1,177 @@
+"""A mesh with materials, and texture coordinates at the corners of its triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.errors import OmtwarpError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+
+WHITE = (1.0, 1.0, 1.0, 1.0)
+# Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
+SAME_PLACE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """How the triangles of one material look, in the terms of glTF 2.0.
+
+    Attributes:
+        name: as the file calls it.
+        color: red, green, blue (sRGB) and opacity, from 0 to 1; a factor on the picture where there is one.
+        picture: colours, uint8 sRGB, shape [H, W, 3] or [H, W, 4], row 0 on top; None for one colour.
+        metallic: 0 for a dielectric, 1 for a metal.
+        roughness: 0 for a mirror, 1 for a matt surface.
+        emission: factor on the light that the material sends out, linear red, green and blue.
+        two_sided: whether the triangles are seen from behind.
+        normal_picture: tangent-space normals as glTF's ``normalTexture`` holds them.
+        occlusion_picture: ambient occlusion in red, as glTF's ``occlusionTexture`` holds it; 255 is open.
+        roughness_picture: roughness in green and metalness in blue, glTF's ``metallicRoughnessTexture``.
+        emission_picture: the light that is sent out, glTF's ``emissiveTexture``.
+        own_tangents: whether ``normal_picture`` belongs to the tangents that a file is written with, rather than to
+            those that a reader computes.
+
+    Example:
+        >>> import omtwarp
+        >>> omtwarp.Material("glass", color=(0.9, 1.0, 1.0, 0.3)).opaque
+        False
+    """
+
+    name: str = "material"
+    color: tuple[float, float, float, float] = WHITE
+    picture: Bytes | None = None
+    metallic: float = 0.0
+    roughness: float = 0.65
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    two_sided: bool = False
+    normal_picture: Bytes | None = None
+    occlusion_picture: Bytes | None = None
+    roughness_picture: Bytes | None = None
+    emission_picture: Bytes | None = None
+    own_tangents: bool = False
+
+    @property
+    def opaque(self) -> bool:
+        """Whether nothing shines through."""
+        transparent = self.picture is not None and self.picture.shape[2] == 4 and self.picture[..., 3].min() < 255
+        return self.color[3] >= 1.0 and not transparent
+
+
+@dataclass(frozen=True, eq=False)
+class PaintedArrays:
+    """A triangle mesh with its texture coordinates and materials.
+
+    Attributes:
+        vertices: float64, shape [V, 3]; not doubled along seams.
+        faces: int32, shape [F, 3].
+        uv: texture coordinates of every corner, float64, shape [F, 3, 2], v up; NaN where a triangle has none, None
+            where no triangle has any. They may leave [0, 1]: the picture repeats.
+        materials: at least one.
+        face_material: number of the material of every triangle, int32, shape [F].
+        vertex_colors: sRGB and opacity at the vertices, uint8, shape [V, 4]; None where the file has none.
+        notes: what had to be decided while reading, in words.
+        wraps_rows: whether pictures repeat upwards; they always repeat to the right.
+        source_files: files that an export must not replace.
+
+    Raises:
+        OmtwarpError: arrays that do not belong together.
+    """
+
+    vertices: Floats
+    faces: Ints
+    uv: Floats | None = None
+    materials: tuple[Material, ...] = (Material(),)
+    face_material: Ints | None = None
+    vertex_colors: Bytes | None = None
+    notes: tuple[str, ...] = ()
+    wraps_rows: bool = True
+    source_files: tuple[Path, ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "vertices", np.ascontiguousarray(self.vertices, dtype=np.float64))
+        put(self, "faces", np.ascontiguousarray(self.faces, dtype=np.int32))
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or self.faces.ndim != 2 or self.faces.shape[1] != 3:
+            raise OmtwarpError(
+                f"vertices of shape {list(self.vertices.shape)}, faces of shape {list(self.faces.shape)}: "
+                "give [V, 3] and [F, 3]"
+            )
+        count = len(self.faces)
+        if self.uv is not None:
+            uv = np.asarray(self.uv, dtype=np.float64)
+            if uv.shape == (len(self.vertices), 2) and uv.shape != (count, 3, 2):
+                uv = uv[self.faces]
+            if uv.shape != (count, 3, 2):
+                raise OmtwarpError(f"texture coordinates of shape {list(uv.shape)}: give [V, 2] or [F, 3, 2]")
+            put(self, "uv", uv)
+        materials = np.zeros(count) if self.face_material is None else np.asarray(self.face_material)
+        if materials.shape != (count,):
+            raise OmtwarpError(f"materials of {len(materials)} triangles given for {count}")
+        if count and not (0 <= materials.min() and materials.max() < len(self.materials)):
+            raise OmtwarpError(f"a triangle asks for material {int(materials.max())} of {len(self.materials)}")
+        put(self, "face_material", materials.astype(np.int32))
+
+    def __repr__(self) -> str:
+        coordinates = "without texture coordinates" if self.uv is None else "with texture coordinates"
+        return (
+            f"{type(self).__name__}({len(self.vertices)} vertices, {len(self.faces)} faces {coordinates}, "
+            f"{len(self.materials)} materials)"
+        )
+
+    @property
+    def material_of(self) -> Ints:
+        """Number of the material of every triangle, shape [F]."""
+        assert self.face_material is not None  # of __post_init__
+        return self.face_material
+
+    def on(self, vertices: ArrayLike, faces: ArrayLike, face_origin: ArrayLike | None = None) -> Self:
+        """Carry coordinates and materials over to a mended, welded or renumbered copy of the mesh.
+
+        Corners are found again by their places.
+
+        Args:
+            vertices: of the copy, shape [W, 3].
+            faces: of the copy, shape [G, 3].
+            face_origin: the triangle of this mesh that each of the copy was, -1 for a new one, shape [G]; the same
+                number by default. New triangles get the first material, and coordinates of triangles beside them.
+
+        Raises:
+            OmtwarpError: the copy's triangles are not where this mesh's are.
+        """
+        points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
+        origin = np.arange(len(triangles)) if face_origin is None else np.asarray(face_origin)
+        if face_origin is None and len(triangles) != len(self.faces):
+            raise OmtwarpError(f"the map has {len(triangles)} faces, and the mesh {len(self.faces)}: it is another's")
+        kept = np.flatnonzero(origin >= 0)
+        here, there = points[triangles[kept]], self.vertices[self.faces[origin[kept]]]
+        apart = np.linalg.norm(here[:, :, None] - there[:, None, :], axis=3)
+        corner = apart.argmin(axis=2)
+        extent = float(np.ptp(self.vertices, axis=0).max())
+        if len(kept) and apart.min(axis=2).max() > SAME_PLACE * extent:
+            raise OmtwarpError("the map's vertices are not where the mesh's are: it is a map of another mesh")
+        materials = np.zeros(len(triangles), dtype=np.int32)
+        materials[kept] = self.material_of[origin[kept]]
+        uv = None
+        if self.uv is not None:
+            uv = np.full((len(triangles), 3, 2), np.nan)
+            uv[kept] = self.uv[origin[kept, None], corner]
+            at_vertex = np.full((len(points), 2), np.nan)
+            at_vertex[triangles[kept].ravel()] = uv[kept].reshape(-1, 2)
+            new = np.flatnonzero(origin < 0)
+            uv[new] = at_vertex[triangles[new]]
+        colors = None
+        if self.vertex_colors is not None:
+            colors = np.full((len(points), 4), 255, dtype=np.uint8)
+            colors[triangles[kept]] = self.vertex_colors[self.faces[origin[kept, None], corner]]
+        return replace(self, vertices=points, faces=triangles, uv=uv, face_material=materials, vertex_colors=colors)
+
+
+__all__ = ["Material", "PaintedArrays"]

@@ -1,0 +1,61 @@
+"""A mesh with materials, and texture coordinates at the corners of its triangles, that can be written to files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from omtwarp.materials.base import PaintedArrays
+from omtwarp.materials.export import export
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PaintedMesh(PaintedArrays):
+    """A triangle mesh with its texture coordinates and materials.
+
+    Attributes:
+        vertices: float64, shape [V, 3]; not doubled along seams.
+        faces: int32, shape [F, 3].
+        uv: texture coordinates of every corner, float64, shape [F, 3, 2], v up; NaN where a triangle has none, None
+            where no triangle has any. They may leave [0, 1]: the picture repeats.
+        materials: at least one.
+        face_material: number of the material of every triangle, int32, shape [F].
+        vertex_colors: sRGB and opacity at the vertices, uint8, shape [V, 4]; None where the file has none.
+        notes: what had to be decided while reading, in words.
+        wraps_rows: whether pictures repeat upwards; they always repeat to the right.
+        source_files: files that an export must not replace.
+
+    Raises:
+        OmtwarpError: arrays that do not belong together.
+
+    Example:
+        >>> import omtwarp
+        >>> ball = omtwarp.shapes.icosphere(4)
+        >>> halves = (ball.vertices[ball.faces].mean(axis=1)[:, 2] > 0).astype(int)
+        >>> red, blue = omtwarp.Material("red", (1, 0, 0, 1)), omtwarp.Material("blue", (0, 0, 1, 1))
+        >>> omtwarp.PaintedMesh(ball.vertices, ball.faces, materials=(red, blue), face_material=halves)
+        PaintedMesh(162 vertices, 320 faces without texture coordinates, 2 materials)
+    """
+
+    def export(self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+        """Write the mesh with its materials.
+
+        ``.glb`` holds a primitive for every material, its pictures embedded; ``.obj`` is written with its ``.mtl`` and
+        a ``.png`` for every picture beside it.
+
+        Args:
+            path: the file to write.
+            keep: more files that must not be replaced.
+
+        Returns:
+            The files written, the named one last.
+
+        Raises:
+            OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
+        """
+        return export(self, path, keep=(*keep, *self.source_files))
+
+
+__all__ = ["PaintedMesh"]

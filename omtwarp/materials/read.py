@@ -1,0 +1,334 @@
+"""Reading a mesh with its texture coordinates and materials, vertices and faces as ``read_mesh`` has them."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.inputs import read_bytes
+from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
+from omtwarp.materials.base import Bytes, Floats, Ints, Material
+from omtwarp.materials.painted import PaintedMesh
+from omtwarp.materials.wavefront import read_mtl, read_obj
+from omtwarp.mesh.ply import Column, ply_columns, polygons_of
+from omtwarp.mesh.read import fans, read_mesh, utf8
+from omtwarp.mesh.scenes import load_scene, scene_formats
+from omtwarp.texturing.image import read_image
+
+# Names under which programs write texture coordinates at the vertices of a PLY file.
+_PLY_COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
+
+
+def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> PaintedMesh:
+    """Read a mesh with its texture coordinates, materials and colours.
+
+    OBJ with its material library, PLY with coordinates at vertices or faces, and every format of scenes (GLB, glTF,
+    COLLADA, ...) keep a pair of coordinates per corner and a material per triangle. Formats of scenes, and PLY with
+    coordinates at its vertices, double vertices along seams: where boundaries have equal places, they are joined again.
+    Several geometries of a scene are taken together. Formats without materials give a mesh with one, plain material.
+
+    Args:
+        path: a mesh file of any format that :func:`omtwarp.read_mesh` takes.
+        triangulate: cut faces with more than three corners into triangles instead of refusing them.
+
+    Returns:
+        The mesh; ``.export("name.glb")`` writes it again.
+
+    Raises:
+        OmtwarpError: what :func:`omtwarp.read_mesh` raises, or a picture that cannot be read.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> result = omtwarp.map_to_sphere(surface, until="conformal", device="cpu")
+        >>> _ = omtwarp.texture(result, pattern="checker", size=96).export("checker.glb")
+        >>> mesh = omtwarp.read_painted_mesh("checker.glb")
+        >>> mesh.uv.shape == (len(mesh.faces), 3, 2), mesh.materials[0].picture.shape
+        (True, (64, 96, 3))
+    """
+    file = Path(path)
+    suffix = file.suffix.lower().lstrip(".")
+    if suffix not in ("obj", "ply") and (suffix not in scene_formats() or suffix in ("stl", "off")):
+        mesh = read_mesh(file, triangulate=triangulate)
+        return PaintedMesh(mesh.vertices, mesh.faces.astype(np.int32), notes=mesh.notes, source_files=(file,))
+    data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of what parsers guess
+            if suffix == "obj":
+                found = _from_obj(data, file, triangulate)
+            elif suffix == "ply":
+                found = _from_ply(data, file, triangulate)
+            else:
+                found = _from_scene(load_scene(data, file, suffix))
+    except OmtwarpError as error:
+        raise OmtwarpError(str(error) if str(error).startswith(str(file)) else f"{file}: {error}") from None
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a parser trips over, the file is not what its suffix says
+        detail = " ".join(str(error).split())[:160] or type(error).__name__
+        raise OmtwarpError(f"{file}: cannot be read as {suffix}: {detail}") from None
+    if len(found.faces) > MOST_FACES:
+        raise OmtwarpError(f"{file}: {len(found.faces):,} triangles, and {MOST_FACES:,} is the most")
+    outside = len(found.faces) and (found.faces.min() < 0 or found.faces.max() >= len(found.vertices))
+    if outside:
+        raise OmtwarpError(f"{file}: a face asks for vertex {found.faces.max()} of {len(found.vertices)}")
+    return replace(found, source_files=(file, *found.source_files))
+
+
+def _beside(file: Path, name: str) -> Path | None:
+    """A regular file that another names, in its directory or below; None where there is none."""
+    folder = file.resolve().parent
+    words = name.replace("\\", "/").strip().strip('"')
+    if not words or "\0" in words:
+        return None
+    there = (folder / words).resolve()
+    if not there.is_relative_to(folder):
+        there = folder / there.name
+    return there if there.is_file() else None
+
+
+def _from_obj(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
+    found = read_obj(utf8(data), triangulate)
+    named: list[Path] = []
+    notes = list(found.notes)
+
+    def picture(name: str) -> Bytes | None:
+        there = _beside(file, name)
+        if there is None:
+            notes.append(f"the picture '{name}' is not there")
+            return None
+        named.append(there)
+        return _as_bytes(read_image(there))
+
+    known: dict[str, Material] = {}
+    for library in found.libraries:
+        there = _beside(file, library)
+        if there is None:
+            notes.append(f"the material library '{library}' is not there")
+        else:
+            named.append(there)
+            known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "replace"), picture)
+    materials = tuple(known.get(name, Material(name or "material")) for name in found.names)
+    colors = None
+    if found.colors is not None:
+        scaled = found.colors * (255.0 if found.colors.max(initial=0.0) <= 1.0 else 1.0)
+        colors = _opaque(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
+    return PaintedMesh(
+        found.vertices, found.faces, found.uv, materials, found.face_material, colors, tuple(notes),
+        source_files=tuple(named),
+    )  # fmt: skip
+
+
+def _from_ply(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
+    columns = ply_columns(utf8(data))
+    points, corners, sizes = polygons_of(columns)
+    rows, notes = fans(np.arange(len(corners)), sizes, triangulate)
+    face = np.repeat(np.arange(len(sizes)), sizes)[rows[:, 0]]
+    faces = corners[rows].astype(np.int32)
+    vertex, sides = columns["vertex"], columns["face"]
+    named: list[Path] = []
+    pictures: list[Bytes | None] = []
+    for line in data[: data.find(b"end_header")].decode("utf-8", "replace").splitlines():
+        words = line.strip().split(None, 2)
+        if len(words) == 3 and words[:2] == ["comment", "TextureFile"]:
+            there = _beside(file, words[2])
+            notes += [f"the picture '{words[2]}' is not there"] * (there is None)
+            pictures.append(None if there is None else _as_bytes(read_image(there)))
+            named += [] if there is None else [there]
+    uv, doubled = None, False
+    listed = sides.get("texcoord")
+    pair = next((pair for pair in _PLY_COORDINATES if set(pair) <= set(vertex)), None)
+    if isinstance(listed, tuple) and np.array_equal(listed[0], 2 * sizes):
+        uv = np.asarray(listed[1], dtype=np.float64).reshape(-1, 2)[rows]
+    elif pair is not None:
+        uv = np.stack([_numbers(vertex[name]) for name in pair], axis=1)[faces]
+        doubled = True
+    number = np.zeros(len(faces), dtype=np.int32)
+    if len(pictures) > 1 and "texnumber" in sides:
+        number = np.clip(_numbers(sides["texnumber"])[face], 0, len(pictures) - 1).astype(np.int32)
+    materials = tuple(Material(f"material-{k}", picture=one) for k, one in enumerate(pictures)) or (Material(),)
+    colors = None
+    if {"red", "green", "blue"} <= set(vertex):
+        channels = [name for name in ("red", "green", "blue", "alpha") if name in vertex]
+        values = np.stack([_numbers(vertex[name]) for name in channels], axis=1)
+        scale = 255.0 if np.asarray(vertex["red"]).dtype.kind == "f" and values.max(initial=0.0) <= 1.0 else 1.0
+        colors = _opaque(np.rint(np.clip(values * scale, 0, 255)).astype(np.uint8))
+    mesh = PaintedMesh(points, faces, uv, materials, number, colors, tuple(notes), source_files=tuple(named))
+    return joined_seams(mesh) if doubled else mesh
+
+
+def _numbers(column: Column) -> Floats:
+    """Return the values of a property that is no list.
+
+    Raises:
+        ValueError: it is a list.
+    """
+    if isinstance(column, tuple):
+        raise ValueError("a list where one number belongs")
+    return np.asarray(column, dtype=np.float64)
+
+
+def _from_scene(scene: Any) -> PaintedMesh:
+    """Take all geometries of a scene together, where the scene puts them."""
+    order = list(scene.geometry)
+    placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
+    placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order
+    found = [(scene.geometry[name], matrix) for matrix, name, _ in placed if hasattr(scene.geometry[name], "faces")]
+    if not found:
+        raise OmtwarpError("not a triangle mesh: no triangles in it")
+    materials: list[Material] = []
+    numbers: dict[int, int] = {}
+    vertices, faces, uvs, which, colors = [], [], [], [], []
+    start = 0
+    for mesh, matrix in found:
+        points = np.asarray(mesh.vertices, dtype=np.float64)
+        moved = points if np.array_equal(matrix, np.eye(4)) else points @ matrix[:3, :3].T + matrix[:3, 3]
+        triangles = np.asarray(mesh.faces, dtype=np.int32)
+        if np.linalg.det(matrix[:3, :3]) < 0:
+            triangles = triangles[:, ::-1]
+        material, uv, color = _appearance(mesh)
+        key = id(getattr(mesh.visual, "material", mesh))
+        if key not in numbers:
+            numbers[key] = len(materials)
+            materials.append(material)
+        vertices.append(moved)
+        faces.append(triangles + start)
+        uvs.append(np.full((len(triangles), 3, 2), np.nan) if uv is None else uv[triangles])
+        which.append(np.full(len(triangles), numbers[key], dtype=np.int32))
+        colors.append(color)
+        start += len(points)
+    uv_all = np.concatenate(uvs)
+    all_colors = None
+    if any(color is not None for color in colors):
+        plain = [np.full((len(points), 4), 255, np.uint8) for points in vertices]
+        all_colors = np.concatenate(
+            [one if one is not None else white for one, white in zip(colors, plain, strict=True)]
+        )
+    mesh = PaintedMesh(
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        None if np.isnan(uv_all).all() else uv_all,
+        tuple(materials),
+        np.concatenate(which),
+        all_colors,
+        (f"took {len(found)} geometries together",) if len(found) > 1 else (),
+    )
+    return joined_seams(mesh)
+
+
+def _appearance(mesh: Any) -> tuple[Material, Floats | None, Bytes | None]:
+    """The material, the coordinates [V, 2] and the colours [V, 4] of a mesh of trimesh's."""
+    visual = mesh.visual
+    kind = getattr(visual, "kind", None)
+    if kind == "vertex":
+        return Material(), None, _opaque(np.asarray(visual.vertex_colors, dtype=np.uint8))
+    if kind == "face":
+        return Material(color=_color(np.asarray(visual.main_color) / 255.0)), None, None
+    if kind != "texture":
+        return Material(), None, None
+    source, uv = visual.material, visual.uv
+    coordinates = None
+    if uv is not None and len(uv) == len(mesh.vertices):
+        coordinates = np.asarray(uv, dtype=np.float64)[:, :2]
+    name = str(getattr(source, "name", None) or "material")
+    if not hasattr(source, "baseColorFactor"):  # of formats older than glTF
+        diffuse = np.asarray(getattr(source, "diffuse", (255, 255, 255, 255)), dtype=np.float64) / 255.0
+        picture = _pil(getattr(source, "image", None))
+        return Material(name, _color(diffuse if picture is None else np.ones(4)), picture), coordinates, None
+    factor = source.baseColorFactor
+    color = (1.0, 1.0, 1.0, 1.0)
+    if factor is not None:
+        values = np.asarray(factor)
+        scaled = values / 255.0 if values.dtype.kind in "iu" else values.astype(np.float64)
+        color = _color(np.concatenate([_encoded(scaled[:3]), scaled[3:4]]))
+    emission = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor, dtype=np.float64)
+    material = Material(
+        name=name,
+        color=color,
+        picture=_pil(source.baseColorTexture),
+        metallic=1.0 if source.metallicFactor is None else float(source.metallicFactor),
+        roughness=1.0 if source.roughnessFactor is None else float(source.roughnessFactor),
+        emission=(float(emission[0]), float(emission[1]), float(emission[2])),
+        two_sided=bool(source.doubleSided),
+        normal_picture=_pil(source.normalTexture),
+        occlusion_picture=_pil(source.occlusionTexture),
+        roughness_picture=_pil(source.metallicRoughnessTexture),
+        emission_picture=_pil(source.emissiveTexture),
+    )
+    return material, coordinates, None
+
+
+def _encoded(linear: Floats) -> Floats:
+    """Linear light as sRGB, both from 0 to 1 (IEC 61966-2-1)."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055)
+
+
+def _color(values: NDArray) -> tuple[float, float, float, float]:
+    red, green, blue, *rest = np.clip(np.asarray(values, dtype=np.float64), 0.0, 1.0)
+    return float(red), float(green), float(blue), float(rest[0]) if rest else 1.0
+
+
+def _pil(image: Any) -> Bytes | None:
+    return None if image is None else _as_bytes(read_image(image))
+
+
+def _as_bytes(picture: NDArray[Any]) -> Bytes:
+    if picture.dtype == np.uint8:
+        return picture
+    return np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def _opaque(colors: Bytes) -> Bytes:
+    """Colours with an opacity, shape [N, 4]."""
+    if colors.shape[1] == 4:
+        return colors
+    return np.column_stack([colors, np.full(len(colors), 255, dtype=np.uint8)])
+
+
+def joined_seams(mesh: PaintedMesh) -> PaintedMesh:
+    """Join vertices of boundaries that lie at the same place, as formats double them along seams of a texture.
+
+    Faces keep their numbers and corners; vertices keep their order, without copies.
+    """
+    faces = mesh.faces.astype(np.int64)
+    if not len(faces):
+        return mesh
+    ring = np.roll(faces, -1, axis=1)
+    low, high = np.minimum(faces, ring).ravel(), np.maximum(faces, ring).ravel()
+    _, place, times = np.unique(low * len(mesh.vertices) + high, return_inverse=True, return_counts=True)
+    single = times[place.reshape(-1)] == 1
+    boundary = np.zeros(len(mesh.vertices), dtype=bool)
+    boundary[low[single]] = boundary[high[single]] = True
+    at = np.flatnonzero(boundary)
+    if not len(at):
+        return mesh
+    _, first, inverse = np.unique(mesh.vertices[at] + 0.0, axis=0, return_index=True, return_inverse=True)
+    number = np.arange(len(mesh.vertices))
+    number[at] = at[first[inverse.reshape(-1)]]
+    doubled = int((number != np.arange(len(number))).sum())
+    if not doubled:
+        return mesh
+    left = number == np.arange(len(number))
+    after = (np.cumsum(left) - 1)[number]
+    return replace(
+        mesh,
+        vertices=mesh.vertices[left],
+        faces=_as_ints(after[faces]),
+        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[left],
+        notes=(*mesh.notes, f"joined {doubled} copies of vertices along seams"),
+    )
+
+
+def _as_ints(values: NDArray) -> Ints:
+    return np.ascontiguousarray(values, dtype=np.int32)
+
+
+__all__ = ["joined_seams", "read_painted_mesh"]

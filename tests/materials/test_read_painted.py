@@ -1,0 +1,173 @@
+"""Meshes keep their texture coordinates, materials and pictures when they are read, and previews show them."""
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from two_materials import BLUE, RED, two_halves
+
+import omtwarp
+from omtwarp.errors import OmtwarpError
+from omtwarp.materials import PaintedMesh, read_painted_mesh
+
+
+def test_obj_keeps_coordinates_and_materials_in_the_order_of_read_mesh(tmp_path):
+    path, upper, uv = two_halves(tmp_path, picture=True)
+    mesh, plain = read_painted_mesh(path), omtwarp.read_mesh(path)
+    np.testing.assert_array_equal(mesh.vertices, plain.vertices)
+    np.testing.assert_array_equal(mesh.faces, plain.faces)
+    assert [material.name for material in mesh.materials] == ["red", "blue"]
+    lower = np.setdiff1d(np.arange(len(uv)), upper)
+    np.testing.assert_allclose(mesh.uv, uv[np.concatenate([upper, lower])], atol=1e-15)
+    np.testing.assert_array_equal(np.bincount(mesh.face_material), [len(upper), len(lower)])
+    red, blue = mesh.materials
+    np.testing.assert_allclose(np.array(red.color[:3]) * 255, RED, atol=1e-3)
+    assert red.picture is None and blue.picture.shape == (256, 512, 3)
+
+
+def test_obj_with_polygons_negative_numbers_and_no_material(tmp_path):
+    """Fans keep the coordinates of their corners; corners counted backwards are found; the rest is left without."""
+    (tmp_path / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+        "f 1/1 2/2 3/3 4/4\nusemtl x\nf -4/-4 -3/-3 -2/-2\nf 1//1 2//1 3//1\n"
+    )
+    with pytest.raises(OmtwarpError, match="more than three corners"):
+        read_painted_mesh(tmp_path / "a.obj")
+    mesh = read_painted_mesh(tmp_path / "a.obj", triangulate=True)
+    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 2]])
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    np.testing.assert_array_equal(mesh.uv[:3], corners[mesh.faces[:3]])
+    assert np.isnan(mesh.uv[3]).all() and [m.name for m in mesh.materials] == ["material", "x"]
+
+
+def test_what_is_named_and_missing_is_said(tmp_path):
+    (tmp_path / "a.obj").write_text("mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl m\nf 1 2 3\n")
+    assert "gone.mtl" in read_painted_mesh(tmp_path / "a.obj").notes[0]
+    (tmp_path / "outside.png").write_bytes(b"x")
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "b.obj").write_text("mtllib b.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl m\nf 1 2 3\n")
+    (tmp_path / "in" / "b.mtl").write_text("newmtl m\nmap_Kd ../outside.png\n")
+    mesh = read_painted_mesh(tmp_path / "in" / "b.obj")
+    assert "outside.png" in mesh.notes[0] and mesh.materials[0].picture is None
+
+
+def test_glb_of_several_primitives_is_one_closed_mesh(tmp_path):
+    """Vertices doubled along the seams of coordinates and materials are joined; colours and factors come back."""
+    path, *_ = two_halves(tmp_path, picture=True)
+    original = read_painted_mesh(path)
+    scene = trimesh.Scene()
+    for number, material in enumerate(original.materials):
+        of_it = original.face_material == number
+        pbr = trimesh.visual.material.PBRMaterial(name=material.name, roughnessFactor=0.3)
+        if material.picture is not None:
+            pbr.baseColorTexture = Image.fromarray(material.picture)
+        corners = original.vertices[original.faces[of_it]].reshape(-1, 3)
+        rows, inverse = np.unique(
+            np.column_stack([corners, original.uv[of_it].reshape(-1, 2)]), axis=0, return_inverse=True
+        )
+        visual = trimesh.visual.TextureVisuals(uv=rows[:, 3:], material=pbr)
+        scene.add_geometry(trimesh.Trimesh(rows[:, :3], inverse.reshape(-1, 3), visual=visual, process=False))
+    scene.export(tmp_path / "two.glb")
+    mesh = read_painted_mesh(tmp_path / "two.glb")
+    assert len(mesh.materials) == 2 and len(mesh.faces) == len(original.faces)
+    assert len(mesh.vertices) == len(original.vertices)
+    assert omtwarp.check(mesh.vertices, mesh.faces) == []
+    assert "joined" in " ".join(mesh.notes)
+    (striped,) = [number for number, material in enumerate(mesh.materials) if material.picture is not None]
+    np.testing.assert_array_equal(mesh.face_material == striped, original.face_material == 1)
+
+
+@pytest.mark.parametrize("per_face", [False, True])
+def test_ply_with_coordinates(tmp_path, per_face):
+    Image.fromarray(np.full((4, 4, 3), 90, np.uint8)).save(tmp_path / "p.png")
+    head = "ply\nformat ascii 1.0\ncomment TextureFile p.png\nelement vertex 4\n"
+    head += "".join(f"property float {name}\n" for name in "xyz")
+    corners, uv = (
+        np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+        np.array([[0, 0], [1, 0], [0, 1], [0.5, 0.25]]),
+    )
+    points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    if per_face:
+        head += (
+            "element face 4\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n"
+        )
+        rows = [" ".join(map(str, row)) for row in points]
+        rows += [f"3 {a} {b} {c} 6 " + " ".join(map(str, uv[[a, b, c]].ravel())) for a, b, c in corners]
+    else:
+        head += (
+            "property float s\nproperty float t\nelement face 4\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+        rows = [" ".join(map(str, [*row, *pair])) for row, pair in zip(points, uv.tolist(), strict=True)]
+        rows += [f"3 {a} {b} {c}" for a, b, c in corners]
+    (tmp_path / "a.ply").write_text(head + "\n".join(rows) + "\n")
+    mesh = read_painted_mesh(tmp_path / "a.ply")
+    np.testing.assert_allclose(mesh.uv, uv[corners])
+    assert mesh.materials[0].picture[0, 0, 0] == 90
+
+
+def test_coordinates_follow_a_repair_that_turns_faces(tmp_path):
+    """After mending, every corner has the coordinates of the place where it lies."""
+    path, *_ = two_halves(tmp_path)
+    mesh = read_painted_mesh(path)
+    faces = mesh.faces.copy()
+    faces[::3] = faces[::3, ::-1]
+    uv = mesh.uv.copy()
+    uv[::3] = uv[::3, ::-1]
+    mixed = PaintedMesh(mesh.vertices, faces[1:], uv[1:], mesh.materials, mesh.face_material[1:])
+    mended = omtwarp.repair(mixed.vertices, mixed.faces)
+    after = mixed.on(mended.vertices, mended.faces, mended.face_origin)
+    old = mended.face_origin >= 0
+    places = after.vertices[after.faces[old]]
+    np.testing.assert_allclose(after.uv[old][..., 1], 0.5 + 0.49 * places[..., 2], atol=1e-12)
+    assert np.isfinite(after.uv).all() and len(after.faces) == len(mesh.faces)
+    with pytest.raises(OmtwarpError, match="another mesh"):
+        mesh.on(mesh.vertices + 1.0, mesh.faces)
+
+
+def share(picture, color):
+    """The part of a picture's pixels that are within 12 of a colour."""
+    return (np.abs(np.asarray(picture.convert("RGB")).astype(int) - color).max(axis=2) <= 12).mean()
+
+
+@pytest.mark.parametrize("backend", ["warp", "auto"])
+def test_a_preview_shows_two_materials(tmp_path, backend):
+    """From the front each half of the ball covers as much of the picture as the other, in its colour."""
+    path, *_ = two_halves(tmp_path)
+    drawn = omtwarp.preview(path, size=(200, 200), views="front", up="z", light="flat", backend=backend)
+    assert share(drawn, RED) > 0.25 and share(drawn, BLUE) > 0.25
+    pixels = np.asarray(drawn).astype(int)
+    assert np.abs(pixels[60, 100] - RED).max() < 12 and np.abs(pixels[140, 100] - BLUE).max() < 12
+
+
+@pytest.mark.parametrize("backend", ["warp", "auto"])
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_a_preview_shows_a_colour_beside_a_picture(tmp_path, backend, suffix):
+    path, *_ = two_halves(tmp_path, picture=True)
+    if suffix == ".glb":
+        mesh = read_painted_mesh(path)
+        mesh.export(tmp_path / "two.glb")
+        path = tmp_path / "two.glb"
+    drawn = omtwarp.preview(path, size=(240, 240), views="front", up="z", light="flat", backend=backend)
+    assert share(drawn, RED) > 0.2 and share(drawn, BLUE) > 0.06 and share(drawn, (240, 240, 240)) > 0.06
+    assert np.abs(np.asarray(drawn)[70, 120].astype(int) - RED).max() < 12
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_what_is_written_is_read_again(tmp_path, suffix):
+    """Coordinates, materials, pictures and the closed mesh come back; colours to the precision of the format."""
+    path, *_ = two_halves(tmp_path, picture=True)
+    mesh = read_painted_mesh(path)
+    files = mesh.export(tmp_path / f"again{suffix}")
+    again = read_painted_mesh(files[-1])
+    assert len(again.vertices) == len(mesh.vertices) and omtwarp.check(again.vertices, again.faces) == []
+    np.testing.assert_allclose(
+        again.vertices[again.faces], mesh.vertices[mesh.faces], atol=1e-6 if suffix == ".glb" else 0
+    )
+    np.testing.assert_allclose(again.uv, mesh.uv, atol=1e-6)
+    np.testing.assert_array_equal(again.face_material, mesh.face_material)
+    for one, other in zip(again.materials, mesh.materials, strict=True):
+        assert one.name == other.name
+        np.testing.assert_allclose(one.color, other.color, atol=0.011)
+        assert (one.picture is None) == (other.picture is None)
+        if other.picture is not None:
+            np.testing.assert_array_equal(one.picture, other.picture)
