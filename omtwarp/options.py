@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import TypeAlias, TypeVar
 
 from omtwarp.errors import OmtwarpError
 
-Progress = Callable[[str, int, int, dict[str, Any]], None]
-"""How long work reports on itself: ``progress(stage, done, total, details)``, the details being plain values."""
+Record: TypeAlias = dict[str, float]
+"""Numbers of one step of a stage by their names, ready for JSON; counts are int and yes or no is bool."""
+
+Progress: TypeAlias = Callable[[str, int, int, Record], None]
+"""How long work reports on itself: ``progress(stage, done, total, details)``."""
 
 
 class Method(StrEnum):
@@ -281,6 +284,7 @@ __all__ = [
     "MapOptions",
     "Method",
     "Progress",
+    "Record",
     "Refinement",
     "Scheme",
     "Solver",

@@ -38,7 +38,7 @@ from omtwarp.open_surfaces.symmetric import symmetric_optimal_map
 from omtwarp.optimal import SHAPE_WEIGHT, OptimalMap, optimal_map
 from omtwarp.optimal.cells import exact_map
 from omtwarp.optimal.refinement import refine_map, refinement_weight
-from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Scheme, Stage
+from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage
 from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapResult, StageRecord
 from omtwarp.start.choice import bijective_start
@@ -238,7 +238,7 @@ class _Run:
         self.progress = progress
         self.records: list[StageRecord] = []
         self.maps: dict[str, NDArray[np.float64]] = {}
-        self.history: list[dict[str, Any]] = []
+        self.history: list[Record] = []
         self.given_up = ""  # what the stage at work could not do
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
         self.origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where the mesh was quartered

@@ -20,6 +20,7 @@ from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.metrics.certificate import Certificate, certify
 from omtwarp.metrics.distortion import Distortion, distortion
+from omtwarp.options import Record
 
 Array = NDArray[np.float64]
 
@@ -125,7 +126,7 @@ class MapResult:
     target: Array | None = None
     vertex_origin: NDArray[np.int64] | None = None
     face_origin: NDArray[np.int64] | None = None
-    history: list[dict[str, Any]] = field(default_factory=list)
+    history: list[Record] = field(default_factory=list)
     report: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

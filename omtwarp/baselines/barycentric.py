@@ -95,7 +95,7 @@ class BarycentricMap:
     converged: bool
     relaxation_steps: int
     newton_steps: int
-    history: list[dict[str, Any]] = field(default_factory=list)
+    history: list[dict[str, str | float]] = field(default_factory=list)
 
     @property
     def iterations(self) -> int:
@@ -146,7 +146,7 @@ def barycentric_map(
     matrix = barycentric_weights(surface, weights, device=device)
     springs = _Springs(matrix, device)
     start, masses = _planar_start(surface, springs, weights)
-    history: list[dict[str, Any]] = []
+    history: list[dict[str, str | float]] = []
 
     def report(stage: str, step: int, residual: float) -> None:
         history.append({"iteration": len(history), "stage": stage, "residual": residual})

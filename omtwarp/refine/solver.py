@@ -9,7 +9,6 @@ fails, the corners of the triangles in trouble are held back, and last of all th
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.mesh.surface import Surface
-from omtwarp.options import Progress
+from omtwarp.options import Progress, Record
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
@@ -54,9 +53,69 @@ class RefineResult:
 
     sphere: NDArray[np.float64]
     weight: float
-    history: list[dict[str, Any]] = field(default_factory=list)
+    history: list[Record] = field(default_factory=list)
     converged: bool = False
     factorisations: int = 0
+
+
+@dataclass(frozen=True)
+class _Iterate:
+    """A map with its energy and the derivative of it."""
+
+    points: wp.array[wp.vec3d]
+    terms: Terms
+    gradient: wp.array[wp.vec3d]
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step that lowers the energy: where it leads, its length, and how many vertices it repaired or held back."""
+
+    points: wp.array[wp.vec3d]
+    terms: Terms
+    length: float
+    mended: int
+
+
+class _MatrixPolicy:
+    """Decides when the matrix is factorised again, and which share of the curvature of D it has.
+
+    Attributes:
+        curvature_share: of the curvature of D that is in the next matrix, MIN_CURVATURE_SHARE to 1.
+        renew: whether the next step wants a new matrix; otherwise L-BFGS corrects the last one.
+        factorisations: how many matrices were factorised.
+    """
+
+    def __init__(self, vertex_count: int) -> None:
+        self.curvature_share, self.renew, self.factorisations = 1.0, True, 0
+        self._trusted_repairs = MAX_TRUSTED_REPAIRS * vertex_count
+        self._last_gain = 0.0  # of a step with a new matrix
+
+    @property
+    def halvings(self) -> int:
+        """How often a line search may halve its step."""
+        return MAX_HALVINGS if self.renew else MAX_HALVINGS_CORRECTED
+
+    def is_exhausted(self) -> bool:
+        """After a search without success: whether no better matrix is left to try. Otherwise the next step has one."""
+        if self.renew and self.curvature_share == 1.0:
+            return True
+        if self.renew:
+            self.curvature_share = 1.0
+        self.renew = True
+        return False
+
+    def judge(self, step: _Step, gain: float, decrement: float, relaxed: int) -> None:
+        """Choose the next matrix by what a step has gained of the half decrement that its quadratic model promised."""
+        fresh, trust = self.renew, 2.0 * gain / decrement
+        if fresh:
+            if step.length == 1.0 and step.mended <= self._trusted_repairs and 0.75 < trust:
+                self.curvature_share = max(self.curvature_share / 3.0, MIN_CURVATURE_SHARE)
+            elif step.length < 1.0 or trust < 0.5:
+                self.curvature_share = min(1.0, 3.0 * self.curvature_share)
+            self._last_gain = gain
+        too_little = gain < MIN_GAIN_SHARE * self._last_gain
+        self.renew = step.mended > 0 or relaxed > 0 or too_little or (fresh and step.length < 1.0)
 
 
 class Refiner:
@@ -90,103 +149,90 @@ class Refiner:
         progress: Progress | None = None,
     ) -> RefineResult:
         """Minimise angle + λ area from a flip-free map, shape [V, 3]."""
-        energy = self.energy
-        points = energy.upload(sphere)
-        terms = energy.terms(points)
-        gradient = energy.gradient(points, terms, weight)
-        history = [_record(terms, weight, 0.0, 0.0, 0, 0, False)]
-        factorisations, ended = 0, False
-        curvature_share, renew = 1.0, True
-        last_gain = 0.0
-        self._steps.assemble(points, terms, weight, curvature_share)
-        gain = terms.total(weight)  # at most
-        points, terms, gradient, relaxed = self._relaxed(
-            points, terms, gradient, weight, curvature_share, gain, tolerance
-        )
+        matrix = _MatrixPolicy(self.surface.vertex_count)
+        points = self.energy.upload(sphere)
+        now = self._at(points, self.energy.terms(points), weight)
+        history = [_record(now.terms, weight, 0.0, 0.0, 0, 0, False)]
+        self._steps.assemble(now.points, now.terms, weight, matrix.curvature_share)
+        now, relaxed = self._relaxed(now, weight, matrix.curvature_share, now.terms.total(weight), tolerance)
+        assembled = relaxed == 0
+        ended = False
         for step in range(iterations):
-            if renew:
-                if step > 0 or relaxed:
-                    self._steps.assemble(points, terms, weight, curvature_share)
+            if matrix.renew:
+                if not assembled:
+                    self._steps.assemble(now.points, now.terms, weight, matrix.curvature_share)
+                assembled = False
                 self._steps.factorise()
-                factorisations += 1
-            direction = self._steps.direction(points, gradient)
+                matrix.factorisations += 1
+            direction = self._steps.direction(now.points, now.gradient)
             decrement = -direction.slope
-            moved = None
-            if decrement > 0.0:
-                halvings = MAX_HALVINGS if renew else MAX_HALVINGS_CORRECTED
-                moved = self._search(points, terms, direction, weight, halvings)
-            if moved is None:
-                if renew and curvature_share == 1.0:
+            found = self._search(now, direction, weight, matrix.halvings) if decrement > 0.0 else None
+            if found is None:
+                if matrix.is_exhausted():
                     break
-                curvature_share = 1.0 if renew else curvature_share
-                renew = True
                 continue
-            fresh = renew
-            new_points, new_terms, length, mended = moved
-            new_gradient = energy.gradient(new_points, new_terms, weight)
-            gain = terms.total(weight) - new_terms.total(weight)
-            self._steps.update(points, gradient, new_points, new_gradient)
-            points, terms, gradient = new_points, new_terms, new_gradient
-            enough = min(tolerance, RELATIVE_TOLERANCE * terms.total(weight))
-            ended = decrement < 2.0 * enough and length >= (0.5 if fresh else 1.0)
+            before, fresh = now, matrix.renew
+            now = self._at(found.points, found.terms, weight)
+            gain = before.terms.total(weight) - now.terms.total(weight)
+            self._steps.update(before.points, before.gradient, now.points, now.gradient)
+            enough = min(tolerance, RELATIVE_TOLERANCE * now.terms.total(weight))
+            ended = decrement < 2.0 * enough and found.length >= (0.5 if fresh else 1.0)
             if not ended:
-                points, terms, gradient, relaxed = self._relaxed(
-                    points, terms, gradient, weight, curvature_share, decrement, enough
-                )
-            history.append(_record(terms, weight, decrement, length, mended, relaxed, fresh))
+                now, relaxed = self._relaxed(now, weight, matrix.curvature_share, decrement, enough)
+            history.append(_record(now.terms, weight, decrement, found.length, found.mended, relaxed, fresh))
             if progress is not None:
-                progress("refine", step + 1, iterations, {"area": terms.area + 2.0, "angle": terms.angle + 2.0})
+                details = {"area": now.terms.area + 2.0, "angle": now.terms.angle + 2.0}
+                progress("refine", step + 1, iterations, details)
             if ended:
                 break
-            trust = 2.0 * gain / decrement
-            if fresh:
-                if length == 1.0 and mended <= MAX_TRUSTED_REPAIRS * self.surface.vertex_count and 0.75 < trust:
-                    curvature_share = max(curvature_share / 3.0, MIN_CURVATURE_SHARE)
-                elif length < 1.0 or trust < 0.5:
-                    curvature_share = min(1.0, 3.0 * curvature_share)
-            if fresh:
-                last_gain = gain
-            renew = mended > 0 or relaxed > 0 or gain < MIN_GAIN_SHARE * last_gain or (fresh and length < 1.0)
-        return RefineResult(points.numpy().copy(), weight, history, ended, factorisations)
+            matrix.judge(found, gain, decrement, relaxed)
+        return RefineResult(now.points.numpy().copy(), weight, history, ended, matrix.factorisations)
+
+    def _at(self, points: wp.array[wp.vec3d], terms: Terms, weight: float) -> _Iterate:
+        return _Iterate(points, terms, self.energy.gradient(points, terms, weight))
 
     def _relaxed(
-        self, points, terms: Terms, gradient, weight: float, curvature_share: float, gain: float, tolerance: float
-    ):
-        """Points, terms and gradient after the stiffest vertices have had steps of their own, and how many had."""
-        decrements = self._steps.decrements(gradient)
+        self, now: _Iterate, weight: float, curvature_share: float, gain: float, tolerance: float
+    ) -> tuple[_Iterate, int]:
+        """The map after the stiffest vertices have had steps of their own, and how many had.
+
+        ``gain`` is what the other steps are expected to gain, at the most.
+        """
+        decrements = self._steps.decrements(now.gradient)
         if decrements.sum() > tolerance:
-            moved = relax(self.energy, points, terms, weight, curvature_share, stiff_vertices(decrements, gain))
+            stiff = stiff_vertices(decrements, gain)
+            moved = relax(self.energy, now.points, now.terms, weight, curvature_share, stiff)
             if moved is not None:
                 points, terms, count = moved
-                return points, terms, self.energy.gradient(points, terms, weight), count
-        return points, terms, gradient, 0
+                return self._at(points, terms, weight), count
+        return now, 0
 
-    def _search(self, points, terms: Terms, direction: Direction, weight: float, halvings: int):
-        """A step along the direction that lowers the energy and flips nothing: points, terms, length, vertices held."""
-        before = terms.total(weight)
+    def _search(self, now: _Iterate, direction: Direction, weight: float, halvings: int) -> _Step | None:
+        """A step along the direction that lowers the energy and flips nothing; None where none is found."""
+        points, d_volume, before = now.points, now.terms.d_volume, now.terms.total(weight)
         length = 1.0 / max(1.0, 2.0 * direction.reach)  # no vertex may swing farther than half a radian
         for attempt in range(halvings):
             if attempt < MAX_REPAIR_TRIALS:
-                untangled = self._flip_free.untangled(points, direction.vectors, terms.d_volume, length, weight)
+                untangled = self._flip_free.untangled(points, direction.vectors, d_volume, length, weight)
                 if untangled is not None:
                     moved, mended = untangled
                     after = self.energy.terms(moved)
                     if after.total(weight) <= before + SUFFICIENT_DECREASE * length * direction.slope:
-                        return moved, after, length, mended
-            held = self._flip_free.held_back(points, direction.vectors, terms.d_volume, length)
+                        return _Step(moved, after, length, mended)
+            held = self._flip_free.held_back(points, direction.vectors, d_volume, length)
             if held is not None:
                 moved, share = held
                 slope = length * direction.slope_of(share)
                 after = self.energy.terms(moved)
                 if slope < 0.0 and after.total(weight) <= before + SUFFICIENT_DECREASE * slope:
-                    return moved, after, length, int((share.numpy() < 1.0).sum())
+                    return _Step(moved, after, length, int((share.numpy() < 1.0).sum()))
             length *= 0.5
         return None
 
 
 def _record(
     terms: Terms, weight: float, decrement: float, length: float, mended: int, relaxed: int, fresh: bool
-) -> dict[str, Any]:
+) -> Record:
     return {
         "energy": terms.total(weight),
         "area": terms.area + 2.0,

@@ -26,7 +26,7 @@ from omtwarp.measures import TargetDensity
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import displacement_curl
-from omtwarp.options import Cost, Progress, Scheme, choose
+from omtwarp.options import Cost, Progress, Record, Scheme, choose
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
     FlowState,
@@ -104,7 +104,7 @@ class TransportMap:
     """
 
     sphere: NDArray[np.float64]
-    history: list[dict[str, Any]] = field(default_factory=list)
+    history: list[Record] = field(default_factory=list)
     converged: bool = False
     ended: str = ""
 
@@ -225,6 +225,53 @@ def optimal_transport(
     return TransportMap(flow.points.numpy().copy(), flow.history, converged, ended)
 
 
+class _StreamGrid:
+    """The subdivided icosahedron that the stream function lives on, and what carries it to an image and back.
+
+    Args:
+        surface: the surface that is mapped.
+        centres: of the image's triangles, vec3d [F] on the device.
+        squares: squared length of the longest edge of each of the image's triangles, shape [F].
+        plain: whether steepest descent wants a filter, see :meth:`_Flow.set_steepest`.
+        target: the density that the flow keeps.
+
+    Attributes:
+        sampler: from the nodes to the centres, and the adjoint.
+        spacing: of the finest nodes, in radians: below it the direction to a point is not resolved.
+        preconditioner: the wavelets, each damped where vertices cannot follow it.
+        filter: fades the same wavelets out; None but for plain steepest descent.
+        node_areas: float64 [N].
+        triangles: nodes, triangles of all levels and where each level starts, as kernels take them.
+        node_shares: 1/ρ at the nodes, float64 [N]; empty for the uniform density.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        centres: wp.array[wp.vec3d],
+        squares: NDArray[np.float64],
+        plain: bool,
+        target: TargetDensity | None,
+    ):
+        device = centres.device
+        hierarchy = sphere_hierarchy(level_for(surface.vertex_count, lowest=2))
+        density = None if target is None else target.at(hierarchy.vertices)
+        self.sampler = SphereSampler(hierarchy, centres, device=str(device), density=density)
+        self.node_shares = wp.array(1.0 / density if density is not None else [], dtype=wp.float64, device=device)
+        self.spacing = hierarchy.node_spacing(hierarchy.level)
+        damping = resolution_damping(squares, self.sampler.point_faces.numpy(), hierarchy)
+        self.preconditioner = WaveletPreconditioner(hierarchy, butterfly=True, damping=damping, device=str(device))
+        self.filter = WaveletFilter(hierarchy, damping, butterfly=True, device=str(device)) if plain else None
+        self.node_areas = wp.array(hierarchy.node_areas, dtype=wp.float64, device=device)
+        levels = hierarchy.level_faces
+        starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
+        self.triangles = [
+            wp.array(hierarchy.vertices, dtype=wp.vec3d, device=device),
+            wp.array(np.concatenate(levels), dtype=wp.int32, device=device),
+            wp.array(starts, dtype=wp.int32, device=device),
+        ]
+
+
 class _Flow:
     """The state of the flow, all of it on the device: an iteration reads nothing back."""
 
@@ -235,7 +282,7 @@ class _Flow:
         initial: NDArray[np.float64] | wp.array,
         cost: str,
         scheme: str,
-        device: Any,
+        device: wp.Device,
         target: TargetDensity | None = None,
     ):
         self.device = device
@@ -243,42 +290,25 @@ class _Flow:
         self.geodesic = cost == "geodesic"
         self.scheme = scheme
         self.plain = scheme == "plain"
-        self.history: list[dict[str, Any]] = []
+        self.targeted = target is not None
+        self.history: list[Record] = []
         self.points = wp.clone(vectors(initial, device))
         self.trial = wp.empty_like(self.points)
         mesh = surface.on(device)
         self.faces, self.masses = mesh.faces, mesh.face_areas
-        self.centres, self.start_centres = (wp.empty(self.face_count, dtype=wp.vec3d, device=device) for _ in range(2))
-        self.launch(face_centres, self.face_count, [vectors(start, device), self.faces], [self.start_centres])
-        self.hierarchy = sphere_hierarchy(level_for(surface.vertex_count, lowest=2))
-        squares = wp.empty(self.face_count, dtype=wp.float64, device=device)
-        self.launch(face_centres, self.face_count, [self.points, self.faces], [self.centres])
+        self.start_centres = self._centres_of(vectors(start, device))
+        self.centres = self._centres_of(self.points)
+        squares = self._numbers(self.face_count)
         self.launch(longest_edges, self.face_count, [self.points, self.faces], [squares])
-        density = None if target is None else target.at(self.hierarchy.vertices)
-        self.sampler = SphereSampler(self.hierarchy, self.centres, device=str(device), density=density)
-        self.targeted = density is not None
-        self.shares = wp.empty(self.count if self.targeted else 0, dtype=wp.float64, device=device)
-        self.node_shares = wp.array(1.0 / density if density is not None else [], dtype=wp.float64, device=device)
-        # Within a grid cell the direction to x is not resolved anyway.
-        self.softening = self.hierarchy.node_spacing(self.hierarchy.level)
-        damping = resolution_damping(squares.numpy(), self.sampler.point_faces.numpy(), self.hierarchy)
-        self.preconditioner = WaveletPreconditioner(self.hierarchy, butterfly=True, damping=damping, device=str(device))
-        self.filter = WaveletFilter(self.hierarchy, damping, butterfly=True, device=str(device)) if self.plain else None
-        self.node_areas = wp.array(self.hierarchy.node_areas, dtype=wp.float64, device=device)
-        levels = self.hierarchy.level_faces
-        starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
-        self.grid = [
-            wp.array(self.hierarchy.vertices, dtype=wp.vec3d, device=device),
-            wp.array(np.concatenate(levels), dtype=wp.int32, device=device),
-            wp.array(starts, dtype=wp.int32, device=device),
-        ]
+        self.grid = _StreamGrid(surface, self.centres, squares.numpy(), self.plain, target)
+        self.shares = self._numbers(self.count if self.targeted else 0)
         self.hints = wp.full(self.count, -1, dtype=wp.int32, device=device)
         self.guard = StepGuard(surface, device)
         self.guarded = self.guard.count(self.points) == 0
         self.measured = wp.empty((self.face_count, 2), dtype=wp.float64, device=device)
         self.turned = wp.empty(self.face_count, dtype=wp.vec3d, device=device)
         self.face_sums = RowSums(self.face_count, 2, device)
-        nodes = self.hierarchy.node_count
+        nodes = len(self.grid.node_areas)
         self.gradient, self.image, self.weak, self.steepest, self.direction, self.previous = (
             wp.zeros(nodes, dtype=wp.float64, device=device) for _ in range(6)
         )
@@ -287,14 +317,28 @@ class _Flow:
         self.state = wp.empty(1, dtype=FlowState, device=device)
         self.running, self.searching = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
 
+    def _numbers(self, size: int) -> wp.array[wp.float64]:
+        return wp.empty(size, dtype=wp.float64, device=self.device)
+
+    def _centres_of(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
+        """The centres of the triangles of an image, shape [F]."""
+        centres = wp.empty(self.face_count, dtype=wp.vec3d, device=self.device)
+        self.launch(face_centres, self.face_count, [points, self.faces], [centres])
+        return centres
+
     def launch(self, kernel: Any, dim: Any, inputs: list[Any], outputs: list[Any]) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def measure(self, points: Any) -> Any:
         """Partial sums of cost and area error; also sets what :meth:`set_gradient` needs."""
         if self.targeted:
-            self.launch(values_at_points, self.count, [points, self.hints, *self.grid, self.node_shares], [self.shares])
-        options = [self.shares, int(self.geodesic), wp.float64(self.softening), wp.float64(LARGEST_ERROR)]
+            self.launch(
+                values_at_points,
+                self.count,
+                [points, self.hints, *self.grid.triangles, self.grid.node_shares],
+                [self.shares],
+            )
+        options = [self.shares, int(self.geodesic), wp.float64(self.grid.spacing), wp.float64(LARGEST_ERROR)]
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
             inputs = [self.start_centres[part], points, self.faces[part], self.masses[part], *options]
@@ -305,8 +349,8 @@ class _Flow:
 
     def set_gradient(self) -> None:
         """The derivative of the cost with respect to H at the nodes, weak form."""
-        self.sampler.locate(self.centres)
-        self.sampler.gradient_adjoint(self.turned, out=self.gradient, smooth=True)
+        self.grid.sampler.locate(self.centres)
+        self.grid.sampler.gradient_adjoint(self.turned, out=self.gradient, smooth=True)
 
     def set_steepest(self) -> None:
         """H of equation 12, the curl itself, in the space that the mesh resolves: F A^-1 F^T of the weak one.
@@ -315,16 +359,16 @@ class _Flow:
         the nodes' areas. Unfiltered, steepest descent follows the finest wavelets first, which is what vertices cannot
         do: the cost then falls because areas are lost.
         """
-        assert self.filter is not None
+        assert self.grid.filter is not None
         wp.copy(self.weak, self.gradient)
-        self.filter.apply_adjoint(self.weak)
-        self.launch(divide_by_area, len(self.weak), [self.weak, self.node_areas], [self.steepest])
-        self.filter.apply(self.steepest)
+        self.grid.filter.apply_adjoint(self.weak)
+        self.launch(divide_by_area, len(self.weak), [self.weak, self.grid.node_areas], [self.steepest])
+        self.grid.filter.apply(self.steepest)
 
     def iterate(self) -> None:
         """One iteration: a direction, and steps along it until one is good."""
         self.set_gradient()
-        self.preconditioner.apply(self.gradient, out=self.image)
+        self.grid.preconditioner.apply(self.gradient, out=self.image)
         ascent = self.image
         if self.plain:
             self.set_steepest()
@@ -335,7 +379,7 @@ class _Flow:
         self.launch(begin_iteration, 1, inputs, [self.records, self.running, self.searching])
         inputs = [self.gradient, ascent, self.state, self.direction]
         self.launch(turn_direction, len(ascent), inputs, [self.previous])
-        velocity = self.sampler.node_gradient(self.direction)
+        velocity = self.grid.sampler.node_gradient(self.direction)
         wp.capture_while(self.searching, self.search, velocity=velocity)
         self.launch(keep_accepted, self.count, [self.trial, self.state], [self.points])
 
@@ -343,7 +387,7 @@ class _Flow:
         """Try a step."""
 
         def arguments(part: slice) -> tuple[list[Any], list[Any]]:
-            return [self.points[part], self.state, *self.grid, velocity], [self.hints[part], self.trial[part]]
+            return [self.points[part], self.state, *self.grid.triangles, velocity], [self.hints[part], self.trial[part]]
 
         launch_parts(advect_points, self.count, arguments, self.device)
         if self.guarded:
@@ -376,7 +420,7 @@ class _Flow:
             "last_gain": np.inf,
             "last_gains": np.inf,
             "gains": np.inf,
-            "step": 0.4 / scale if not self.plain else 0.1 * self.softening**2,
+            "step": 0.4 / scale if not self.plain else 0.1 * self.grid.spacing**2,
         }
         for name, value in values.items():
             state[name] = value

@@ -26,7 +26,7 @@ from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.options import Progress
+from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, OPTIMAL_CURL, TransportMap
@@ -118,7 +118,7 @@ def polish_transport(
     guard = StepGuard(surface, where)
     guarded = guard.count(points) == 0
     solver = SurfaceLaplacianSolver(surface, points, device=where)
-    history: list[dict[str, Any]] = []
+    history: list[Record] = []
     best = wp.clone(points)
     first_cost, *largest = measure()
     potentials: list[Any] = []

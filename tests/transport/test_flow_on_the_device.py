@@ -133,9 +133,9 @@ def test_every_kernel_of_an_iteration_agrees_with_the_cpu(device, cost):
             getattr(flow, step)()
         compare("gradient" if step == "set_gradient" else "steepest")
     for flow in (cpu, other):
-        flow.preconditioner.apply(flow.gradient, out=flow.image)
+        flow.grid.preconditioner.apply(flow.gradient, out=flow.image)
     compare("image")
-    velocities = [flow.sampler.node_gradient(flow.image) for flow in (cpu, other)]
+    velocities = [flow.grid.sampler.node_gradient(flow.image) for flow in (cpu, other)]
     agree(velocities[1].numpy(), velocities[0].numpy())
     velocities[1].assign(velocities[0].numpy())
     for flow, velocity in zip((cpu, other), velocities, strict=True):
