@@ -70,7 +70,7 @@ def main() -> None:
         moser = omtwarp.map_to_sphere(surface, until="moser", device=options.device)
         refiner = Refiner(surface, resolve_device(options.device))
         refined = refiner.minimise(moser.sphere, TRIANGLE_WEIGHT, iterations=STEPS, tolerance=TOLERANCE)
-        judged = omtwarp.distortion(surface.vertices, surface.faces, refined.sphere)
+        judged = omtwarp.distortion(surface, refined.sphere)
         print(
             f"{name[-34:]:34s} {around:8.1f} {needed:6.1f} {around / needed:5.2f} {share:5.3f} "
             f"{judged.area['surface']:8.4f} {judged.area['p95']:6.3f} {judged.angle['surface']:6.2f}",

@@ -84,8 +84,8 @@ class Curve:
     def _judge(
         self, name: str, weight: float, sphere: np.ndarray, seconds: float, iterations: int, converged: bool
     ) -> Point:
-        judged = distortion(self.surface.vertices, self.surface.faces, sphere)
-        certificate = certify(self.surface.faces, sphere)
+        judged = distortion(self.surface, sphere)
+        certificate = certify(self.surface, sphere)
         return Point(
             name=name,
             weight=weight,

@@ -125,7 +125,7 @@ def run(
             history, sphere = history + polished.history[1:], polished.sphere
             del clock[len(moved.history)]  # the state between the two, told twice
         costs, seconds = np.array([entry["cost"] for entry in history]), np.array(clock) - begun
-    before, after = (distortion(surface.vertices, surface.faces, y).area["sphere"] for y in (initial, sphere))
+    before, after = (distortion(surface, y).area["sphere"] for y in (initial, sphere))
     print(f"  {label}, {scheme}: {len(costs) - 1} iterations, cost {costs[0]:.6g} -> {costs[-1]:.6g}", flush=True)
     out = {"mesh": name, "vertices": surface.vertex_count, "start": label, "scheme": scheme}
     return out | {"costs": costs, "seconds": seconds, "area_before": before, "area_after": after}

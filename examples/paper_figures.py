@@ -218,7 +218,7 @@ def ratio_histogram(result: omtwarp.MapResult, sphere: np.ndarray, title: str) -
 def omtwarp_distortion(result: omtwarp.MapResult, sphere: np.ndarray) -> Any:
     from omtwarp.metrics import distortion
 
-    return distortion(result.vertices, result.faces, sphere)
+    return distortion(result, sphere)
 
 
 def sphere_view(result: omtwarp.MapResult, sphere: np.ndarray, caption: str, **more: Any) -> SurfaceView:

@@ -119,7 +119,7 @@ def measure(
     maps: dict[str, np.ndarray] = {}
 
     def add(method: str, sphere: np.ndarray, iterations: int, seconds: float, note: str = "") -> None:
-        judged = distortion(surface.vertices, surface.faces, sphere)
+        judged = distortion(surface, sphere)
         maps[method] = sphere
         rows.append(row(name, surface, method, judged, iterations, seconds) | {"note": note})
         print(f"  {TITLES[method]}: {judged}", flush=True)
@@ -246,7 +246,7 @@ def judge(
 ) -> Distortion | None:
     """Distortion at t; None where no map without flips was found."""
     try:
-        return distortion(surface.vertices, surface.faces, way(t) if t > 0.0 else start)
+        return distortion(surface, way(t) if t > 0.0 else start)
     except omtwarp.OmtwarpError:
         return None
 

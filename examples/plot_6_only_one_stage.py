@@ -39,7 +39,7 @@ refined = omtwarp.refine_map(surface, optimal, weight="balanced").sphere
 
 maps = {"conformal": conformal, "Moser": moser, "optimal": optimal, "refined, balanced": refined}
 for name, sphere in maps.items():
-    print(f"{name:18s} {omtwarp.distortion(surface.vertices, surface.faces, sphere)}")
+    print(f"{name:18s} {omtwarp.distortion(surface, sphere)}")
 
 checker = rasterize("checker", 1024)
 sheet(

@@ -25,7 +25,7 @@ for weight in weights:
     maps.append(sphere)
 
 figure, axis = plt.subplots(figsize=(6, 3.6), layout="constrained")
-measured = [omtwarp.distortion(surface.vertices, surface.faces, sphere) for sphere in maps]
+measured = [omtwarp.distortion(surface, sphere) for sphere in maps]
 axis.plot([m.area["surface"] for m in measured], [m.angle["surface"] for m in measured], "o-")
 for weight, m in zip(weights, measured, strict=True):
     axis.annotate(f"  {weight:g}", (m.area["surface"], m.angle["surface"]))

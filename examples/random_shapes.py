@@ -306,7 +306,7 @@ def examine(surface: Surface, last: str = "sphere", device: str = "cpu") -> dict
     seconds = time.perf_counter() - begun
     wanted = list(STAGES)[: list(STAGES).index(last) + 1]
     maps = {stage: getattr(result, stage) for stage in wanted}
-    certificates = {stage: certify(surface.faces, sphere, device=device) for stage, sphere in maps.items()}
+    certificates = {stage: certify(surface, sphere, device=device) for stage, sphere in maps.items()}
     done = {stage["name"]: stage for stage in result.report["stages"]}
     judged = done[STAGES[last]]
     return {

@@ -12,7 +12,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.joined_maps import joined
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
-from omtwarp.metrics.distortion import distortion
+from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
 from omtwarp.open_surfaces.planar import mend_in_plane
@@ -207,7 +207,7 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
     ends = np.cumsum([len(loop) for loop in opened.loops], dtype=np.int64)
     filled = bool(opened.loops)
     stages = list(closed.report["stages"])
-    measured = distortion(opened.vertices, opened.faces, sphere[:count]).to_dict()
+    measured = measure_triangles(opened.vertices, opened.faces, sphere[:count]).to_dict()
     stages[-1] = stages[-1] | measured  # the others are of the surface that was mapped
     mesh = {"vertices": count, "faces": face_count, "extent": np.ptp(part.vertices, axis=0).tolist()}
     about = {

@@ -29,7 +29,7 @@ from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.metrics.certificate import Certificate, certify
+from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import Optimality, surface_optimality
 from omtwarp.moser import moser_map
@@ -709,7 +709,7 @@ class _Run:
         Raises:
             OmtwarpError: it is not one to one.
         """
-        certificate = certify(self.surface.faces, self.sphere, device=self.device)
+        certificate = certify_triangles(self.surface.faces, self.sphere, device=self.device)
         if not certificate.bijective:
             raise OmtwarpError(
                 f"no map that is one to one was found: {certificate}; repair or remesh the surface and try again"

@@ -18,8 +18,8 @@ from omtwarp.files import staged
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
-from omtwarp.metrics.certificate import Certificate, certify
-from omtwarp.metrics.distortion import Distortion, distortion
+from omtwarp.metrics.certificate import Certificate, certify_triangles
+from omtwarp.metrics.distortion import Distortion, measure_triangles
 from omtwarp.options import Record
 
 Array = NDArray[np.float64]
@@ -150,12 +150,12 @@ class MapResult:
         points = getattr(self, stage, None) if stage in STAGES else None
         if points is None:
             raise OmtwarpError(f"this map has no stage '{stage}'")
-        return distortion(self.vertices, self.faces, points)
+        return measure_triangles(self.vertices, self.faces, points)
 
     @cached_property
     def certificate(self) -> Certificate:
         """The certificate of the final map, computed from its arrays at the first use."""
-        return certify(self.faces, self.sphere)
+        return certify_triangles(self.faces, self.sphere)
 
     @property
     def bijective(self) -> bool:

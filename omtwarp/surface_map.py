@@ -16,8 +16,8 @@ from omtwarp.files import staged
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.surface import triangle_areas
-from omtwarp.metrics.certificate import Certificate, certify
-from omtwarp.metrics.distortion import Distortion, distortion
+from omtwarp.metrics.certificate import Certificate, certify_triangles
+from omtwarp.metrics.distortion import Distortion, measure_triangles
 from omtwarp.result import MapResult
 from omtwarp.topology.boundary import boundary_half_edges
 from omtwarp.topology.kind import connected_components
@@ -89,7 +89,7 @@ class SurfaceMap(MapResult):
         ratio = np.bincount(self.part, on_sphere) / np.bincount(self.part, on_surface)
         scale = np.ones(len(self.vertices))
         scale[self.faces] = np.sqrt(ratio[self.part])[:, None]
-        return distortion(self.vertices * scale[:, None], self.faces, points)
+        return measure_triangles(self.vertices * scale[:, None], self.faces, points)
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -158,7 +158,7 @@ def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:
     if len(rim):
         fan = np.stack([rim[:, 1], rim[:, 0], np.full(len(rim), len(used))], axis=1).astype(np.int32)
         own, places = np.concatenate([own, fan]), np.concatenate([places, [[0.0, 0.0, -1.0]]])
-    return certify(np.asarray(own, dtype=np.int32), places)
+    return certify_triangles(np.asarray(own, dtype=np.int32), places)
 
 
 def _check_filling(path: Path, base: MapResult, arrays: dict[str, Any]) -> None:

@@ -55,7 +55,7 @@ def broken_faces():
 
 
 TAKES_POINTS = {
-    "distortion, vertices": lambda points: omtwarp.distortion(points, FACES, SPHERE),
+    "distortion, vertices": lambda points: omtwarp.distortion((points, FACES), SPHERE),
     "map_to_sphere": lambda points: omtwarp.map_to_sphere((points, FACES)),
     "transport_cost, start": lambda points: omtwarp.transport_cost(SURFACE, SPHERE, start=points),
     "transport_cost, sphere": lambda points: omtwarp.transport_cost(SURFACE, points, start=SPHERE),
@@ -64,14 +64,14 @@ TAKES_POINTS = {
     "refine_map": lambda points: omtwarp.refine_map(SURFACE, points),
     "optimal_transport, start": lambda points: omtwarp.optimal_transport(SURFACE, SPHERE, start=points),
     "optimal_transport, initial": lambda points: omtwarp.optimal_transport(SURFACE, points, start=SPHERE),
-    "mobius_centring": lambda points: omtwarp.mobius_centring(points, np.ones(COUNT)),
+    "mobius_centring": lambda points: omtwarp.mobius_centring(SURFACE, points),
     "MapResult, sphere": lambda points: MapResult(VERTICES, FACES, points, SPHERE, np.ones(COUNT)),
     "MapResult, vertices": lambda points: MapResult(points, FACES, SPHERE, SPHERE, np.ones(COUNT)),
     "MapResult, moser": lambda points: MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), moser=points),
 }
 TAKES_FACES = {
-    "distortion": lambda faces: omtwarp.distortion(VERTICES, faces, SPHERE),
-    "certify": lambda faces: omtwarp.certify(faces, SPHERE),
+    "distortion": lambda faces: omtwarp.distortion((VERTICES, faces), SPHERE),
+    "certify": lambda faces: omtwarp.certify((VERTICES, faces), SPHERE),
     "Surface": lambda faces: omtwarp.Surface(VERTICES, faces),
     "map_to_sphere": lambda faces: omtwarp.map_to_sphere((VERTICES, faces)),
     "MapResult": lambda faces: MapResult(VERTICES, faces, SPHERE, SPHERE, np.ones(COUNT)),
@@ -104,9 +104,9 @@ def test_faces_that_are_none(function, case):
     ids=["columns first", "strided", "lists", "other byte order"],
 )
 def test_order_and_layout_of_arrays_do_not_matter(convert):
-    plain = omtwarp.distortion(VERTICES, FACES, SPHERE).to_dict()
-    assert omtwarp.distortion(convert(VERTICES), convert(FACES), convert(SPHERE)).to_dict() == plain
-    assert omtwarp.certify(convert(FACES), convert(SPHERE)).bijective
+    plain = omtwarp.distortion((VERTICES, FACES), SPHERE).to_dict()
+    assert omtwarp.distortion((convert(VERTICES), convert(FACES)), convert(SPHERE)).to_dict() == plain
+    assert omtwarp.certify((convert(VERTICES), convert(FACES)), convert(SPHERE)).bijective
 
 
 def test_stages_refuse_surfaces_that_cannot_be_mapped():
@@ -143,8 +143,8 @@ def test_points_off_the_sphere_are_normalised_or_refused():
 @pytest.mark.parametrize("exponent", [-160, -120, 0, 120, 160])
 def test_any_unit_gives_the_same_figures(exponent):
     """Areas of coordinates of 1e±160 are beyond float64; the figures are not."""
-    plain = omtwarp.distortion(VERTICES, FACES, SPHERE)
-    scaled = omtwarp.distortion(VERTICES * 10.0**exponent, FACES, SPHERE)
+    plain = omtwarp.distortion((VERTICES, FACES), SPHERE)
+    scaled = omtwarp.distortion((VERTICES * 10.0**exponent, FACES), SPHERE)
     assert scaled.area == pytest.approx(plain.area, rel=1e-12) and scaled.angle == pytest.approx(plain.angle, rel=1e-12)
     mapped = omtwarp.map_to_sphere((VERTICES * 10.0**exponent, FACES), until="moser")
     assert np.isfinite(mapped.report["stages"][-1]["area"]["surface"]) and np.isfinite(mapped.distortion().area["max"])
@@ -166,4 +166,4 @@ def test_a_negated_sphere_is_not_certified_by_its_file(tmp_path):
 @given(st.integers(0, 2**31), st.sampled_from([np.int8, np.uint8, np.int16, np.uint64, np.float32, np.float16]))
 def test_faces_of_every_type_that_holds_them(seed, dtype):
     order = np.random.default_rng(seed).permutation(len(FACES))
-    assert omtwarp.certify(FACES[order].astype(dtype), SPHERE).bijective
+    assert omtwarp.certify((VERTICES, FACES[order].astype(dtype)), SPHERE).bijective

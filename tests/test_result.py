@@ -10,7 +10,7 @@ import pytest
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob
-from omtwarp.metrics import distortion
+from omtwarp.metrics import measure_triangles
 from omtwarp.pipeline import map_to_sphere
 from omtwarp.result import REQUIRED, MapResult
 
@@ -69,7 +69,7 @@ def test_a_map_made_elsewhere_needs_only_the_five_arrays(tmp_path, result):
 def test_distortion_of_every_stage(result):
     for stage in ("sphere", "conformal", "moser", "transported"):
         got = result.distortion(stage)
-        truth = distortion(result.vertices, result.faces, getattr(result, stage))
+        truth = measure_triangles(result.vertices, result.faces, getattr(result, stage))
         assert got.to_dict() == truth.to_dict()
     assert result.distortion("conformal").area["surface"] > result.distortion("moser").area["surface"]
     with pytest.raises(OmtwarpError, match="no stage 'refined'"):

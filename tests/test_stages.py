@@ -19,6 +19,7 @@ FROM_SURFACE = {
     "hierarchical_embedding": omtwarp.hierarchical_embedding,
 }
 FROM_MAP = {
+    "mobius_centring": omtwarp.mobius_centring,
     "moser_map": omtwarp.moser_map,
     "optimal_map": lambda *args, **kw: omtwarp.optimal_map(*args, start=START, iterations=2, **kw),
     "optimal_transport": lambda *args, **kw: omtwarp.optimal_transport(*args, start=START, iterations=2, **kw),
@@ -26,6 +27,11 @@ FROM_MAP = {
     "paper_flow": lambda *args, **kw: omtwarp.paper_flow(*args, start=START, cycles=1, **kw),
     "refine_map": lambda *args, **kw: omtwarp.refine_map(*args, iterations=3, **kw),
     "untangle": omtwarp.untangle,
+}
+MEASURES = {
+    "certify": omtwarp.certify,
+    "distortion": omtwarp.distortion,
+    "transport_cost": lambda *args, **kw: omtwarp.transport_cost(*args, start=START, **kw),
 }
 STAGES = {**FROM_SURFACE, **FROM_MAP}
 
@@ -41,6 +47,22 @@ def test_any_form_of_a_surface_is_taken_and_makes_the_same_map(name):
     mesh = trimesh.Trimesh(SURFACE.vertices, SURFACE.faces, process=False)
     for form in (mesh, (SURFACE.vertices.tolist(), SURFACE.faces.astype(np.int64))):
         np.testing.assert_array_equal(run(name, form).sphere, expected.sphere)
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_measures_take_a_surface_in_any_form_and_a_map_of_it(name):
+    expected = str(MEASURES[name](SURFACE, START, device="cpu"))
+    mesh = trimesh.Trimesh(SURFACE.vertices, SURFACE.faces, process=False)
+    for form in (mesh, (SURFACE.vertices.tolist(), SURFACE.faces.astype(np.int64))):
+        assert str(MEASURES[name](form, START, device="cpu")) == expected
+    for message, mesh, sphere in (
+        ("expected a trimesh", 7, START),
+        ("expected a trimesh", SURFACE.faces, START),
+        ("shape|points", SURFACE, START[:-1]),
+    ):
+        with pytest.raises(OmtwarpError, match=message) as caught:
+            MEASURES[name](mesh, sphere, device="cpu")
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", STAGES)

@@ -8,7 +8,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import ellipsoid
 from omtwarp.mesh.surface import triangle_areas
-from omtwarp.metrics import distortion
+from omtwarp.metrics import measure_triangles
 from omtwarp.tradeoff import map_with_density_exponent
 
 SURFACE = ellipsoid((1.0, 0.5, 0.4), 1200)
@@ -17,7 +17,9 @@ CONFORMAL = conformal_map(SURFACE, device="cpu").sphere
 
 def test_area_distortion_falls_and_angle_distortion_rises_with_the_exponent(device):
     measured = [
-        distortion(SURFACE.vertices, SURFACE.faces, map_with_density_exponent(SURFACE, CONFORMAL, p, device=device))
+        measure_triangles(
+            SURFACE.vertices, SURFACE.faces, map_with_density_exponent(SURFACE, CONFORMAL, p, device=device)
+        )
         for p in (0.0, 0.4, 0.7, 1.0)
     ]
     area, angle = ([getattr(d, what)["sphere"] for d in measured] for what in ("area", "angle"))
@@ -43,7 +45,9 @@ def test_areas_are_those_asked_for(device):
 def test_evening_out_only_helps_at_equal_area():
     """Against Moser's map alone: less angle distortion, weighted by area on the sphere, at hardly another area."""
     rough, even = (
-        distortion(SURFACE.vertices, SURFACE.faces, map_with_density_exponent(SURFACE, CONFORMAL, 0.6, weight=weight))
+        measure_triangles(
+            SURFACE.vertices, SURFACE.faces, map_with_density_exponent(SURFACE, CONFORMAL, 0.6, weight=weight)
+        )
         for weight in (None, 30.0)
     )
     assert even.angle["sphere"] < rough.angle["sphere"]

@@ -40,7 +40,7 @@ from scipy.sparse.linalg import splu
 
 from omtwarp.baselines import kernels
 from omtwarp.baselines.kernels import mean_value_edge_weights
-from omtwarp.conformal.centring import mobius_centring
+from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.haker import most_regular_face
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
@@ -310,10 +310,10 @@ def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Ar
     if np.median(np.einsum("ij,ij->i", p0, np.cross(p1, p2))) < 0:
         sphere[:, 2] *= -1.0
     masses = surface.vertex_areas if weights == "mean-value" else np.ones(springs.count)
-    sphere = mobius_centring(sphere, masses)[0]
+    sphere = centre_points(sphere, masses)[0]
     shares = surface.sum_to_vertices(triangle_areas(sphere, surface.faces))
     shares /= shares.sum()
-    return mobius_centring(sphere, shares)[0], shares
+    return centre_points(sphere, shares)[0], shares
 
 
 def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> Array:
@@ -335,7 +335,7 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
         direction -= _tangential(points, np.broadcast_to(boost, points.shape))
         slope = float((force * direction).sum())
         while step > 1e-6:
-            trial, _ = mobius_centring(springs.move(points, direction, step), masses)
+            trial, _ = centre_points(springs.move(points, direction, step), masses)
             new = springs.sweep(trial)
             if new.energy <= state.energy - 1e-4 * step * slope:
                 break

@@ -1,6 +1,6 @@
 """Section 4.1: the conformal map to the sphere, its centring and its density."""
 
-from omtwarp.conformal.centring import mobius_centring
+from omtwarp.conformal.centring import CentredMap, centre_points, mobius_centring
 from omtwarp.conformal.haker import ConformalMap, conformal_map, density
 
-__all__ = ["ConformalMap", "conformal_map", "density", "mobius_centring"]
+__all__ = ["CentredMap", "ConformalMap", "centre_points", "conformal_map", "density", "mobius_centring"]

@@ -6,10 +6,12 @@ shrinks the range of the density μ. Source: Baden, Crane and Kazhdan, "Möbius 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.conformal.kernels import apply_ball_inversion, weighted_moments
 from omtwarp.device.arrays import vectors
@@ -18,7 +20,8 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import real_numbers
-from omtwarp.mesh.checks import as_unit_vectors
+from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface, as_unit_vectors
+from omtwarp.options import Progress, Record
 
 TOLERANCE = 1e-13
 MAXIMUM_STEPS = 100
@@ -27,15 +30,83 @@ MIN_CENTRE = 1e-16  # a step halved to less than this moves nothing in float64
 FULL_STEP_MEAN = 1e-10  # below this size of the mean the decrease is lost in round-off: steps are taken whole
 
 
+@dataclass(frozen=True)
+class CentredMap:
+    """A map whose mean, weighted by mass, is the centre of the sphere.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3].
+        history: one record per Newton step, the start first: ``mean``, the distance of the mean from the centre.
+        converged: True, as there is an error where the centre cannot be reached.
+    """
+
+    sphere: NDArray[np.float64]
+    history: list[Record]
+    converged: bool = True
+
+
 def mobius_centring(
-    sphere: NDArray[np.float64] | wp.array, masses: NDArray[np.float64], *, device: str | None = "auto"
+    surface: MeshLike,
+    sphere: ArrayLike,
+    *,
+    masses: ArrayLike | None = None,
+    device: str | None = "auto",
+    progress: Progress | None = None,
+) -> CentredMap:
+    """Apply the Möbius transformation that brings the mass-weighted mean of a sphere map to the centre.
+
+    Source: Baden, Crane and Kazhdan, "Möbius Registration" (2018).
+
+    Args:
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
+        sphere: image of its vertices, unit vectors, shape [V, 3].
+        masses: non-negative weights of the vertices, shape [V], any unit, of which none may be half of all; the areas
+            around them where left out.
+        device: where the per-vertex kernel runs.
+        progress: called as ``progress("centring", step, most steps, {"mean": distance})``.
+
+    Returns:
+        The map moved by the transformation; angles between images are as before.
+
+    Raises:
+        OmtwarpError: the mesh or the map cannot be used, or the masses are so concentrated that the centre cannot be
+            reached.
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> ball = omtwarp.shapes.icosphere(8)
+        >>> crowded = ball.vertices + np.array([0.0, 0.0, 0.3])  # in the north; normalised by the function
+        >>> centred = omtwarp.mobius_centring(ball, crowded, device="cpu")
+        >>> bool(np.linalg.norm(ball.vertex_areas @ centred.sphere) < 1e-10)
+        True
+    """
+    surface = as_surface(surface)
+    weights = surface.vertex_areas if masses is None else real_numbers(masses, "masses", (surface.vertex_count,))
+    history: list[Record] = []
+
+    def report(mean: float) -> None:
+        history.append({"iteration": len(history), "mean": mean})
+        if progress is not None:
+            progress("centring", len(history) - 1, MAXIMUM_STEPS, {"mean": mean})
+
+    moved, _ = centre_points(as_sphere(sphere, surface), weights, device=device, report=report)
+    return CentredMap(moved, history)
+
+
+def centre_points(
+    sphere: NDArray[np.float64] | wp.array,
+    masses: NDArray[np.float64],
+    *,
+    device: str | None = "auto",
+    report: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.float64], int]:
-    """Apply the Möbius transformation that brings the mass-weighted mean of the points to the origin.
+    """Apply the Möbius transformation that brings the mass-weighted mean of points to the origin.
 
     Args:
         sphere: unit vectors, float64, shape [V, 3]; or a Warp array of vec3d on the device.
         masses: non-negative weights, shape [V], any unit; no point may carry half of the mass.
         device: where the per-vertex kernel runs.
+        report: called before every step with the distance of the mean from the origin.
 
     Returns:
         The moved points, shape [V, 3], and the number of Newton steps.
@@ -43,15 +114,6 @@ def mobius_centring(
     Raises:
         OmtwarpError: the arrays do not fit together or are not of numbers, or the masses are so concentrated that the
             centre cannot be reached.
-
-    Example:
-        >>> import numpy as np, omtwarp
-        >>> surface = omtwarp.shapes.icosphere(8)
-        >>> sphere = surface.vertices + np.array([0.0, 0.0, 0.3])
-        >>> sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)  # crowded in the north
-        >>> centred, steps = omtwarp.mobius_centring(sphere, surface.vertex_areas, device="cpu")
-        >>> bool(np.linalg.norm(surface.vertex_areas @ centred) < 1e-10)
-        True
     """
     if not isinstance(sphere, wp.array):
         sphere = as_unit_vectors(sphere, name="sphere")
@@ -66,7 +128,9 @@ def mobius_centring(
 
     mean = means.of(points)
     for step in range(MAXIMUM_STEPS):
-        size = np.linalg.norm(mean)
+        size = float(np.linalg.norm(mean))
+        if report is not None:
+            report(size)
         if size <= TOLERANCE:
             return points.numpy().copy(), step
         # The derivative of the mean with respect to the centre of inversion is 2 (I - sum of w p p').

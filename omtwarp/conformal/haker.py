@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.conformal.centring import mobius_centring
+from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.kernels import project_to_sphere
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
@@ -76,7 +76,7 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
         >>> start = omtwarp.conformal_map(surface, device="cpu")
         >>> start.sphere.shape == surface.vertices.shape
         True
-        >>> omtwarp.distortion(surface.vertices, surface.faces, start.sphere, device="cpu").angle["median"] < 2.2
+        >>> omtwarp.distortion(surface, start.sphere, device="cpu").angle["median"] < 2.2
         True
     """
     surface = as_surface(surface)
@@ -89,7 +89,7 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
     dipole = _dipole(points, surface.faces[face])
     rights = [wp.array(np.ascontiguousarray(part), dtype=wp.float64, device=where) for part in dipole.T]
     plane = solver.solve_arrays(rights)
-    sphere, steps = mobius_centring(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
+    sphere, steps = centre_points(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
     if progress is not None:
         progress("conformal", 1, 1, {})
     return ConformalMap(sphere, face, steps, solver)

@@ -50,15 +50,35 @@ def as_surface(mesh: MeshLike) -> Surface:
             require_valid(mesh.vertices, mesh.faces)
             mesh.checked = True
         return mesh
-    if isinstance(mesh, tuple | list) and len(mesh) == 2:
-        vertices, faces = mesh
-    elif hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
-        vertices, faces = mesh.vertices, mesh.faces
-    else:
-        raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}")
-    surface = Surface(*require_valid(vertices, faces))
+    surface = Surface(*require_valid(*_parts(mesh)))
     surface.checked = True
     return surface
+
+
+def as_triangles(mesh: MeshLike) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Take the vertices and faces of a mesh in any of the accepted forms, whether it can be mapped or not.
+
+    Args:
+        mesh: as of :func:`as_surface`.
+
+    Returns:
+        Finite vertices, float64, shape [V, 3], and faces among them, int32, shape [F, 3].
+
+    Raises:
+        OmtwarpError: it is no mesh.
+    """
+    vertices, faces = _parts(mesh)
+    positions = real_numbers(vertices, "vertices", (None, 3))
+    return positions, as_faces(faces, len(positions))
+
+
+def _parts(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
+    if isinstance(mesh, tuple | list) and len(mesh) == 2:
+        vertices, faces = mesh
+        return vertices, faces
+    if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
+        return mesh.vertices, mesh.faces
+    raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}")
 
 
 def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map") -> NDArray[np.float64] | wp.array:
@@ -128,4 +148,4 @@ def as_faces(faces: ArrayLike, count: int, name: str = "faces") -> NDArray[np.in
     return corners.astype(np.int32)
 
 
-__all__ = ["HasTriangles", "MeshLike", "as_faces", "as_sphere", "as_surface", "as_unit_vectors"]
+__all__ = ["HasTriangles", "MeshLike", "as_faces", "as_sphere", "as_surface", "as_triangles", "as_unit_vectors"]

@@ -1,5 +1,5 @@
 """Measures of a map: distortion, flips, degree, certificate, optimality."""
 
-from omtwarp.metrics.distortion import WEIGHTINGS, Distortion, distortion
+from omtwarp.metrics.distortion import WEIGHTINGS, Distortion, distortion, measure_triangles
 
-__all__ = ["WEIGHTINGS", "Distortion", "distortion"]
+__all__ = ["WEIGHTINGS", "Distortion", "distortion", "measure_triangles"]

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
@@ -14,7 +14,7 @@ from omtwarp.device.start import wp
 from omtwarp.flips.predicates import orientation_signs
 from omtwarp.flips.rings import ring_turns
 from omtwarp.mesh.arrays import real_numbers
-from omtwarp.mesh.checks import as_faces
+from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
 
@@ -67,15 +67,15 @@ class Certificate:
         return asdict(self) | {"bijective": self.bijective}
 
 
-def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: str | None = "auto") -> Certificate:
-    """Examine a sphere map.
+def certify(surface: MeshLike, sphere: ArrayLike, *, device: str | None = "auto") -> Certificate:
+    """Examine a sphere map of a surface.
 
     A map of a closed surface to the sphere whose triangles are all positively oriented is a covering, branched where
     the ring of a vertex goes around it more than once; a degree of 1 makes it one to one. Orientation and turns are
     decided with exact arithmetic wherever rounding could matter.
 
     Args:
-        faces: shape [F, 3].
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices; only its faces count.
         sphere: points of any length, float64, shape [V, 3]; triangles with one that is not finite count as flipped.
         device: where floating point is tried, and rays are cast.
 
@@ -83,16 +83,27 @@ def certify(faces: NDArray[np.int32], sphere: NDArray[np.float64], *, device: st
         What was found; ``bijective`` says whether the map is one to one and onto.
 
     Raises:
-        OmtwarpError: the arrays are not of numbers, or a corner is not among the points.
+        OmtwarpError: no mesh, arrays that are not of numbers or do not fit together, or a corner that is not among the
+            vertices.
 
     Example:
         >>> import omtwarp
-        >>> sphere = omtwarp.shapes.icosphere(8)
-        >>> certificate = omtwarp.certify(sphere.faces, sphere.vertices, device="cpu")
+        >>> ball = omtwarp.shapes.icosphere(8)
+        >>> certificate = omtwarp.certify(ball, ball.vertices, device="cpu")
         >>> certificate.bijective, certificate.flips
         (True, 0)
-        >>> omtwarp.certify(sphere.faces, -sphere.vertices, device="cpu").bijective  # inside out
+        >>> omtwarp.certify(ball, -ball.vertices, device="cpu").bijective  # inside out
         False
+    """
+    vertices, faces = as_triangles(surface)
+    return certify_triangles(faces, real_numbers(sphere, "the map", (len(vertices), 3), finite=False), device=device)
+
+
+def certify_triangles(faces: ArrayLike, sphere: ArrayLike, *, device: str | None = "auto") -> Certificate:
+    """Examine a sphere map as :func:`certify` does, from its faces, shape [F, 3], alone.
+
+    Raises:
+        OmtwarpError: the arrays are not of numbers, or a corner is not among the points.
     """
     sphere = real_numbers(sphere, "the map", (None, 3), finite=False)
     faces = as_faces(faces, len(sphere))

@@ -22,7 +22,7 @@ from omtwarp.device.policy import resolve_device, shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum, RowSums
 from omtwarp.mesh.arrays import in_range, real_numbers
-from omtwarp.mesh.checks import as_faces
+from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.metrics.kernels import not_finite, pick_values, triangle_distortion, weighted_distortions
 
 WEIGHTINGS = ("mean", "surface", "sphere")
@@ -68,18 +68,12 @@ class Distortion:
         )
 
 
-def distortion(
-    vertices: ArrayLike | wp.array,
-    faces: ArrayLike | wp.array,
-    sphere: ArrayLike | wp.array,
-    *,
-    device: str | None = "auto",
-) -> Distortion:
-    """Measure a sphere map.
+def distortion(surface: MeshLike, sphere: ArrayLike | wp.array, *, device: str | None = "auto") -> Distortion:
+    """Measure a sphere map of a surface.
 
     Args:
-        vertices: the surface, shape [V, 3], any unit; or a Warp array of vec3d.
-        faces: vertex indices, shape [F, 3], counter-clockwise seen from outside; or a Warp array of vec3i.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices, any unit; it may have
+            defects that keep it from being mapped.
         sphere: the images of the vertices, shape [V, 3]; normalised here. Or a Warp array of vec3d.
         device: where the per-triangle kernel runs.
 
@@ -87,14 +81,36 @@ def distortion(
         The distortion, section 6 of the paper, in all three weightings.
 
     Raises:
-        OmtwarpError: the arrays are not of numbers, do not fit together, or a corner is not among the vertices.
+        OmtwarpError: no mesh, arrays that are not of numbers or do not fit together, or a corner that is not among the
+            vertices.
 
     Example:
-        >>> import numpy as np, omtwarp
-        >>> surface = omtwarp.shapes.icosphere(8)
-        >>> measured = omtwarp.distortion(3.0 * surface.vertices, surface.faces, surface.vertices, device="cpu")
+        >>> import omtwarp
+        >>> ball = omtwarp.shapes.icosphere(8)
+        >>> measured = omtwarp.distortion((3.0 * ball.vertices, ball.faces), ball.vertices, device="cpu")
         >>> measured.flips, round(measured.area["mean"], 9), round(measured.angle["mean"], 9)  # a similarity
         (0, 2.0, 2.0)
+    """
+    return measure_triangles(*as_triangles(surface), sphere, device=device)
+
+
+def measure_triangles(
+    vertices: ArrayLike | wp.array,
+    faces: ArrayLike | wp.array,
+    sphere: ArrayLike | wp.array,
+    *,
+    device: str | None = "auto",
+) -> Distortion:
+    """Measure a sphere map as :func:`distortion` does, from arrays.
+
+    Args:
+        vertices: the surface, shape [V, 3], any unit; or a Warp array of vec3d.
+        faces: vertex indices, shape [F, 3], counter-clockwise seen from outside; or a Warp array of vec3i.
+        sphere: the images of the vertices, shape [V, 3]; normalised here. Or a Warp array of vec3d.
+        device: where the per-triangle kernel runs.
+
+    Raises:
+        OmtwarpError: the arrays are not of numbers, do not fit together, or a corner is not among the vertices.
     """
     if not isinstance(vertices, wp.array):
         vertices = in_range(real_numbers(vertices, "vertices", (None, 3)))
@@ -118,7 +134,7 @@ def measure(
     """
     where = resolve_device(device)
     if shares_host_memory(where):
-        return distortion(vertices, faces, sphere, device=device).to_dict()
+        return measure_triangles(vertices, faces, sphere, device=device).to_dict()
     points = vectors(sphere, where)
     return aggregates(triangle_quantities(vertices, faces, points, where), points)
 

@@ -83,8 +83,7 @@ def moser_map(
         >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
         >>> start = omtwarp.conformal_map(surface, device="cpu").sphere
         >>> initial = omtwarp.moser_map(surface, start, device="cpu").sphere
-        >>> mesh = surface.vertices, surface.faces
-        >>> before, after = (omtwarp.distortion(*mesh, m, device="cpu").area["mean"] for m in (start, initial))
+        >>> before, after = (omtwarp.distortion(surface, m, device="cpu").area["mean"] for m in (start, initial))
         >>> after - 2 < 0.2 * (before - 2)
         True
     """

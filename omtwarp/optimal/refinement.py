@@ -92,7 +92,7 @@ def refine_map(
         >>> refined = omtwarp.refine_map(surface, start, weight="balanced", device="cpu")
         >>> refined.converged, refined.weight
         (True, 10.0)
-        >>> measured = omtwarp.distortion(surface.vertices, surface.faces, refined.sphere, device="cpu")
+        >>> measured = omtwarp.distortion(surface, refined.sphere, device="cpu")
         >>> measured.flips, measured.area["mean"] < 2.01
         (0, True)
     """

@@ -11,7 +11,7 @@ import numpy as np
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
-from omtwarp.metrics.certificate import certify
+from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.reporting import sections
 from omtwarp.reporting.markup import Markup, asset, data_block, fill_page, html, join, script, source_hash
@@ -121,7 +121,7 @@ def report_page(
     scene = make_scene(result, stages, texture, up=up, device=device)
     stills = _stills(result, stages, texture, up, picture_size, device)
     # What the file says of the map is not taken for granted.
-    report = shown_report(result) | {"certificate": certify(result.faces, stages[-1].sphere).to_dict()}
+    report = shown_report(result) | {"certificate": certify_triangles(result.faces, stages[-1].sphere).to_dict()}
     content = [
         sections.figures(stages, report),
         sections.pictures(stages, stills, shown),

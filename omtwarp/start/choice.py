@@ -12,7 +12,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.metrics.distortion import distortion
+from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.options import Progress
 from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.start.tube import tube_map
@@ -93,7 +93,7 @@ def bijective_start(
             reason += f", and {repaired.flips_after} could not be repaired"
 
     def area(sphere: NDArray[np.float64]) -> float:
-        return distortion(mesh.vertices, mesh.faces, sphere, device=device).area["surface"]
+        return measure_triangles(mesh.vertices, mesh.faces, sphere, device=device).area["surface"]
 
     sphere = tube_map(surface)
     if is_bijective(sphere, mesh.faces, device=device) and area(sphere) < TUBE_AREA:

@@ -84,7 +84,7 @@ def hierarchical_embedding(
         >>> import omtwarp
         >>> surface = omtwarp.shapes.limbs(length=2.0, sharpness=9.0, sphere=980)
         >>> sphere = omtwarp.hierarchical_embedding(surface, device="cpu").sphere
-        >>> omtwarp.certify(surface.faces, sphere, device="cpu").bijective
+        >>> omtwarp.certify(surface, sphere, device="cpu").bijective
         True
     """
     if not (area_weight > 0.0 and np.isfinite(area_weight)):

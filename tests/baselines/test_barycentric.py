@@ -9,7 +9,7 @@ from omtwarp.baselines import barycentric_map, barycentric_weights
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
-from omtwarp.metrics import distortion
+from omtwarp.metrics import measure_triangles
 
 
 def _neighbour_means(surface: Surface, weights: str, sphere: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ def test_the_free_solution_solves_the_system_and_is_an_embedding(weights):
     assert solution.converged
     means = _neighbour_means(surface, weights, solution.sphere)
     np.testing.assert_allclose(solution.sphere, means, atol=1e-10)
-    judged = distortion(surface.vertices, surface.faces, solution.sphere)
+    judged = measure_triangles(surface.vertices, surface.faces, solution.sphere)
     assert judged.flips == 0 and judged.degree == pytest.approx(1.0, abs=1e-12)
 
 
@@ -78,7 +78,7 @@ def test_the_centred_map_does_not_collapse_or_flip(seed, clustering, weights):
     solution = barycentric_map(surface, weights=weights, device="cpu")
     masses = solution.shares
     np.testing.assert_allclose(masses @ solution.sphere, 0.0, atol=1e-10)
-    judged = distortion(surface.vertices, surface.faces, solution.sphere)
+    judged = measure_triangles(surface.vertices, surface.faces, solution.sphere)
     assert judged.flips == 0 and judged.degree == pytest.approx(1.0, abs=1e-9)
     matrix = barycentric_weights(surface, weights, device="cpu")
     sums = matrix @ solution.sphere / (matrix.sum() / surface.vertex_count)
@@ -100,7 +100,7 @@ def test_a_limb_keeps_its_embedding():
     """Long limbs crowd many vertices into little room: the map still covers the sphere once."""
     surface = shapes.limbs()
     for weights in ("tutte", "mean-value"):
-        judged = distortion(
+        judged = measure_triangles(
             surface.vertices, surface.faces, barycentric_map(surface, weights=weights, device="cpu").sphere
         )
         assert judged.flips == 0 and judged.degree == pytest.approx(1.0, abs=1e-9)

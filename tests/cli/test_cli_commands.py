@@ -17,8 +17,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import SUFFIXES, write_mesh
-from omtwarp.metrics.certificate import certify
-from omtwarp.metrics.distortion import distortion
+from omtwarp.metrics.certificate import certify_triangles
+from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.result import MapResult
 
 
@@ -34,8 +34,8 @@ def radial_map(vertices, faces, flip: bool = False) -> MapResult:
     sphere = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     if flip:
         sphere[faces[5, 0]] *= -1
-    certificate = certify(faces, sphere, device="cpu").to_dict()
-    stage = distortion(vertices, faces, sphere, device="cpu").to_dict() | {"seconds": float("inf")}
+    certificate = certify_triangles(faces, sphere, device="cpu").to_dict()
+    stage = measure_triangles(vertices, faces, sphere, device="cpu").to_dict() | {"seconds": float("inf")}
     report = {"certificate": certificate, "stages": [stage]}
     return MapResult(vertices, faces, sphere, sphere, np.ones(len(vertices)), report=report)
 

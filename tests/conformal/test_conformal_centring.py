@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import apart, random_rotation
 
-from omtwarp.conformal import mobius_centring
+from omtwarp.conformal import centre_points
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, fibonacci_sphere
@@ -44,7 +44,7 @@ def test_the_independent_transformation_is_one():
 
 
 def test_reaches_the_centre_by_a_mobius_transformation(device):
-    centred, steps = mobius_centring(POINTS, MASSES, device=device)
+    centred, steps = centre_points(POINTS, MASSES, device=device)
     assert np.linalg.norm(MASSES @ centred) / MASSES.sum() <= 1e-13
     assert 0 < steps < 20
     np.testing.assert_allclose(cross_ratios(centred), cross_ratios(POINTS), rtol=1e-11)
@@ -53,10 +53,10 @@ def test_reaches_the_centre_by_a_mobius_transformation(device):
 @pytest.mark.parametrize("stride", [1, 100])
 def test_sums_on_the_device_lead_to_the_same_map(device, monkeypatch, stride):
     points, masses = POINTS[::stride], MASSES[::stride]
-    centred, steps = mobius_centring(points, masses, device="cpu")
+    centred, steps = centre_points(points, masses, device="cpu")
     monkeypatch.setenv("OMTWARP_SOLVER", "multigrid")
     for given_points in (points, wp.array(points, dtype=wp.vec3d, device=device)):
-        again, as_many = mobius_centring(given_points, masses, device=device)
+        again, as_many = centre_points(given_points, masses, device=device)
         np.testing.assert_allclose(again, centred, atol=1e-12)
         assert abs(as_many - steps) <= 1  # the last one is at round-off
 
@@ -72,30 +72,30 @@ def test_undoes_any_mobius_transformation_up_to_a_rotation(seed, size):
     rng = np.random.default_rng(seed)
     turn, _ = np.linalg.qr(rng.normal(size=(2, 2)) + 1.0j * rng.normal(size=(2, 2)))
     matrix = turn @ np.diag([np.exp(size / 2), np.exp(-size / 2)]) @ turn.conj().T
-    centred, _ = mobius_centring(POINTS, MASSES)
-    again, _ = mobius_centring(mobius(POINTS, matrix), MASSES)
+    centred, _ = centre_points(POINTS, MASSES)
+    again, _ = centre_points(mobius(POINTS, matrix), MASSES)
     assert np.linalg.norm(MASSES @ again) / MASSES.sum() <= 1e-12
     # Coordinates rounded to 1e-16 where areas are shrunk by exp(2 size) come back magnified by exp(size).
     assert apart(again, centred).max() < 1e-12 * np.exp(size)
 
 
 def test_a_centred_map_is_left_alone():
-    centred, _ = mobius_centring(POINTS, MASSES)
-    again, steps = mobius_centring(centred, MASSES)
+    centred, _ = centre_points(POINTS, MASSES)
+    again, steps = centre_points(centred, MASSES)
     assert steps <= 1
     np.testing.assert_allclose(again, centred, atol=1e-12)
 
 
 def test_a_rotation_passes_through():
     rotation = random_rotation(7)
-    one, _ = mobius_centring(POINTS, MASSES)
-    other, _ = mobius_centring(POINTS @ rotation.T, MASSES)
+    one, _ = centre_points(POINTS, MASSES)
+    other, _ = centre_points(POINTS @ rotation.T, MASSES)
     np.testing.assert_allclose(other, one @ rotation.T, atol=1e-12)
 
 
 def test_the_unit_of_mass_does_not_matter():
-    one, _ = mobius_centring(POINTS, MASSES)
-    other, _ = mobius_centring(POINTS, 1e20 * MASSES)
+    one, _ = centre_points(POINTS, MASSES)
+    other, _ = centre_points(POINTS, 1e20 * MASSES)
     np.testing.assert_allclose(other, one, atol=1e-13)
 
 
@@ -103,4 +103,4 @@ def test_half_of_the_mass_in_a_point_cannot_be_centred():
     masses = MASSES.copy()
     masses[17] = 3.0 * masses.sum()
     with pytest.raises(OmtwarpError, match="Möbius centring"):
-        mobius_centring(POINTS, masses)
+        centre_points(POINTS, masses)

@@ -10,7 +10,7 @@ from omtwarp.conformal import conformal_map, density
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.shapes import blob, ellipsoid, icosphere, needle, random_sphere
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.metrics import distortion
+from omtwarp.metrics import measure_triangles
 
 
 def conformal_latitude(directions: np.ndarray, equator: float, pole: float) -> np.ndarray:
@@ -59,7 +59,7 @@ def test_angles_are_kept_better_on_finer_meshes(device):
     for faces in (1280, 5120):
         surface = blob(seed=5, amplitude=0.25, degree=4, sphere=faces)
         sphere = conformal_map(surface, device=device).sphere
-        excess.append(distortion(surface.vertices, surface.faces, sphere).angle["surface"] - 2.0)
+        excess.append(measure_triangles(surface.vertices, surface.faces, sphere).angle["surface"] - 2.0)
     assert excess[1] < 0.1
     assert excess[1] < excess[0] / 3.0
 
@@ -118,7 +118,7 @@ def test_total_area_and_total_curvature(seed):
     defects = 2.0 * np.pi - np.bincount(surface.faces.ravel(), angles.ravel())
     assert defects.sum() == pytest.approx(SPHERE_AREA, rel=1e-12)
 
-    if distortion(surface.vertices, surface.faces, sphere).flips == 0:
+    if measure_triangles(surface.vertices, surface.faces, sphere).flips == 0:
         # Girard: the excess of a spherical triangle is its area; angles between great circles at its corners.
         image = sphere[surface.faces]
         normal = np.cross(image, np.roll(image, -1, axis=1))  # of the edge from corner k to k + 1
@@ -168,9 +168,9 @@ def test_position_unit_and_mirror_do_not_matter():
 def test_irregular_triangles_do_not_flip_and_slivers_stay_finite():
     """Delaunay triangulations have no negative cotangent weight; a needle's slivers have, and fold the map over."""
     surface = random_sphere(1280, seed=3)
-    assert distortion(surface.vertices, surface.faces, conformal_map(surface).sphere).flips == 0
+    assert measure_triangles(surface.vertices, surface.faces, conformal_map(surface).sphere).flips == 0
     for surface in (needle(20.0, 1280), ellipsoid((1.0, 0.2, 0.05), 1280)):
         sphere = conformal_map(surface).sphere
         assert np.isfinite(sphere).all()
-        degree = distortion(surface.vertices, surface.faces, sphere).degree
+        degree = measure_triangles(surface.vertices, surface.faces, sphere).degree
         assert degree == pytest.approx(round(degree), abs=1e-6)  # folded or not, the image is closed

@@ -8,7 +8,7 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.start import wp
 from omtwarp.flips.predicates import count_flips, flipped_faces
 from omtwarp.mesh.shapes import blob
-from omtwarp.metrics import distortion
+from omtwarp.metrics import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.transport.flow import optimal_transport, transport_cost
 from omtwarp.transport.polish import polish_transport
@@ -62,8 +62,8 @@ def test_measures_take_either(start, device):
     flipped = flipped_faces(mirrored, SURFACE.faces)
     assert 0 < flipped.sum() == count_flips(sent, mesh.faces, device=device)
     np.testing.assert_array_equal(flipped_faces(sent, mesh.faces, device=device), flipped)
-    one = distortion(SURFACE.vertices, SURFACE.faces, start, device=device)
-    other = distortion(mesh.vertices, mesh.faces, start, device=device)
+    one = measure_triangles(SURFACE.vertices, SURFACE.faces, start, device=device)
+    other = measure_triangles(mesh.vertices, mesh.faces, start, device=device)
     assert one.to_dict() == other.to_dict()
 
 

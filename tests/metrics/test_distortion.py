@@ -10,7 +10,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.shapes import blob, fibonacci_sphere, icosphere, noisy, random_sphere
 from omtwarp.mesh.surface import Surface
-from omtwarp.metrics import WEIGHTINGS, distortion
+from omtwarp.metrics import WEIGHTINGS, measure_triangles
 from omtwarp.metrics.distortion import aggregates, measure, triangle_quantities
 
 
@@ -54,7 +54,7 @@ def some_map(seed: int) -> tuple[Surface, np.ndarray]:
 def test_agrees_with_singular_values(seed):
     """Every triangle and every aggregate. pinv of a sliver loses digits: 1e-9 relative on its own triangle."""
     surface, sphere = some_map(seed)
-    got, truth = distortion(surface.vertices, surface.faces, sphere), by_singular_values(surface, sphere)
+    got, truth = measure_triangles(surface.vertices, surface.faces, sphere), by_singular_values(surface, sphere)
     np.testing.assert_allclose(got.face_area, truth["area"], rtol=1e-8)
     np.testing.assert_allclose(got.face_angle, truth["angle"], rtol=1e-8)
     np.testing.assert_allclose(got.triple, truth["triple"], rtol=1e-7, atol=1e-14)
@@ -71,7 +71,7 @@ def test_agrees_with_the_judge(device, seed):
     if seed == 4:
         sphere = sphere * np.random.default_rng(0).uniform(0.5, 2.0, (len(sphere), 1))  # the judge normalises too
     verdict = judge()(surface.vertices, sphere, surface.faces)
-    got = distortion(surface.vertices, surface.faces, sphere, device=device).to_dict()
+    got = measure_triangles(surface.vertices, surface.faces, sphere, device=device).to_dict()
     assert got["flips"] == verdict["flips"]
     assert got["finite"] is verdict["finite"] is True
     assert got["degree"] == pytest.approx(verdict["degree"], abs=1e-12)
@@ -83,7 +83,7 @@ def test_agrees_with_the_judge(device, seed):
 
 def test_the_identity_is_perfect(device):
     surface = fibonacci_sphere(500)
-    got = distortion(surface.vertices, surface.faces, surface.vertices, device=device)
+    got = measure_triangles(surface.vertices, surface.faces, surface.vertices, device=device)
     assert got.flips == 0
     assert got.degree == pytest.approx(1.0, abs=1e-13)
     for values in (*got.area.values(), *got.angle.values()):
@@ -99,7 +99,7 @@ def test_a_stretched_octahedron_by_hand():
     h = 3.0
     sphere = np.concatenate([np.eye(3), -np.eye(3)])
     faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
-    got = distortion(sphere * [1.0, 1.0, h], faces, sphere)
+    got = measure_triangles(sphere * [1.0, 1.0, h], faces, sphere)
     ratio = np.sqrt((1.0 + 2.0 * h * h) / 3.0)
     for key in ("mean", "surface", "sphere", "median", "p95", "max"):
         assert got.area[key] == pytest.approx(2.0, abs=1e-12)
@@ -109,13 +109,13 @@ def test_a_stretched_octahedron_by_hand():
 
 def test_mirrored_and_collapsed_maps():
     surface = turned(icosphere(3))
-    mirrored = distortion(surface.vertices, surface.faces, surface.vertices * [1.0, 1.0, -1.0])
+    mirrored = measure_triangles(surface.vertices, surface.faces, surface.vertices * [1.0, 1.0, -1.0])
     assert mirrored.flips == surface.face_count
     assert mirrored.degree == pytest.approx(-1.0, abs=1e-12)
     sphere = surface.vertices.copy()
     a, b, _ = surface.faces[7]
     sphere[a] = sphere[b]
-    collapsed = distortion(surface.vertices, surface.faces, sphere)
+    collapsed = measure_triangles(surface.vertices, surface.faces, sphere)
     assert collapsed.degree == pytest.approx(1.0, abs=1e-12)
     assert collapsed.area["max"] == collapsed.area["surface"] == np.inf
     assert (np.abs(collapsed.triple) < 1e-16).sum() == 2  # both triangles at that edge, whatever their rounded sign
@@ -125,7 +125,7 @@ def test_coordinates_that_are_not_finite_are_said_so():
     surface = icosphere(2)
     sphere = surface.vertices.copy()
     sphere[5] = np.nan
-    got = distortion(surface.vertices, surface.faces, sphere)
+    got = measure_triangles(surface.vertices, surface.faces, sphere)
     assert not got.finite
     assert got.flips == np.any(surface.faces == 5, axis=1).sum()
 
@@ -134,17 +134,17 @@ def test_coordinates_that_are_not_finite_are_said_so():
 @given(seed=st.integers(0, 10_000), exponent=st.integers(-30, 30))
 def test_position_unit_and_rotation_do_not_matter(seed, exponent):
     surface, sphere = some_map(seed)
-    base = distortion(surface.vertices, surface.faces, sphere)
+    base = measure_triangles(surface.vertices, surface.faces, sphere)
     # A shift of the size of the surface, lest its coordinates round the shape away.
     moved = 10.0**exponent * (surface.vertices @ random_rotation(seed).T + [1.0, -2.0, 0.5])
-    other = distortion(moved, surface.faces, sphere @ random_rotation(seed + 1).T)
+    other = measure_triangles(moved, surface.faces, sphere @ random_rotation(seed + 1).T)
     np.testing.assert_allclose(other.face_area, base.face_area, rtol=1e-7)
     np.testing.assert_allclose(other.face_angle, base.face_angle, rtol=1e-7)
 
 
 def test_printed_form_names_flips_degree_area_and_angle():
     surface = icosphere(2)
-    text = str(distortion(surface.vertices, surface.faces, surface.vertices))
+    text = str(measure_triangles(surface.vertices, surface.faces, surface.vertices))
     assert text.startswith("flips 0  degree 1.000000  area 2.0000")
 
 
@@ -154,7 +154,7 @@ def test_aggregates_made_on_a_device_are_those_of_numpy(count, seed, turn):
     """By sorting and tree sums instead of partitions and pairwise ones; strong twists flip triangles."""
     surface = blob(seed, 0.3, 4, random_sphere(count, seed))
     sphere = twisted(random_sphere(count, seed).vertices, turn)
-    expected = distortion(surface.vertices, surface.faces, sphere, device="cpu").to_dict()
+    expected = measure_triangles(surface.vertices, surface.faces, sphere, device="cpu").to_dict()
     where = resolve_device("cpu")
     found = aggregates(triangle_quantities(surface.vertices, surface.faces, sphere, where), vectors(sphere, where))
     assert found["flips"] == expected["flips"] and found["finite"] is expected["finite"]
@@ -169,7 +169,7 @@ def test_aggregates_say_when_a_map_is_not_finite(device):
     surface, where = icosphere(3), resolve_device(device)
     sphere = surface.vertices.copy()
     sphere[5] = np.nan
-    expected = distortion(surface.vertices, surface.faces, sphere, device=device).to_dict()
+    expected = measure_triangles(surface.vertices, surface.faces, sphere, device=device).to_dict()
     for found in (
         aggregates(triangle_quantities(surface.vertices, surface.faces, sphere, where), vectors(sphere, where)),
         measure(surface.vertices, surface.faces, sphere, device=device),

@@ -11,7 +11,7 @@ from omtwarp.conformal import conformal_map
 from omtwarp.device.start import wp
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere
-from omtwarp.metrics import distortion
+from omtwarp.metrics import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver
 
@@ -46,7 +46,7 @@ def test_axisymmetric_density_in_closed_form(device, amount):
         moved.append(rms(error))
         truth = potential_of_latitude(height_and_longitude(start)[0], amount)
         potentials.append(np.ptp(flowed.potential - truth) / np.ptp(truth))
-        assert distortion(surface.vertices, surface.faces, flowed.sphere).area["surface"] < 2.0 + 1e-4
+        assert measure_triangles(surface.vertices, surface.faces, flowed.sphere).area["surface"] < 2.0 + 1e-4
     assert moved[1] < 0.3 * moved[0]
     assert potentials[0] < 0.01
     assert potentials[1] < 0.35 * potentials[0]
@@ -67,10 +67,10 @@ def test_area_error_vanishes_under_refinement(device):
         surface = blob(seed=2, amplitude=0.35, degree=5, sphere=faces)
         start = conformal_map(surface, device=device)
         flowed = moser_map(surface, start.sphere, device=device)
-        judged = distortion(surface.vertices, surface.faces, flowed.sphere)
+        judged = measure_triangles(surface.vertices, surface.faces, flowed.sphere)
         assert judged.degree == pytest.approx(1.0, abs=1e-9)
         excess.append(judged.area["surface"] - 2.0)
-    assert distortion(surface.vertices, surface.faces, start.sphere).area["surface"] > 4.0
+    assert measure_triangles(surface.vertices, surface.faces, start.sphere).area["surface"] > 4.0
     assert excess[1] < 0.005
     assert excess[1] < excess[0] / 3.0
 

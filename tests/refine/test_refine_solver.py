@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, tube
-from omtwarp.metrics.distortion import distortion
+from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.start.tube import tube_map
 from omtwarp.triangle_newton.newton import NewtonMatrix
@@ -31,7 +31,7 @@ def check(surface, start, weight):
     energies = [record["energy"] for record in result.history]
     assert all(after <= before for before, after in pairwise(energies))
     assert not flipped_faces(result.sphere, surface.faces).any()
-    judged = distortion(surface.vertices, surface.faces, result.sphere)
+    judged = measure_triangles(surface.vertices, surface.faces, result.sphere)
     assert judged.degree == pytest.approx(1.0, abs=1e-9)
     assert judged.area["surface"] == pytest.approx(result.history[-1]["area"], rel=1e-12)
     assert judged.angle["surface"] == pytest.approx(result.history[-1]["angle"], rel=1e-12)
@@ -50,7 +50,7 @@ def test_refined_blob_keeps_areas_around_vertices(device):
     """By default these, not those of triangles, are held; the map has less angle distortion for it."""
     surface = blob(1, sphere=1500)
     result = refine_map(surface, start_map(surface), device=device)
-    judged = distortion(surface.vertices, surface.faces, result.sphere)
+    judged = measure_triangles(surface.vertices, surface.faces, result.sphere)
     assert result.converged and len(result.history) < 40 and result.weight == 1000.0
     assert judged.flips == 0
     assert judged.area["surface"] <= 2.01
@@ -63,7 +63,7 @@ def test_an_area_distortion_is_matched(area):
     """The map whose weight is searched for has the area distortion asked for, and hardly less."""
     surface = blob(7, amplitude=0.5, sphere=800)
     result = refine_map(surface, start_map(surface), weight=f"match:{area}", device="cpu")
-    judged = distortion(surface.vertices, surface.faces, result.sphere)
+    judged = measure_triangles(surface.vertices, surface.faces, result.sphere)
     assert judged.flips == 0
     assert area - 2e-3 <= judged.area["surface"] <= area
 
@@ -121,7 +121,7 @@ def test_tiny_triangles_grow_back():
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
     bad = np.cos(squeezed)[:, None] * pole + np.sin(squeezed)[:, None] * axis
     bad = untangle(surface, bad, device="cpu").sphere
-    before = distortion(surface.vertices, surface.faces, bad)
+    before = measure_triangles(surface.vertices, surface.faces, bad)
     assert before.area["surface"] > 10.0 and before.area["max"] > 100.0
     _, judged = check(surface, bad, 100.0)
     assert judged.area["surface"] < 2.003

@@ -9,8 +9,8 @@ from omtwarp.conformal import conformal_map
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, needle, noisy, plate, random_sphere, tube
-from omtwarp.metrics.certificate import certify
-from omtwarp.metrics.distortion import distortion
+from omtwarp.metrics.certificate import certify_triangles
+from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.start import choice as start_module
 from omtwarp.start.choice import bijective_start
 from omtwarp.start.tube import tube_map
@@ -31,7 +31,7 @@ def test_a_few_flips_are_repaired_and_the_rest_stays():
     start = bijective_start(surface)
     assert start.route == "conformal, repaired"
     assert start.repaired_flips == flips
-    assert certify(surface.faces, start.sphere).bijective
+    assert certify_triangles(surface.faces, start.sphere).bijective
     moved = (start.sphere != conformal).any(axis=1)
     assert 0 < moved.sum() < 0.25 * surface.vertex_count  # the patches around the flips, and nobody else
 
@@ -41,13 +41,13 @@ def test_long_tubes_take_another_road(length):
     """A tube's ends shrink to exp(-length / girth) of its middle: areas of 1e-11 can be held, areas of 1e-26 cannot."""
     surface = tube(length=length, girth=1.0, face_count=1500)
     start = bijective_start(surface)
-    assert certify(surface.faces, start.sphere).bijective
+    assert certify_triangles(surface.faces, start.sphere).bijective
     if length < 20.0:
         assert start.route == "conformal"
         return
     assert start.route == "tube"
     assert start.reason
-    judged = distortion(surface.vertices, surface.faces, start.sphere)
+    judged = measure_triangles(surface.vertices, surface.faces, start.sphere)
     assert judged.area["surface"] < start_module.TUBE_AREA
 
 
@@ -57,7 +57,7 @@ def test_a_long_tube_of_obtuse_triangles_is_embedded_coarse_to_fine():
     assert count_flips(tube_map(surface), surface.faces) > 0
     start = bijective_start(surface)
     assert start.route == "hierarchical"
-    assert certify(surface.faces, start.sphere).bijective
+    assert certify_triangles(surface.faces, start.sphere).bijective
 
 
 SHAPES = {
@@ -75,7 +75,7 @@ def test_hard_shapes_have_a_bijective_start(name):
     surface = SHAPES[name]()
     start = bijective_start(surface)
     assert np.isfinite(start.sphere).all()
-    assert certify(surface.faces, start.sphere).bijective
+    assert certify_triangles(surface.faces, start.sphere).bijective
 
 
 @settings(max_examples=10)
@@ -87,7 +87,7 @@ def test_hard_shapes_have_a_bijective_start(name):
 def test_random_blobs_have_a_bijective_start(seed, amplitude, rounds):
     surface = flip_edges(blob(seed=seed, amplitude=amplitude, sphere=random_sphere(400, seed)), rounds, seed)
     start = bijective_start(surface)
-    assert certify(surface.faces, start.sphere).bijective
+    assert certify_triangles(surface.faces, start.sphere).bijective
     np.testing.assert_allclose(np.linalg.norm(start.sphere, axis=1), 1.0, atol=1e-14)
 
 
@@ -100,7 +100,7 @@ def test_a_conformal_map_that_cannot_be_made_has_a_substitute(monkeypatch):
     told = []
     start = bijective_start(surface, progress=lambda *arguments: told.append(arguments))
     assert (start.route, start.reason, start.conformal) == ("hierarchical", "the plane has a hole", None)
-    assert certify(surface.faces, start.sphere).bijective
+    assert certify_triangles(surface.faces, start.sphere).bijective
     assert told and all(stage == "start" and 0 <= done <= total for stage, done, total, _ in told)
 
 

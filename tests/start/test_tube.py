@@ -8,7 +8,7 @@ import pytest
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, shuffled, tube, uv_sphere
 from omtwarp.mesh.surface import Surface
-from omtwarp.metrics.distortion import distortion
+from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.start.tube import area_latitude, poles, positive_cotangent_weights, tube_map, weighted_laplacian
 from omtwarp.untangling.untangle import untangle
 
@@ -42,7 +42,7 @@ def test_covers_the_sphere_once(surface):
     """Degree 1, few flips, and none after untangling."""
     sphere = tube_map(surface)
     assert np.allclose(np.linalg.norm(sphere, axis=1), 1.0)
-    judged = distortion(surface.vertices, surface.faces, sphere)
+    judged = measure_triangles(surface.vertices, surface.faces, sphere)
     assert judged.degree == pytest.approx(1.0, abs=1e-9)
     assert judged.flips <= 0.1 * surface.face_count
     mended = untangle(surface, sphere, device="cpu")

@@ -9,7 +9,7 @@ from sphere_truths import at_height, height_and_longitude, mean_edge, pushed_nor
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere
-from omtwarp.metrics import distortion
+from omtwarp.metrics import measure_triangles
 from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost
 from omtwarp.transport.flow import OPTIMAL_CURL, SETTLED_ENDINGS, optimal_transport, transport_cost
@@ -20,7 +20,7 @@ def away(points: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def area_excess(surface, sphere) -> float:
-    return distortion(surface.vertices, surface.faces, sphere).area["surface"] - 2.0
+    return measure_triangles(surface.vertices, surface.faces, sphere).area["surface"] - 2.0
 
 
 def test_cost_in_closed_form(device):

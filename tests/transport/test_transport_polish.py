@@ -10,7 +10,7 @@ from omtwarp.device.start import wp
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere, sphere_from_directions
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.metrics import distortion
+from omtwarp.metrics import measure_triangles
 from omtwarp.metrics.optimality import optimality
 from omtwarp.transport.flow import AREA_PRICE, transport_cost
 from omtwarp.transport.polish import AREA_SLACK, polish_transport
@@ -35,7 +35,7 @@ def capped_sphere(rim: float = 0.6, around: int = 90) -> Surface:
 
 
 def area_excess(surface, sphere) -> float:
-    return distortion(surface.vertices, surface.faces, sphere).area["sphere"] - 2.0
+    return measure_triangles(surface.vertices, surface.faces, sphere).area["sphere"] - 2.0
 
 
 def test_a_small_twist_is_undone(device):
