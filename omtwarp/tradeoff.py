@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.moser import moser_map
 from omtwarp.refine.solver import Refiner
@@ -23,7 +24,6 @@ from omtwarp.untangling.untangle import untangle
 WEIGHT = 10.0
 ITERATIONS = 100
 TOLERANCE = 1e-4
-TINY = 1e-300  # keeps divisors from zero
 
 
 def map_with_density_exponent(

@@ -13,6 +13,7 @@ from omtwarp.alignment.features import checked_features, feature_coefficients, o
 from omtwarp.alignment.rotation_search import best_rotation, complex_coefficients
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
+from omtwarp.mesh.arrays import TINY
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.result import MapResult
 from omtwarp.spheres import SphereGrid
@@ -89,7 +90,7 @@ def align_to_axes(given: Any) -> Alignment:
     masses = points.surface_areas()
     along = (points.vertices - masses @ points.vertices / masses.sum()) @ axes
     moments = [masses @ along**power / masses.sum() for power in (2, 3)]
-    skewness = moments[1] / np.maximum(moments[0], 1e-300) ** 1.5
+    skewness = moments[1] / np.maximum(moments[0], TINY) ** 1.5
     signs = np.where(skewness < 0, -1.0, 1.0)
     certain = np.sort(np.abs(skewness))
     if np.linalg.det(signs[:, None] * parameters) < 0:

@@ -23,6 +23,7 @@ from scipy.ndimage import maximum_filter
 from scipy.spatial.transform import Rotation
 
 from omtwarp.harmonics import degree_of
+from omtwarp.mesh.arrays import TINY
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -167,7 +168,7 @@ def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int
         gradient, hessian = derivatives(turned, b)
         bends, axes = np.linalg.eigh(hessian)
         # Where the function is not concave, climb along the slope instead of to a saddle.
-        move = axes @ (axes.T @ gradient / np.maximum(np.abs(bends), 1e-12 * np.abs(bends).max() + 1e-300))
+        move = axes @ (axes.T @ gradient / np.maximum(np.abs(bends), 1e-12 * np.abs(bends).max() + TINY))
         length = float(np.linalg.norm(move))
         if length < SMALLEST_STEP:
             return rotation, value, step

@@ -45,6 +45,7 @@ from omtwarp.conformal.haker import most_regular_face
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress
@@ -62,7 +63,6 @@ RELAXATION_TOLERANCE = 1e-6
 """The relaxation ends when the root mean square force at right angles to the constraint is below this."""
 NEWTON_TOLERANCE = 1e-12
 """Newton's method ends at this force on any vertex; a vertex' mean weight sum is 1."""
-_TINY = 1e-300  # keeps divisors from zero
 _LONGEST_STEP = 0.3  # radians: Newton's steps are no use beyond where a tangent plane resembles the sphere
 
 
@@ -389,7 +389,7 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
         longest = float(np.linalg.norm(direction, axis=1).max())
         if not np.isfinite(longest):
             break
-        points = springs.move(points, direction, min(1.0, _LONGEST_STEP / max(longest, _TINY)))
+        points = springs.move(points, direction, min(1.0, _LONGEST_STEP / max(longest, TINY)))
     return points, multiplier, False
 
 

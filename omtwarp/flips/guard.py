@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import list_threads, resolve_device
 from omtwarp.device.start import wp
-from omtwarp.flips.guard_kernels import HELD, count_flips, end_round, find_bad, find_bad_around, shorten_steps
+from omtwarp.flips.guard_kernels import HELD, count_nonpositive, end_round, find_bad, find_bad_around, shorten_steps
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
 
@@ -62,10 +62,17 @@ class StepGuard:
         self._ready: dict[tuple[int, int, int], tuple[Any, ...]] = {}
 
     def count(self, points: Any) -> int:
-        """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]."""
+        """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]; as exact as floating point is.
+
+        :func:`omtwarp.flips.predicates.count_flips` decides exactly.
+        """
         self._counters.zero_()
         wp.launch(
-            count_flips, dim=self.face_count, inputs=[points, self._faces], outputs=[self._counters], device=self.device
+            count_nonpositive,
+            dim=self.face_count,
+            inputs=[points, self._faces],
+            outputs=[self._counters],
+            device=self.device,
         )
         return int(self._counters.numpy()[0])
 

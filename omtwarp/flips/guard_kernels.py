@@ -19,12 +19,13 @@ UNCERTAIN = wp.constant(2)  # instead of a sign
 
 
 @wp.kernel
-def count_flips(
+def count_nonpositive(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     # Data out:
     count: wp.array[wp.int32],
 ):
+    """Count triangles with det[s0, s1, s2] <= 0 in floating point, which may be wrong for one that is nearly flat."""
     face = faces[wp.tid()]
     if not wp.dot(points[face[0]], wp.cross(points[face[1]], points[face[2]])) > ZERO:
         wp.atomic_add(count, 0, 1)

@@ -25,10 +25,10 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import kernels
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import Surface
 
 Array = NDArray[np.float64]
-_TINY = 1e-300
 
 
 def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArray[np.int64], list[Array]]:
@@ -43,13 +43,13 @@ def face_normals(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Unit normal of every triangle, shape [F, 3], outward where faces run counter-clockwise; zero without area."""
     _, _, (a, b, c) = _corner_points(vertices, faces)
     n = np.cross(b - a, c - a)
-    return n / np.maximum(np.linalg.norm(n, axis=1), _TINY)[:, None]
+    return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
 
 
 def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Cotangent of the angle at every corner, shape [F, 3]; negative where the angle is obtuse."""
     _, _, p = _corner_points(vertices, faces)
-    doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), _TINY)
+    doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), TINY)
     dots = [np.einsum("ij,ij->i", p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]) for k in range(3)]
     return np.stack(dots, axis=1) / doubled[:, None]
 
@@ -106,7 +106,7 @@ def _hat_gradients(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Gradients of the three hat functions of each triangle, shape [F, 3 corners, 3]."""
     _, _, p = _corner_points(vertices, faces)
     n = np.cross(p[1] - p[0], p[2] - p[0])
-    squared = np.maximum(np.einsum("ij,ij->i", n, n), _TINY)[:, None]
+    squared = np.maximum(np.einsum("ij,ij->i", n, n), TINY)[:, None]
     return np.stack([np.cross(n, p[k - 1] - p[k - 2]) / squared for k in range(3)], axis=1)
 
 

@@ -2,11 +2,11 @@
 
 # mypy: ignore-errors
 from omtwarp.device.start import KERNEL_OPTIONS, wp
+from omtwarp.mesh import arrays
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# Least divisor: a quotient by less is that of a length or an area that is zero. The smallest normal float64 is 2e-308.
-TINY = wp.constant(wp.float64(1e-300))
+TINY = wp.constant(wp.float64(arrays.TINY))
 
 
 @wp.func

@@ -12,6 +12,9 @@ from omtwarp.errors import OmtwarpError
 # Coordinates to the fourth power, as in squared areas, stay within float64.
 SMALLEST, LARGEST = 1e-75, 1e75
 
+# Least divisor: a quotient by less is that of a length or an area that is zero. The smallest normal float64 is 2e-308.
+TINY = 1e-300
+
 Shape = tuple[int | None, ...]
 
 
@@ -128,4 +131,4 @@ def _require_shape(array: NDArray[Any], name: str, shape: Shape) -> None:
         raise OmtwarpError(f"{name}: shape {list(array.shape)}, not [{wanted}]")
 
 
-__all__ = ["in_range", "real_numbers", "whole_numbers"]
+__all__ = ["TINY", "in_range", "real_numbers", "whole_numbers"]

@@ -63,8 +63,8 @@ def load_scene(data: bytes, file: Path, suffix: str) -> Any:
         def keys(self) -> list[str]:
             return []
 
-        def write(self, name: str, data: Any) -> None:
-            raise NotImplementedError
+        def write(self, name: str, data: object) -> None:
+            raise OmtwarpError(f"{name}: not written, as the scene is only read")
 
     if suffix in ("glb", "gltf"):
         _require_plain(_gltf_header(data, suffix))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import Surface
 
 Points = NDArray[np.float64]
@@ -235,7 +236,7 @@ def tube(
     front, back = along < quarter, along > quarter + length
     s = np.clip(along - quarter, 0.0, length)
     size = radius + (taper - 1) * radius * s / length
-    front_angle, back_angle = along / quarter * np.pi / 2, (total - along) / max(other, 1e-300) * np.pi / 2
+    front_angle, back_angle = along / quarter * np.pi / 2, (total - along) / max(other, TINY) * np.pi / 2
     across = np.where(front, radius * np.sin(front_angle), np.where(back, radius * taper * np.sin(back_angle), size))
     axial = s - front * radius * np.cos(front_angle) + back * radius * taper * np.cos(back_angle)
 
@@ -426,7 +427,7 @@ def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float
         slope = np.stack([value(points + step * axis) - here for axis in np.eye(3)], axis=1) / step
         move = -here[:, None] * slope / np.maximum((slope**2).sum(axis=1), 1e-12)[:, None]
         far = np.linalg.norm(move, axis=1)
-        points = points + move * np.minimum(1.0, 0.5 * cell / np.maximum(far, 1e-300))[:, None]
+        points = points + move * np.minimum(1.0, 0.5 * cell / np.maximum(far, TINY))[:, None]
     return points
 
 
@@ -444,7 +445,7 @@ def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Points], Poi
         for cone in cones:
             start, radius, end, other = cone[:3], cone[3], cone[4:7], cone[7]
             axis = end - start
-            along = np.clip(((x - start) @ axis) / max(float(axis @ axis), 1e-300), 0.0, 1.0)
+            along = np.clip(((x - start) @ axis) / max(float(axis @ axis), TINY), 0.0, 1.0)
             distance = np.linalg.norm(x - start - along[:, None] * axis, axis=1) - (radius + along * (other - radius))
             total += np.exp(-np.clip(distance / blend, -200.0, 200.0))
         return -blend * np.log(total)

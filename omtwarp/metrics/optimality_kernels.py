@@ -10,7 +10,7 @@ of its edges. Triangles are the leaves of a complete binary tree in heap order, 
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import geodesic_distance
+from omtwarp.geometry.spherical import geodesic_distance, logarithm
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -33,16 +33,6 @@ def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
     """c(x, y) = d(x, y)² / 2."""
     d = geodesic_distance(x, y)
     return HALF * d * d
-
-
-@wp.func
-def log_map(base: wp.vec3d, target: wp.vec3d) -> wp.vec3d:
-    """The tangent vector at base that points along the shortest arc to target, as long as the arc."""
-    tangent = target - wp.dot(base, target) * base
-    sine = wp.length(tangent)
-    if sine < wp.float64(1.0e-300):
-        return wp.vec3d()
-    return (geodesic_distance(base, target) / sine) * tangent
 
 
 @wp.func
@@ -76,7 +66,8 @@ def vertex_displacement(
     log_out: wp.array[wp.vec3d],
 ):
     i = wp.tid()
-    log_out[i] = log_map(base[i], target[i])
+    tangent, _distance = logarithm(base[i], target[i])
+    log_out[i] = tangent
 
 
 @wp.kernel

@@ -15,6 +15,7 @@ from scipy import sparse
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import Surface
 from omtwarp.start.decimation_kernels import (
     FORBIDDEN_COST,
@@ -33,7 +34,6 @@ _ONE_AT_A_TIME = 8
 _EVEN_SHARE = 0.2
 # No face starts with less than this part of the mean mass: a sliver's own mass would be no barrier against its flip.
 _MASS_FLOOR = 1e-3
-_TINY = 1e-300  # keeps logarithms finite
 
 
 @dataclass
@@ -185,7 +185,7 @@ def _select(
     bound = np.quantile(cost[legal], _CHEAPER_PART)
     candidates = legal[cost[legal] <= bound]
     # Equal costs up to 20 % are put in random order: strictly by cost, local minima are few and the rounds many.
-    classes = np.floor(4.0 * np.log2(np.maximum(cost[candidates], _TINY))).astype(np.int64) + (1 << 15)
+    classes = np.floor(4.0 * np.log2(np.maximum(cost[candidates], TINY))).astype(np.int64) + (1 << 15)
     keys = np.full(count, int(NO_KEY), dtype=np.int64)
     keys[alive[candidates]] = (classes << 32) | _scramble(alive[candidates], round_index)
     selected: wp.array = wp.empty(len(alive), dtype=wp.bool, device=device)

@@ -6,6 +6,7 @@ the neighbour of ``v`` that follows ``head`` counter-clockwise.
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -19,7 +20,6 @@ FORBIDDEN_COST = wp.constant(wp.float64(1.0e300))
 NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 _FOUR_ROOT_THREE = wp.constant(wp.float64(6.928203230275509))
 _WORST_SHAPE = wp.constant(wp.float64(20.0))
-_TINY = wp.constant(wp.float64(1.0e-300))
 _MAX_FREE_VALENCE = wp.constant(wp.int32(8))
 
 
@@ -85,8 +85,8 @@ def shape_penalty(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, star_normal: wp.vec3d) 
     normal = wp.cross(q - p, r - p)
     double_area = wp.length(normal)
     squares = wp.length_sq(q - p) + wp.length_sq(r - q) + wp.length_sq(p - r)
-    shape = wp.min(TWO * squares / wp.max(_FOUR_ROOT_THREE * double_area, _TINY), _WORST_SHAPE)
-    fold = ONE - wp.dot(normal, star_normal) / wp.max(double_area * wp.length(star_normal), _TINY)
+    shape = wp.min(TWO * squares / wp.max(_FOUR_ROOT_THREE * double_area, TINY), _WORST_SHAPE)
+    fold = ONE - wp.dot(normal, star_normal) / wp.max(double_area * wp.length(star_normal), TINY)
     return shape * (ONE + fold)
 
 

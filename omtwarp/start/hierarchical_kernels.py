@@ -1,12 +1,12 @@
 """Kernels of the coarse-to-fine embedding: a place for a new vertex, and moves that cannot flip a triangle."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.geometry.spherical import TINY
 from omtwarp.start.decimation_kernels import MAX_VALENCE
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
-_TINY = wp.constant(wp.float64(1.0e-300))
 _INFEASIBLE = wp.constant(wp.float64(1.0e300))
 # det[a, b, c] evaluated in float64 from unit vectors is right to about 3e-16: no move may bring a triangle nearer to 0
 # than this, unless it is already nearer.
@@ -108,12 +108,12 @@ def triangle_coefficients(
         a = wp.length_sq(r - q)
         b = wp.length_sq(p - r)
         c = wp.length_sq(q - p)
-        extra = rounding * (a + b + c) + _TINY
+        extra = rounding * (a + b + c) + TINY
         a += extra
         b += extra
         c += extra
         # Heron: 16 area^2; the added metric keeps it away from 0.
-        root = wp.sqrt(wp.max(TWO * (a * b + b * c + c * a) - (a * a + b * b + c * c), _TINY))
+        root = wp.sqrt(wp.max(TWO * (a * b + b * c + c * a) - (a * a + b * b + c * c), TINY))
         coefficients[h] = wp.vec4d(
             (b + c - a) / root, (c + a - b) / root, (a + b - c) / root, face_masses[half_edge_faces[h]]
         )

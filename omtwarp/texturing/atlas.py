@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import LONGEST_SIDE, MOST_TEXELS
+from omtwarp.mesh.arrays import TINY
 from omtwarp.texturing.cutting import ON_CUT, Arc, normalised
 
 Floats = NDArray[np.float64]
@@ -247,7 +248,7 @@ class Octahedral(Atlas):
 
     def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
         # Signs come from the chart, sizes from the point: a corner on a border goes to its triangle's side.
-        p = np.abs(points) / np.maximum(np.abs(points).sum(axis=-1, keepdims=True), 1e-300)
+        p = np.abs(points) / np.maximum(np.abs(points).sum(axis=-1, keepdims=True), TINY)
         south = (chart & 4 != 0)[:, None]
         x, y = np.where(south, 1.0 - p[..., 1], p[..., 0]), np.where(south, 1.0 - p[..., 0], p[..., 1])
         sign = np.stack([1.0 - 2.0 * (chart & 1), 1.0 - (chart & 2)], axis=-1)[:, None, :]

@@ -45,6 +45,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Cost, Progress, Record, choose
@@ -64,7 +65,6 @@ AREA_LOSS, RELATIVE_AREA_LOSS = 0.002, 0.15
 SMALLEST_MASS = 1e-12  # of the mean: velocities are divided by masses, and a triangle without area carries nothing
 RESOLVED_DISPLACEMENT = 1e-8  # radians: the sine of a smaller angle is lost in the round-off of a cross product
 STALLED = 1e-6  # of the first step: a level whose step has become shorter is left out
-TINY = 1e-300  # keeps divisors from zero
 
 
 @dataclass(frozen=True)

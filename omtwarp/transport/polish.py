@@ -24,6 +24,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, sums_for
 from omtwarp.device.threads import blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.options import Progress, Record
@@ -39,7 +40,6 @@ from omtwarp.transport.polish_kernels import (
 )
 
 MAX_ROUNDS = 18
-TINY = 1e-300  # keeps divisors from zero
 # The part of the way that a round goes: where the map contracts strongly a full step overshoots. A round that does not
 # lower the curl, or is paid for with area, is taken back and tried again at half of it; the area is restored with twice
 # the step.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
-from omtwarp.solvers.cholesky.dissection import Dissection, dissect
+from omtwarp.solvers.cholesky.dissection import Dissection, dissect, edge_blocks, of_unknowns
 from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
 
 COORDINATES = 2  # unknowns of a vertex; a cell has one
@@ -129,44 +129,14 @@ def expand_nodes(
     copies = count[d.rows]
     of_row = np.repeat(of_node_row, copies)
     within = np.arange(len(of_row)) - np.repeat(np.cumsum(copies) - copies, copies)
-    keys = np.sort(of_row * total + np.repeat(place[d.rows], copies) + within)
-    of_row = keys // total
-    rows = keys - of_row * total
-    starts = np.searchsorted(of_row, np.arange(fronts + 1))
-    upward = np.full(len(rows), -1, dtype=np.int32)
-    passed = np.flatnonzero(rows >= (first + owned)[of_row])
-    above = d.parent[of_row[passed]]
-    upward[passed] = np.searchsorted(keys, above * total + rows[passed]) - starts[above]
+    row_keys = of_row * total + np.repeat(place[d.rows], copies) + within
 
-    where = np.empty(total, dtype=np.int64)
-    where[order] = np.arange(total)
-    i, j = (COORDINATES * edges[:, k].astype(np.int64) for k in range(2))
-    blocks = np.stack([np.stack([i + a, j + b], axis=1) for a in range(2) for b in range(2)], axis=1)
     v, c = COORDINATES * joints[:, 0].astype(np.int64), vertices + joints[:, 1].astype(np.int64)
     gradients = np.stack([np.stack([c, v + b], axis=1) for b in range(2)], axis=1)
     own = COORDINATES * np.arange(vertices, dtype=np.int64)
-    pairs = np.concatenate([blocks.reshape(-1, 2), gradients.reshape(-1, 2), np.stack([own, own + 1], axis=1)])
-    ends = where[pairs]
-    low, high = ends.min(axis=1), ends.max(axis=1)
-    edge_front = np.repeat(np.arange(fronts), owned)[low]
-    entering = np.argsort(edge_front, kind="stable")
-    edge_front, low, high = edge_front[entering], low[entering], high[entering]
-    expanded = Dissection(
-        order=order,
-        depths=d.depths,
-        first=first,
-        owned=owned,
-        starts=starts,
-        rows=rows.astype(np.int32),
-        parent=d.parent,
-        upward=upward,
-        entering=entering.astype(np.int32),
-        edge_starts=np.searchsorted(edge_front, np.arange(fronts + 1)).astype(np.int32),
-        edge_row=(np.searchsorted(keys, edge_front * total + high) - starts[edge_front]).astype(np.int32),
-        edge_column=(low - first[edge_front]).astype(np.int32),
-        edge_turned=np.zeros(len(entering), dtype=np.bool_),
-        edges=pairs.astype(np.int32),
-    )
+    inner = np.stack([own, own + 1], axis=1)
+    couplings = np.concatenate([edge_blocks(edges, COORDINATES), gradients.reshape(-1, 2), inner])
+    expanded = of_unknowns(d, order, first, owned, row_keys, couplings)
     return expanded, own_cells.astype(np.int32)
 
 

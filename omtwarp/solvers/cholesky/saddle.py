@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
-from omtwarp.solvers.cholesky.dissection import Dissection
+from omtwarp.solvers.cholesky.dissection import Dissection, edge_blocks, of_unknowns
 from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
 
 UNKNOWNS = 3  # of a vertex: two coordinates, one multiplier
@@ -91,41 +91,11 @@ def expand(d: Dissection) -> Dissection:
     places = np.stack([begin + 2 * inside, begin + 2 * inside + 1, begin + 2 * d.owned[front_of] + inside], axis=1)
     order = np.empty(total, dtype=np.int64)
     order[places] = UNKNOWNS * d.order[:, None] + np.arange(UNKNOWNS)
-    starts = UNKNOWNS * d.starts
-    of_row = np.repeat(np.arange(fronts), np.diff(starts))
-    keys = np.sort(of_row * total + places[d.rows].ravel())
-    rows = keys - of_row * total
-    first, owned = UNKNOWNS * d.first, UNKNOWNS * d.owned
-    upward = np.full(len(rows), -1, dtype=np.int32)
-    passed = np.flatnonzero(rows >= (first + owned)[of_row])
-    above = d.parent[of_row[passed]]
-    upward[passed] = np.searchsorted(keys, above * total + rows[passed]) - starts[above]
-    place = np.empty(total, dtype=np.int64)
-    place[order] = np.arange(total)
+    of_row = np.repeat(np.arange(fronts), UNKNOWNS * np.diff(d.starts))
     i, j = (UNKNOWNS * d.edges[:, k].astype(np.int64) for k in range(2))
-    blocks = np.stack([np.stack([i + a, j + b], axis=1) for a in range(2) for b in range(2)], axis=1)
     gradients = [np.stack([np.stack([p + 2, q + b], axis=1) for b in range(2)], axis=1) for p, q in ((i, j), (j, i))]
     vertices = UNKNOWNS * np.arange(count, dtype=np.int64)
     inner = np.stack([vertices, vertices + 1], axis=1)
-    pairs = np.concatenate([part.reshape(-1, 2) for part in (blocks, *gradients, inner)])
-    ends = place[pairs]
-    low, high = ends.min(axis=1), ends.max(axis=1)
-    edge_front = np.repeat(np.arange(fronts), owned)[low]
-    entering = np.argsort(edge_front, kind="stable")
-    edge_front, low, high = edge_front[entering], low[entering], high[entering]
-    return Dissection(
-        order=order,
-        depths=d.depths,
-        first=first,
-        owned=owned,
-        starts=starts,
-        rows=rows.astype(np.int32),
-        parent=d.parent,
-        upward=upward,
-        entering=entering.astype(np.int32),
-        edge_starts=np.searchsorted(edge_front, np.arange(fronts + 1)).astype(np.int32),
-        edge_row=(np.searchsorted(keys, edge_front * total + high) - starts[edge_front]).astype(np.int32),
-        edge_column=(low - first[edge_front]).astype(np.int32),
-        edge_turned=np.zeros(len(entering), dtype=np.bool_),
-        edges=pairs,
-    )
+    couplings = [edge_blocks(d.edges, UNKNOWNS), *(part.reshape(-1, 2) for part in gradients), inner]
+    row_keys = of_row * total + places[d.rows].ravel()
+    return of_unknowns(d, order, UNKNOWNS * d.first, UNKNOWNS * d.owned, row_keys, np.concatenate(couplings))
