@@ -45,11 +45,11 @@ def test_barycentric_is_workbenchs(subject, workbench, there):
         data, out = subject / f"lh.{name}.shape.gii", subject / "out.shape.gii"
         workbench("-metric-resample", data, source, target, "BARYCENTRIC", out)
         apart = np.abs(found.apply(read_data(data).values) - read_data(out).values)
-        # Workbench computes in single precision at radius 100; where two triangles are as near, it may take the other.
-        assert np.mean(apart < 1e-5) > 0.998 and np.median(apart) < 1e-6, (name, np.sort(apart.ravel())[-8:])
+        # Workbench computes in single precision at radius 100, which in narrow triangles costs digits.
+        assert np.mean(apart < 1e-5) > 0.9995 and apart.max() < 1e-4, (name, np.sort(apart.ravel())[-8:])
 
 
-def test_adaptive_is_workbenchs(subject, workbench, nilearn_fsaverage5):
+def test_adaptive_and_labels_are_workbenchs(subject, workbench, nilearn_fsaverage5):
     source, target = subject / "lh.map.surf.gii", subject / "lh.own.surf.gii"
     white, faces = nilearn_fsaverage5("white_left")
     plain = omtwarp.resample(source, target, device="cpu")
@@ -67,16 +67,14 @@ def test_adaptive_is_workbenchs(subject, workbench, nilearn_fsaverage5):
     surfaces = ["-area-surfs", subject / "lh.source.surf.gii", subject / "lh.target.surf.gii"]
     workbench("-metric-resample", data, source, target, "ADAP_BARY_AREA", out, *surfaces)
     apart = np.abs(found.apply(read_data(data).values) - read_data(out).values)
-    # A weight of 1e-4 decides which of two ways a vertex goes, and Workbench drops some of them.
-    assert np.mean(apart < 1e-5) > 0.97, np.mean(apart < 1e-5)
-
-
-def test_labels_are_workbenchs(subject, workbench):
-    source, target = subject / "lh.map.surf.gii", subject / "lh.own.surf.gii"
-    data, out = subject / "lh.regions.label.gii", subject / "out.label.gii"
-    workbench("-label-resample", data, source, target, "BARYCENTRIC", out)
-    found = omtwarp.resample(source, target, device="cpu").labels(read_data(data).values[:, 0])
-    assert np.mean(found == read_data(out).values[:, 0]) >= 0.999
+    # Whether a point lies on an edge decides which of two ways a vertex goes, and single precision may say otherwise.
+    assert np.mean(apart < 1e-5) > 0.999, np.mean(apart < 1e-5)
+    data = subject / "lh.regions.label.gii"
+    for method, ours, options in (("ADAP_BARY_AREA", found, surfaces), ("BARYCENTRIC", plain, [])):
+        out = subject / f"{method}.label.gii"
+        workbench("-label-resample", data, source, target, method, out, *options)
+        same = ours.labels(read_data(data).values[:, 0]) == read_data(out).values[:, 0]
+        assert np.mean(same) >= 0.999, (method, np.mean(same))
 
 
 def test_conservative_keeps_integrals_and_signs(subject):
