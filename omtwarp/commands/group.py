@@ -23,14 +23,16 @@ def group(
     scale: Annotated[bool, typer.Option("--scale", help="Bring all shapes to the same size.")] = False,
     permutations: Annotated[int, typer.Option(metavar="N", min=1, help="By which differences are judged.")] = 999,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the permutations.")] = 0,
+    transport: Annotated[bool, typer.Option("--transport", help="Also transport distances, all pairs.")] = False,
     device: DeviceOption = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
     quiet: QuietOption = False,
 ) -> None:
     """Compare a group of maps: mean shape, principal components, distances, and where two groups differ.
 
-    The folder gets table.csv, distances.csv, the mean and the components as .ply, and report.html. Two groups, named in
-    the table's column 'group', are compared point by point with Student's t and permutations.
+    The folder gets table.csv, distances.csv, transport.csv where asked for, the mean and the components as .ply, and
+    report.html. Two groups, named in the table's column 'group', are compared point by point with Student's t and
+    permutations.
     """
     from omtwarp.commands._progress import progress_bar
     from omtwarp.commands._work import report_text, start_device
@@ -54,6 +56,7 @@ def group(
             degree=degree,
             permutations=permutations,
             seed=seed,
+            transport=transport,
             device=device,
             progress=progress,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from omtwarp.harmonics import check_degree
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.moser import moser_map
+from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints
 from omtwarp.result import MapResult
 from omtwarp.shape_analysis.expansion import expand
@@ -91,7 +93,7 @@ def shape_distance(
     ]
     if scale:
         coefficients = [numbers * np.sqrt(SPHERE_AREA / (numbers**2).sum()) for numbers in coefficients]
-    there, back = (transport_distance(*pair, device=device) for pair in ((first, second), (second, first)))
+    there, back = _transport_both_ways(first, second, device)
     apart = coefficient_distance(*coefficients)
     return ShapeDistance(apart, (there + back) / 2.0, there, back, found.score)
 
@@ -130,6 +132,11 @@ def transport_distance(first: MapResult, second: MapResult, *, device: str | Non
     turned = align(*ends, by="features").sphere
     target = vertex_density(second.conformal, second.faces, second.density, device=device)
     return density_distance(Surface(first.vertices, first.faces), turned, target, device=device)
+
+
+def _transport_both_ways(first: MapResult, second: MapResult, device: str | None) -> tuple[float, float]:
+    """The distance from the first density to the second, and back."""
+    return transport_distance(first, second, device=device), transport_distance(second, first, device=device)
 
 
 def density_distance(surface: Surface, sphere: Floats, target: TargetDensity, *, device: str | None = "auto") -> float:
@@ -175,6 +182,33 @@ def distance_matrix(spheres: list[Floats], maps: list[Any], degree: int, scale: 
     return out
 
 
+def transport_matrix(
+    maps: Sequence[MapResult], *, device: str | None = "auto", progress: Progress | None = None
+) -> Floats:
+    """Transport distances of all pairs of a group in radians, as :func:`shape_distance` measures them, shape [N, N].
+
+    A pair of shapes with 700 vertices takes half a second.
+
+    Args:
+        maps: with their conformal maps.
+        device: where transport is computed.
+        progress: called as ``progress("transport", done, total, {})``.
+
+    Raises:
+        OmtwarpError: a conformal map that does not cover the sphere once; the message names the pair.
+    """
+    out = np.zeros((len(maps), len(maps)))
+    pairs = [(i, j) for i in range(len(maps)) for j in range(i)]
+    for done, (i, j) in enumerate(pairs, 1):
+        try:
+            out[i, j] = out[j, i] = sum(_transport_both_ways(maps[j], maps[i], device)) / 2.0
+        except OmtwarpError as error:
+            raise OmtwarpError(f"maps {j + 1} and {i + 1}: {error}") from None
+        if progress is not None:
+            progress("transport", done, len(pairs), {})
+    return out
+
+
 __all__ = [
     "DEGREE",
     "ShapeDistance",
@@ -183,4 +217,5 @@ __all__ = [
     "distance_matrix",
     "shape_distance",
     "transport_distance",
+    "transport_matrix",
 ]

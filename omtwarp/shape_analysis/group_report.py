@@ -39,7 +39,8 @@ def write_group_report(
         labels: their groups.
 
     Returns:
-        The files: ``table.csv`` (distance from the mean, and scores), ``distances.csv``, ``mean.ply`` (with the
+        The files: ``table.csv`` (distance from the mean, and scores), ``distances.csv`` and, where transport was
+        measured, ``transport.csv`` (all pairs), ``mean.ply`` (with the
         difference of two groups at its vertices), ``component_K_minus.ply`` and ``component_K_plus.ply`` (the mean less
         and plus two standard deviations), ``report.html``.
 
@@ -59,8 +60,10 @@ def write_group_report(
         numbers = [study.from_mean[k], study.alignment.scales[k], *study.components.scores[k]]
         rows.append([name, *([labels[k]] if labels else []), *map(float, numbers)])
     files = [_write_csv(folder / "table.csv", columns, rows)]
-    apart = [[name, *map(float, line)] for name, line in zip(names, study.distances, strict=True)]
-    files.append(_write_csv(folder / "distances.csv", ["id", *names], apart))
+    for file, distances in (("distances.csv", study.distances), ("transport.csv", study.transport)):
+        if distances is not None:
+            apart = [[name, *map(float, line)] for name, line in zip(names, distances, strict=True)]
+            files.append(_write_csv(folder / file, ["id", *names], apart))
     beside = {}
     if study.difference is not None:
         found = study.difference

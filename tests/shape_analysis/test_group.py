@@ -122,6 +122,20 @@ def test_distance_is_none_to_itself_and_to_a_turned_copy_and_symmetric(pair):
     assert there.there == pytest.approx(there.back, rel=0.15)
 
 
+def test_a_group_has_the_transport_distances_of_its_pairs(pair):
+    maps, told = [*pair, pair[0]], []
+    study = study_group(
+        maps, grid="ico2", degree=6, transport=True, device="cpu", progress=lambda *what: told.append(what)
+    )
+    apart = shape_distance(*pair, degree=6, device="cpu")
+    assert study.transport[0, 1] == pytest.approx(apart.transport, rel=1e-2)
+    assert study.transport[1, 2] == study.transport[0, 1]
+    assert study.transport[0, 2] < 0.1 * apart.transport  # of a shape to itself
+    assert np.array_equal(study.transport, study.transport.T)
+    assert told[-1] == ("transport", 3, 3, {})
+    assert study_group(pair, grid="ico2", degree=6, device="cpu").transport is None
+
+
 def test_coefficient_distance_of_ellipsoids_is_that_of_their_axes():
     """x = a X: the root of Σ (a - b)² / 3, whatever rotation is between them."""
     from omtwarp.shape_analysis.expansion import expand
@@ -157,6 +171,9 @@ def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
         rows.append(f"m{k}.npz,{'ab'[k % 2]}")
     (tmp_path / "subjects.csv").write_text("\n".join(rows))
     options = ["--grid", "ico2", "--degree", "6", "--components", "1", "--permutations", "20"]
+    assert run("group", "m0.npz", "m1.npz", "-o", "two", *options, "--transport", "--json") == 0
+    assert "transport.csv" in json.loads(capsys.readouterr().out)["files"]
+    apart = list(csv.DictReader((tmp_path / "two" / "transport.csv").open()))
     assert run("group", "subjects.csv", "-o", "study", *options, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["shapes"] == 6
@@ -174,7 +191,9 @@ def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
     assert run("group", "subjects.csv", "-o", "study", *options, "-q") == 0
     assert (tmp_path / "study" / "mean.ply").read_bytes() == first
     assert run("distance", "m0.npz", "m1.npz", "--degree", "6", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["coefficients"] > 0.01
+    between = json.loads(capsys.readouterr().out)
+    assert between["coefficients"] > 0.01
+    assert float(apart[0]["m1"]) == pytest.approx(between["transport"])
 
 
 @pytest.mark.parametrize(
