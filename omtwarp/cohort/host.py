@@ -20,7 +20,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from omtwarp.cohort.item import Job, run_item
+from omtwarp.cohort.item import Job
+from omtwarp.cohort.work import run_item
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.write import write_mesh

@@ -1,4 +1,4 @@
-"""One item of a cohort: what is asked for, what became of it, and the work itself."""
+"""One item of a cohort: what is asked for, its record, its lock and the journal; without what loads Warp."""
 
 from __future__ import annotations
 
@@ -6,22 +6,13 @@ import contextlib
 import hashlib
 import json
 import os
-import sys
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
-from omtwarp.mesh.read import read_mesh
-from omtwarp.mesh.repair import repair
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.pipeline import map_to_sphere
-from omtwarp.result import MapResult
 from omtwarp.version import package_version
 
 # Statuses of a record; all but the first are failures.
@@ -107,13 +98,13 @@ def write_record(job: Job, status: str, message: str = "", **numbers: Any) -> di
 
 def settle(job: Job, status: str, message: str, **numbers: Any) -> dict[str, Any]:
     """Record a failure that was seen from outside, unless a process that worked on the item has written a record."""
-    with _locked(job):
+    with locked(job):
         return read_record(job) or write_record(job, status, message, **numbers)
 
 
 def forget_failure(job: Job) -> None:
     """Remove the record of an item that failed, so that it is worked on again; never that of one which succeeded."""
-    with _locked(job):
+    with locked(job):
         record = read_record(job)
         if record is not None and record["status"] != OK:
             job.record_file.unlink(missing_ok=True)
@@ -141,7 +132,7 @@ def complete_journal(jobs: Iterable[Job], folder: str | os.PathLike[str]) -> Non
         record = read_record(job)
         if record is None or (job.id, job.key, record["status"]) in known:
             continue
-        with _locked(job):  # whoever held the lock has written the line, or is dead
+        with locked(job):  # whoever held the lock has written the line, or is dead
             lines = {(entry.get("id"), entry.get("key"), entry.get("status")) for entry in read_journal(folder)}
             if (job.id, job.key, record["status"]) not in lines:
                 _append_to_journal(job, record["status"])
@@ -158,60 +149,8 @@ def _append_to_journal(job: Job, status: str) -> None:
         journal.write((b"\n" if torn else b"") + line.encode() + b"\n")
 
 
-def run_item(job: Job) -> dict[str, Any]:
-    """Map an item and write its record, unless there is one already; the process is expected to end afterwards."""
-    with _locked(job):
-        finished = read_record(job)
-        if finished is not None:
-            return finished
-        _limit_memory(job.memory_limit)
-        begun, used = time.perf_counter(), time.process_time()
-        try:
-            numbers, status, message = _map(job), OK, ""
-        except MemoryError:
-            numbers, status, message = {}, MEMORY, f"needs more than {job.memory_limit / 2**30:.3g} GiB of memory"
-        except OmtwarpError as error:
-            numbers, status, message = {}, ERROR, str(error)
-        except Exception as error:
-            numbers, status, message = {}, ERROR, f"internal error, {type(error).__name__}: {error}"
-        numbers |= {"seconds": time.perf_counter() - begun, "cpu_seconds": time.process_time() - used}
-        return write_record(job, status, message, **numbers, memory=_peak_memory())
-
-
-def _map(job: Job) -> dict[str, Any]:
-    options = dict(job.options)
-    mended = options.pop("repair", False)
-    mesh = read_mesh(Path(job.path), triangulate=mended)
-    vertices, faces = mesh.vertices, mesh.faces
-    if mended:
-        repaired = repair(vertices, faces)
-        vertices, faces = repaired.vertices, repaired.faces
-    result = map_to_sphere((vertices, faces), **options)
-    result.save(job.map_file)
-    return numbers_of(result)
-
-
-def numbers_of(result: MapResult) -> dict[str, Any]:
-    """Collect a table's numbers of a map: sizes, flips, degree, distortions, and the cost above its lower bound."""
-    last = result.report["stages"][-1]
-    surface = Surface(result.vertices, result.faces, result.measure)
-    image = triangle_areas(result.sphere, surface.faces)
-    around = surface.sum_to_vertices(image) / 3.0 * (SPHERE_AREA / image.sum()) / surface.vertex_areas
-    return {
-        "vertices": surface.vertex_count,
-        "faces": surface.face_count,
-        "flips": result.report["certificate"]["flips"],
-        "degree": last["degree"],
-        "area": last["area"]["surface"],
-        "area_p95": last["area"]["p95"],
-        "angle": last["angle"]["surface"],
-        "ring": float(np.sqrt(np.average((around - 1.0) ** 2, weights=surface.vertex_areas))),
-        "gap": result.report.get("optimality", {}).get("gap"),
-    }
-
-
 @contextlib.contextmanager
-def _locked(job: Job) -> Iterator[None]:
+def locked(job: Job) -> Iterator[None]:
     """Hold the item while it is worked on: another process waits, and then finds the record. Released by any death."""
     try:
         import fcntl
@@ -225,34 +164,14 @@ def _locked(job: Job) -> Iterator[None]:
         yield
 
 
-def _limit_memory(limit: int) -> None:
-    """Let the process allocate so many more bytes; on Linux, where the kernel keeps account of them."""
-    if limit and sys.platform == "linux":
-        import resource
-
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + limit,) * 2)
-
-
-def _peak_memory() -> int:
-    """The most memory that the process has held, bytes; 0 where that is not known."""
-    if sys.platform == "win32":
-        return 0
-    import resource
-
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
 __all__ = [
     "Job",
     "complete_journal",
     "forget_failure",
     "key_of",
-    "numbers_of",
+    "locked",
     "read_journal",
     "read_record",
-    "run_item",
     "settle",
     "write_record",
 ]

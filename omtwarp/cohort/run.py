@@ -13,9 +13,8 @@ from typing import Any
 from omtwarp.cohort.executors import executor_for, make_folders
 from omtwarp.cohort.item import OK, Job, complete_journal, forget_failure, key_of, read_record
 from omtwarp.cohort.manifest import Item
-from omtwarp.cohort.page import write_page
 from omtwarp.cohort.table import write_table
-from omtwarp.device.threads import core_count
+from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import MapOptions, Progress
 
@@ -134,6 +133,8 @@ def run_cohort(
                 if progress is not None:
                     progress("cohort", done, len(mine), {"failed": failed})
     complete_journal(jobs, target)
+    from omtwarp.cohort.page import write_page  # loads Warp, which a driver does not need while it waits
+
     rows = [_row(item, job) for item, job in zip(items, jobs, strict=True)]
     table = write_table(rows, target)
     page = write_page(rows, target)

@@ -10,6 +10,7 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
+from omtwarp.device.cores import core_count
 from omtwarp.device.policy import SMALLEST_SHARED_LAUNCH, launch_parts_of
 from omtwarp.device.start import wp
 
@@ -17,13 +18,6 @@ Result = TypeVar("Result")
 
 _pool: tuple[int, ThreadPoolExecutor] | None = None
 _loaded: set[tuple[Any, str]] = set()
-
-
-def core_count() -> int:
-    """Cores that this process may use; ``OMTWARP_THREADS`` lowers it."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    wanted = os.environ.get("OMTWARP_THREADS", "")
-    return min(cores, max(int(wanted), 1)) if wanted.isdigit() else cores
 
 
 def pool() -> ThreadPoolExecutor:

@@ -26,11 +26,11 @@ from omtwarp.cohort.item import (
     key_of,
     read_journal,
     read_record,
-    run_item,
     settle,
 )
 from omtwarp.cohort.page import outliers
 from omtwarp.cohort.table import read_table
+from omtwarp.cohort.work import run_item
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, demo_shape
 from omtwarp.mesh.write import write_mesh
@@ -215,6 +215,11 @@ def test_bad_surfaces_and_deaths_of_drivers_and_a_worker(tmp_path):
         assert used < 1.1 * maps
     again = run_cohort(read_manifest(manifest), out, collect=True, device="cpu")
     assert again.computed == 0
+
+
+def test_a_driver_does_not_load_warp():
+    code = "import sys, omtwarp.cohort; print('warp' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
 
 
 def test_a_table_without_pyarrow_says_the_same(tmp_path, monkeypatch):

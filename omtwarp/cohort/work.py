@@ -1,0 +1,92 @@
+"""What the process of an item does: read, map, save, and record what became of it."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, locked, read_record, write_record
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.repair import repair
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.pipeline import map_to_sphere
+from omtwarp.result import MapResult
+
+
+def run_item(job: Job) -> dict[str, Any]:
+    """Map an item and write its record, unless there is one already; the process is expected to end afterwards."""
+    with locked(job):
+        finished = read_record(job)
+        if finished is not None:
+            return finished
+        _limit_memory(job.memory_limit)
+        begun, used = time.perf_counter(), time.process_time()
+        try:
+            numbers, status, message = _map(job), OK, ""
+        except MemoryError:
+            numbers, status, message = {}, MEMORY, f"needs more than {job.memory_limit / 2**30:.3g} GiB of memory"
+        except OmtwarpError as error:
+            numbers, status, message = {}, ERROR, str(error)
+        except Exception as error:
+            numbers, status, message = {}, ERROR, f"internal error, {type(error).__name__}: {error}"
+        numbers |= {"seconds": time.perf_counter() - begun, "cpu_seconds": time.process_time() - used}
+        return write_record(job, status, message, **numbers, memory=_peak_memory())
+
+
+def _map(job: Job) -> dict[str, Any]:
+    options = dict(job.options)
+    mended = options.pop("repair", False)
+    mesh = read_mesh(Path(job.path), triangulate=mended)
+    vertices, faces = mesh.vertices, mesh.faces
+    if mended:
+        repaired = repair(vertices, faces)
+        vertices, faces = repaired.vertices, repaired.faces
+    result = map_to_sphere((vertices, faces), **options)
+    result.save(job.map_file)
+    return numbers_of(result)
+
+
+def numbers_of(result: MapResult) -> dict[str, Any]:
+    """Collect a table's numbers of a map: sizes, flips, degree, distortions, and the cost above its lower bound."""
+    last = result.report["stages"][-1]
+    surface = Surface(result.vertices, result.faces, result.measure)
+    image = triangle_areas(result.sphere, surface.faces)
+    around = surface.sum_to_vertices(image) / 3.0 * (SPHERE_AREA / image.sum()) / surface.vertex_areas
+    return {
+        "vertices": surface.vertex_count,
+        "faces": surface.face_count,
+        "flips": result.report["certificate"]["flips"],
+        "degree": last["degree"],
+        "area": last["area"]["surface"],
+        "area_p95": last["area"]["p95"],
+        "angle": last["angle"]["surface"],
+        "ring": float(np.sqrt(np.average((around - 1.0) ** 2, weights=surface.vertex_areas))),
+        "gap": result.report.get("optimality", {}).get("gap"),
+    }
+
+
+def _limit_memory(limit: int) -> None:
+    """Let the process allocate so many more bytes; on Linux, where the kernel keeps account of them."""
+    if limit and sys.platform == "linux":
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + limit,) * 2)
+
+
+def _peak_memory() -> int:
+    """The most memory that the process has held, bytes; 0 where that is not known."""
+    if sys.platform == "win32":
+        return 0
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+__all__ = ["numbers_of", "run_item"]

@@ -1,0 +1,15 @@
+"""How many cores there are to use; apart from what loads Warp."""
+
+from __future__ import annotations
+
+import os
+
+
+def core_count() -> int:
+    """Cores that this process may use; ``OMTWARP_THREADS`` lowers it."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    wanted = os.environ.get("OMTWARP_THREADS", "")
+    return min(cores, max(int(wanted), 1)) if wanted.isdigit() else cores
+
+
+__all__ = ["core_count"]
