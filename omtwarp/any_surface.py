@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import flipped_faces
 from omtwarp.joined_maps import joined
+from omtwarp.measures.weights import face_weights
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
-from omtwarp.open_surfaces.planar import mend_in_plane
+from omtwarp.open_surfaces.planar import mend_in_plane, mend_on_sphere
 from omtwarp.options import Domain, FillArea, MapOptions, Progress, choose
 from omtwarp.pipeline import map_double, map_to_sphere
 from omtwarp.result import MapResult
@@ -67,7 +69,7 @@ def map_surface(
         cut: whether a surface with handles is cut along a short loop around each, and both sides filled small.
         progress: called as ``progress(stage, done, total, details)``.
         options: those of :func:`omtwarp.map_to_sphere`: ``method``, ``until``, ``cost``, ``scheme``, ``refine``,
-            ``device``, ...
+            ``weights``, ``device``, ...
 
     Returns:
         The map: a :class:`omtwarp.MapResult` for a closed, connected surface of genus 0, a :class:`omtwarp.TorusMap`
@@ -91,18 +93,26 @@ def map_surface(
         return map_to_sphere(mesh, progress=progress, **options)
     if options.pop("exact", False):
         raise OmtwarpError("exact areas are for closed, connected surfaces of genus 0")
-    measures = [options.pop(name, None) for name in ("weights", "target")]
-    if any(measure is not None for measure in measures):
-        raise OmtwarpError("weights and a target density are for closed, connected surfaces of genus 0")
+    if options.pop("target", None) is not None:
+        raise OmtwarpError("a target density is for closed, connected surfaces of genus 0")
+    weights = options.pop("weights", None)
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
+        if weights is not None:
+            raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
         return map_to_torus(Surface(parts[0].vertices, parts[0].faces), progress=progress)
+    shares = None if weights is None else face_weights(weights, np.asarray(faces), len(vertices))
     if domain == Domain.TORUS:
         raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
     if len(parts) > 1 and not components:
         raise OmtwarpError(f"the surface has {len(parts)} parts: components=True maps each by itself")
-    maps = [_map_part(part, domain, fill_area, cut, progress, options) for part in parts]
+    maps = [
+        _map_part(part, domain, fill_area, cut, progress, options, None if shares is None else shares[part.face_origin])
+        for part in parts
+    ]
     for each in maps:
         each.report["certificate"] = each.certificate.to_dict()
+        if not each.certificate.bijective:
+            raise OmtwarpError(f"no map to the {each.domain} that is one to one was found: {each.certificate}")
     return maps[0] if len(maps) == 1 else joined(maps, len(vertices))
 
 
@@ -141,7 +151,13 @@ class _Opened:
 
 
 def _map_part(
-    part: Part, domain: str, fill_area: str, cut: bool, progress: Progress | None, options: dict[str, Any]
+    part: Part,
+    domain: str,
+    fill_area: str,
+    cut: bool,
+    progress: Progress | None,
+    options: dict[str, Any],
+    weights: Floats | None,
 ) -> SurfaceMap:
     if domain == "auto":
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
@@ -150,10 +166,13 @@ def _map_part(
     if domain != "sphere" and not part.loops:
         raise OmtwarpError(f"a closed surface has no boundary to put on the rim of a {domain}: map it to the sphere")
     opened = _opened(part, fill_area, to_rim=domain != "sphere")
+    surface = _surface(opened, weights)
     if domain == "sphere":
-        closed = map_to_sphere(_surface(opened), progress=progress, **options)
-        return _restricted(part, opened, closed, closed.sphere, domain)
-    return _on_hemisphere(part, opened, domain, progress, options)
+        closed = map_to_sphere(surface, progress=progress, **options)
+        result = _restricted(part, opened, closed, closed.sphere, domain)
+    else:
+        result = _on_hemisphere(part, opened, surface, domain, progress, options)
+    return result if weights is None else replace(result, measure=surface.face_areas[: len(opened.faces)])
 
 
 def _or(lines: list[str]) -> str:
@@ -178,8 +197,8 @@ def _opened(part: Part, fill_area: str, to_rim: bool) -> _Opened:
     return _Opened(vertices, faces, origin, face_origin, split_edges, loops, small, pairs, filled)
 
 
-def _surface(opened: _Opened) -> Surface:
-    """The filled surface, the area of the filling as asked for.
+def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
+    """The filled surface, its own areas times the weights of the part's faces, the area of the filling as asked for.
 
     An inside need not be where the faces say that it is. A map depends on lengths only, and seen in a mirror clockwise
     faces are counter-clockwise.
@@ -190,9 +209,15 @@ def _surface(opened: _Opened) -> Surface:
     own = filled.vertices * np.array([-1.0, 1.0, 1.0]) if volume < 0.0 else filled.vertices
     surface = Surface(own, filled.faces)
     filling, own = filled.patch >= opened.small, filled.patch < 0
-    if not filling.any():
+    if weights is None and not filling.any():
         return surface
     areas = surface.face_areas.copy()
+    if weights is not None:
+        before = areas[own].sum()
+        areas[own] *= weights[opened.face_origin]
+        areas[~own] *= areas[own].sum() / before  # a filling keeps its share
+    if not filling.any():
+        return surface.with_areas(areas)
     areas[filling] *= min(1.0, SMALL_FILLING * float(areas[own].sum() / areas[filling].sum()))
     return surface.with_areas(areas)
 
@@ -262,10 +287,9 @@ def _turned(closed: MapResult, frame: Floats) -> MapResult:
 
 
 def _on_hemisphere(
-    part: Part, opened: _Opened, domain: str, progress: Progress | None, options: dict[str, Any]
+    part: Part, opened: _Opened, half: Surface, domain: str, progress: Progress | None, options: dict[str, Any]
 ) -> SurfaceMap:
     glued = double(opened.filled.vertices, opened.filled.faces)
-    half = _surface(opened)
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
     chosen = MapOptions.parse(**(vars(MapOptions()) | options))
@@ -289,11 +313,7 @@ def _projected(part: Part, result: SurfaceMap, on_boundary: NDArray[np.bool_], d
     """A map to the hemisphere carried to the disk or to a cap, the triangles that this turns over mended."""
     whole = result.sphere if result.filled_sphere is None else result.filled_sphere
     faces = result.faces if result.filled_faces is None else result.filled_faces
-    disk, flips = mend_in_plane(hemisphere_to_disk(whole), faces, on_boundary[: len(whole)])
-    if flips:
-        raise OmtwarpError(
-            f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
-        )
+    rim, laid = on_boundary[: len(whole)], hemisphere_to_disk(whole)
     count = len(result.vertices)
     share = 0.5
     if domain == "cap":
@@ -301,10 +321,19 @@ def _projected(part: Part, result: SurfaceMap, on_boundary: NDArray[np.bool_], d
         hole = fill_holes(part.vertices, part.faces, [longest])
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
-        cap = disk_to_cap(disk, share)
+        cap = disk_to_cap(laid, share)
+        if flipped_faces(cap, faces).any():
+            cap = mend_on_sphere(cap, faces, rim)
+        if flipped_faces(cap, faces).any():
+            cap = disk_to_cap(mend_in_plane(laid, faces, rim)[0], share)
         filled = None if result.filled_sphere is None else cap
         result = replace(result, sphere=cap[:count], filled_sphere=filled)
     else:
+        disk, flips = mend_in_plane(laid, faces, rim)
+        if flips:
+            raise OmtwarpError(
+                f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
+            )
         result = replace(result, disk=disk[:count])
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
     return replace(result, report=result.report | {"surface": about})

@@ -52,12 +52,14 @@ def joined(maps: list[SurfaceMap], vertex_count: int) -> SurfaceMap:
     vertex_origin = np.full(count, -1, dtype=np.int64)
     vertex_origin[place] = np.concatenate([_known(part.vertex_origin) for part in maps])
     densities = [part.face_density for part in maps]
+    measures = [part.measure for part in maps if part.measure is not None]
     domains = sorted({part.domain for part in maps})
     report = _report(maps)
     result = SurfaceMap(
         **{name: at_vertices(name) for name in _PER_VERTEX},
         faces=faces[order].astype(np.int32),
         face_density=None if any(d is None for d in densities) else np.concatenate(densities)[order],  # type: ignore[arg-type]
+        measure=np.concatenate(measures)[order] if len(measures) == len(maps) else None,
         report=report,
         domain=domains[0] if len(domains) == 1 else "several",
         vertex_origin=vertex_origin,

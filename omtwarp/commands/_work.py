@@ -64,7 +64,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     if repair:
         from omtwarp.mesh.repair import repair as mend
 
-        mended = mend(vertices, faces)
+        mended = mend(vertices, faces, whole=not any_surface)
         if mended.actions:
             vertices, faces = mended.vertices, mended.faces
             notes += mended.actions

@@ -36,11 +36,25 @@ def weighted_surface(surface: Surface, weights: ArrayLike | None) -> Surface:
     """
     if weights is None:
         return surface
+    return surface.with_areas(surface.face_areas * face_weights(weights, surface.faces, surface.vertex_count))
+
+
+def face_weights(weights: ArrayLike, corners: NDArray, vertices: int) -> NDArray[np.float64]:
+    """Weights of vertices or triangles as weights of triangles, the largest 1, shape [F].
+
+    Args:
+        weights: positive and finite, shape [V] or [F].
+        corners: the vertices of every triangle, shape [F, 3].
+        vertices: how many there are, V.
+
+    Raises:
+        OmtwarpError: another number of weights, or one that is not positive and finite.
+    """
     try:
         given = np.array(weights, dtype=np.float64)
     except (TypeError, ValueError):
         raise OmtwarpError("the weights are not numbers") from None
-    vertices, faces = surface.vertex_count, surface.face_count
+    faces = len(corners)
     if given.ndim != 1 or len(given) not in (vertices, faces):
         raise OmtwarpError(
             f"the weights have shape {list(given.shape)}: give one for each of {vertices} vertices or {faces} triangles"
@@ -52,8 +66,7 @@ def weighted_surface(surface: Surface, weights: ArrayLike | None) -> Surface:
             f"{int(wrong.sum())} weights are not positive and finite, the first is weight {first}: {given[first]:g}"
         )
     given /= given.max()
-    per_face = given if len(given) != vertices else given[surface.faces].mean(axis=1)
-    return surface.with_areas(surface.face_areas * per_face)
+    return given if len(given) != vertices else np.asarray(given[corners].mean(axis=1))
 
 
 def read_numbers(path: Path) -> NDArray[np.float64]:

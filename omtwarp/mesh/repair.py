@@ -6,11 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from omtwarp.mesh.validate import Topology, as_arrays, check, duplicate_faces, number, unit_coordinates, zero_area_faces
 
 LARGEST_HOLE = 64
 """Holes with more edges than this are left open: filling them would be inventing the surface."""
+CRUMBS = 8
+"""Parts of so few faces are left out of a surface that may have several: scanners leave such."""
 
 
 class Repaired(NamedTuple):
@@ -31,8 +35,8 @@ class Repaired(NamedTuple):
     face_origin: NDArray[np.int64]
 
 
-def repair(vertices: ArrayLike, faces: ArrayLike) -> Repaired:
-    """Mend what can be mended without inventing anything: never a vertex is moved or added.
+def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repaired:
+    """Mend what can be mended without inventing anything: never a vertex is moved.
 
     In this order: faces with impossible vertices are dropped; vertices with equal coordinates on the boundary or at
     faces of zero area are merged; faces of zero area and duplicates are dropped or flipped away; the largest component
@@ -40,9 +44,14 @@ def repair(vertices: ArrayLike, faces: ArrayLike) -> Repaired:
     outward; unused vertices are dropped. A mesh without defects comes back as it is, and what is left can still have
     some: :func:`omtwarp.mesh.validate.check` tells.
 
+    A surface that need not be whole keeps its holes and its parts of more than :data:`CRUMBS` faces. Where more than
+    two faces meet in an edge, those that hang there by it alone are dropped, and where that does not help all of them;
+    a vertex in which the surface touches itself becomes several.
+
     Args:
         vertices: coordinates, shape [V, 3].
         faces: vertex indices, shape [F, 3].
+        whole: whether the surface is to be closed and of one part.
 
     Returns:
         The mesh, what was done, and where its vertices and faces come from.
@@ -64,10 +73,17 @@ def repair(vertices: ArrayLike, faces: ArrayLike) -> Repaired:
         work.merge_coincident_vertices()
         work.drop_repeated_faces()
         work.flip_flat_faces()
-        work.keep_largest_component()
+        if whole:
+            work.keep_largest_component()
+        else:
+            work.drop_fins()
+            work.drop_crumbs()
         work.turn_to_agree()
-        work.fill_holes()
-        work.turn_outward()
+        if whole:
+            work.fill_holes()
+            work.turn_outward()
+        else:
+            work.split_touching_vertices()
         work.drop_unused_vertices()
     return Repaired(work.points, work.faces, work.actions, work.vertex_origin, work.face_origin)
 
@@ -169,13 +185,66 @@ class _Work:
             largest = np.argmax(np.bincount(labels))
             self.keep(labels == largest, f"in {number(pieces - 1, 'smaller component')}")
 
+    def drop_fins(self) -> None:
+        """Drop faces that hang by an edge of more than two faces alone; where none does, all faces at the edge."""
+        fins = others = 0
+        while len(self.faces):
+            topology = Topology(self.faces, len(self.points))
+            counts = topology.edge_face_count[topology.face_edges]
+            crowded = (counts > 2).any(axis=1)
+            if not crowded.any():
+                break
+            hanging = crowded & (counts == 1).any(axis=1)
+            gone = hanging if hanging.any() else crowded
+            fins, others = fins + int(hanging.sum()), others + int((gone & ~hanging).sum())
+            self.faces, self.face_origin = self.faces[~gone], self.face_origin[~gone]
+        if fins:
+            self.actions.append(f"dropped {number(fins, 'face')} that hung by an edge of two others")
+        if others:
+            self.actions.append(f"dropped {number(others, 'face')} at edges of more than two")
+
+    def drop_crumbs(self) -> None:
+        if not len(self.faces):
+            return
+        _, labels = Topology(self.faces, len(self.points)).components
+        sizes = np.bincount(labels)
+        self.keep((sizes[labels] > CRUMBS) | (sizes[labels] == sizes.max()), "in tiny components")
+
+    def split_touching_vertices(self) -> None:
+        """Give every fan of faces around a vertex a vertex of its own."""
+        if not len(self.faces):
+            return
+        corners = self.faces.ravel()
+        fans = _fans(self.faces, len(self.points))
+        order = np.lexsort((fans, corners))
+        starts = np.ones(len(order), dtype=bool)
+        starts[1:] = (corners[order][1:] != corners[order][:-1]) | (fans[order][1:] != fans[order][:-1])
+        first_of_vertex = np.ones(len(order), dtype=bool)
+        first_of_vertex[1:] = corners[order][1:] != corners[order][:-1]
+        more = np.flatnonzero(starts & ~first_of_vertex)
+        if not len(more):
+            return
+        copies = corners[order][more]
+        new = np.where(starts & ~first_of_vertex, np.cumsum(starts & ~first_of_vertex) + len(self.points) - 1, -1)
+        new[first_of_vertex] = corners[order][first_of_vertex]
+        kept = np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
+        numbered = np.empty(len(order), dtype=np.int64)
+        numbered[order] = new[kept]
+        self.faces = numbered.reshape(-1, 3)
+        self.points = np.concatenate([self.points, self.points[copies]])
+        self.vertex_origin = np.concatenate([self.vertex_origin, self.vertex_origin[copies]])
+        self.actions.append(
+            f"split {number(len(np.unique(copies)), 'vertex', 'vertices')} where the surface touches itself"
+        )
+
     def turn_to_agree(self) -> None:
         if not len(self.faces):
             return
-        orientable, turn = Topology(self.faces, len(self.points)).orientation
+        topology = Topology(self.faces, len(self.points))
+        orientable, turn = topology.orientation
         if orientable and turn.any():
-            if turn.sum() > len(turn) / 2:
-                turn = ~turn  # the fewer; there is one component left
+            _, labels = topology.components
+            turn = turn ^ (np.bincount(labels, turn)[labels] > 0.5 * np.bincount(labels)[labels])  # the fewer of a part
             self.faces[turn] = self.faces[turn][:, ::-1]
             self.actions.append(f"turned {number(turn.sum(), 'face')} to agree with the others")
 
@@ -219,6 +288,23 @@ class _Work:
             self.points, self.vertex_origin = self.points[used], self.vertex_origin[used]
             self.faces = faces.reshape(-1, 3)
             self.actions.append(f"dropped {number(dropped, 'unused vertex', 'unused vertices')}")
+
+
+def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """A number for every corner of every face, shape [3F]: equal for corners of faces that share edges at a vertex."""
+    corner = np.arange(3 * len(faces))
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    after = (corner // 3) * 3 + (corner + 1) % 3  # the corner of the same face at the edge's other end
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    # Of every edge and each of its ends, the corners there of the faces beside it.
+    keys = np.concatenate([low * count + high, low * count + high])
+    ends = np.concatenate([tail, head])
+    places = np.concatenate([corner, after])
+    order = np.lexsort((ends, keys))
+    same = (keys[order][1:] == keys[order][:-1]) & (ends[order][1:] == ends[order][:-1])
+    one, other = places[order][:-1][same], places[order][1:][same]
+    graph = coo_array((np.ones(len(one)), (one, other)), shape=(len(corner),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:
@@ -281,4 +367,4 @@ def _patch(
     return patch
 
 
-__all__ = ["LARGEST_HOLE", "Repaired", "repair"]
+__all__ = ["CRUMBS", "LARGEST_HOLE", "Repaired", "repair"]

@@ -1,14 +1,17 @@
-"""Triangles of a map to the plane: exact orientation, and repair of the few that a projection turns over."""
+"""Triangles of maps to the plane and to caps: exact orientation, and repair of the few that a projection turns over."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from omtwarp.flips.predicates import flipped_faces
 
 Floats = NDArray[np.float64]
-SWEEPS = 50  # of repair; those seen took three at the most
+SWEEPS = 30  # of repair on the sphere; those seen took three at the most
+SOLVES = 3  # of the convex combinations: the first leaves no flips, but for rounding
 
 
 def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
@@ -24,34 +27,107 @@ def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
 
 
 def mend_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> tuple[Floats, int]:
-    """Turn flipped triangles back by moving their corners towards the mean of their neighbours.
+    """Turn flipped triangles of a map to the unit disk back, with the boundary left where it is.
+
+    A disk has more room than the polygon between its boundary's vertices: what lies outside is drawn inside first. If
+    triangles are flipped still, every vertex becomes a convex combination of its neighbours, with the mean value
+    coordinates that it has among them, equal ones at flipped triangles: then none is flipped, since the polygon is
+    convex [1]_, and where none was before hardly anything moves.
 
     Args:
-        points: a map to the plane with few flips, shape [V, 2].
+        points: a map to the unit disk with few flips, shape [V, 2].
         faces: shape [F, 3].
-        held: vertices that stay where they are, shape [V].
+        held: vertices of the boundary, which lie on the circle, shape [V].
 
     Returns:
-        The map, and the number of flips that are left.
+        The map, and the number of flips that are left, which is 0 but for rounding.
+
+    .. [1] M. S. Floater, "Mean value coordinates", Computer Aided Geometric Design 20 (2003).
     """
     flipped = flipped_in_plane(points, faces)
     if not flipped.any():
         return points, 0
-    count = len(points)
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    pairs = np.unique(np.concatenate([np.stack([tail, head], 1), np.stack([head, tail], 1)]), axis=0)
-    degree = np.bincount(pairs[:, 0], minlength=count)
-    moved = points.copy()
-    for _ in range(SWEEPS):
-        touched = np.zeros(count, dtype=bool)
-        touched[faces[flipped]] = True
-        touched &= ~held
-        means = np.stack([np.bincount(pairs[:, 0], moved[pairs[:, 1], k], minlength=count) for k in (0, 1)], axis=1)
-        moved[touched] = 0.5 * (moved[touched] + means[touched] / degree[touched, None])
+    moved = _drawn_inside(points, held)
+    for _ in range(SOLVES):
         flipped = flipped_in_plane(moved, faces)
         if not flipped.any():
             break
+        moved = _convex(moved, faces, held, flipped)
     return moved, int(flipped.sum())
 
 
-__all__ = ["flipped_in_plane", "mend_in_plane"]
+def mend_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> Floats:
+    """Turn flipped triangles of a map to a part of the sphere back, by moving their corners towards their neighbours.
+
+    Args:
+        points: unit vectors with few flips, shape [V, 3].
+        faces: shape [F, 3].
+        held: vertices that stay where they are, shape [V].
+
+    Returns:
+        The map of the sweep with the fewest flips, which need not be 0.
+    """
+    count, moved = len(points), points.copy()
+    best, least = points, int(flipped_faces(points, faces).sum())
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    pairs = np.unique(np.concatenate([np.stack([tail, head], 1), np.stack([head, tail], 1)]), axis=0)
+    beside = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+    for _ in range(SWEEPS):
+        flipped = flipped_faces(moved, faces)
+        if flipped.sum() < least:
+            best, least = moved.copy(), int(flipped.sum())
+        if not least:
+            break
+        touched = np.zeros(count, dtype=bool)
+        touched[faces[flipped]] = True
+        free = np.flatnonzero(touched & ~held)
+        means = beside[free] @ moved
+        moved[free] += means / np.linalg.norm(means, axis=1)[:, None]
+        moved[free] /= np.linalg.norm(moved[free], axis=1)[:, None]
+    return best
+
+
+def _drawn_inside(points: Floats, held: NDArray[np.bool_]) -> Floats:
+    """The disk drawn into the polygon of the vertices on its circle, near the circle alone where they are many."""
+    angles = np.sort(np.arctan2(points[held, 1], points[held, 0]))
+    around = np.concatenate([angles, [angles[0] + 2.0 * np.pi]])
+    own = np.arctan2(points[:, 1], points[:, 0])
+    own = np.where(own < angles[0], own + 2.0 * np.pi, own)
+    place = np.clip(np.searchsorted(around, own, side="right") - 1, 0, len(angles) - 1)
+    half, middle = 0.5 * (around[place + 1] - around[place]), 0.5 * (around[place + 1] + around[place])
+    missing = 1.0 - np.cos(half) / np.cos(own - middle)  # of the radius, at every vertex's angle
+    most = 1.0 - float(np.cos(0.5 * np.diff(around).max()))
+    # r (1 - missing r^k) grows with r as long as (k + 1) missing < 1.
+    power = max(0.0, 0.5 / max(most, np.finfo(float).eps) - 1.0)
+    radius = np.linalg.norm(points, axis=1)
+    drawn = points * (1.0 - missing * radius**power)[:, None]
+    return np.where(held[:, None], points, drawn)
+
+
+def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: NDArray[np.bool_]) -> Floats:
+    """Places of all vertices as convex combinations of their neighbours."""
+    count = len(points)
+    corners = points[faces]
+    one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, -2, axis=1) - corners
+    lengths = np.linalg.norm(one, axis=2), np.linalg.norm(other, axis=2)
+    cosine = (one * other).sum(axis=2)
+    sine = np.abs(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+    tangent = sine / np.maximum(lengths[0] * lengths[1] + cosine, np.finfo(float).tiny)  # of half the angle
+    tiny = np.finfo(float).tiny
+    weights = np.stack([tangent / np.maximum(lengths[0], tiny), tangent / np.maximum(lengths[1], tiny)])
+    tangled = np.zeros(count, dtype=bool)
+    tangled[faces[flipped]] = True
+    weights = np.where(tangled[faces], 1.0, weights)
+    rows = np.concatenate([faces.ravel(), faces.ravel()])
+    columns = np.concatenate([np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()])
+    matrix = sparse.coo_array((weights.ravel(), (rows, columns)), shape=(count, count)).tocsr()
+    matrix = sparse.diags_array(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix
+    free = np.flatnonzero(~held)
+    right = matrix[free][:, np.flatnonzero(held)] @ points[held]
+    own = (sparse.eye_array(len(free)) - matrix[free][:, free]).tocsc()
+    moved = points.copy()
+    moved[free] = splu(own).solve(right)
+    return moved
+
+
+__all__ = ["flipped_in_plane", "mend_in_plane", "mend_on_sphere"]

@@ -152,3 +152,45 @@ def test_repair_never_fails_and_mending_twice_changes_nothing(seed, share):
     if not check(mended.vertices, mended.faces):
         again = repair(mended.vertices, mended.faces)
         assert again.actions == []
+
+
+def bowl() -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = ball()
+    used, kept = np.unique(faces[(vertices[faces, 2] < 0.5).all(axis=1)], return_inverse=True)
+    return vertices[used], kept.reshape(-1, 3)
+
+
+def test_an_open_surface_keeps_its_hole_and_its_parts():
+    v, f = bowl()
+    both = np.concatenate([v, v + 3.0]), np.concatenate([f, f[:, ::-1] + len(v), [[0, 1, 1]]])
+    mended = repair(*both, whole=False)
+    assert {defect.kind for defect in check(mended.vertices, mended.faces)} == {"open-boundary", "several-components"}
+    np.testing.assert_array_equal(mended.faces, both[1][:-1])
+    whole = repair(*both)
+    assert check(whole.vertices, whole.faces) == []
+
+
+def test_fins_crumbs_and_turned_faces_go_from_an_open_surface():
+    v, f = bowl()
+    points = np.concatenate([v, v[:1] * 2.0, np.eye(3) + 5.0])
+    n = len(v)
+    faces = np.concatenate([f, [[f[3, 1], f[3, 0], n]], [[n + 1, n + 2, n + 3]]])
+    faces[7] = faces[7][::-1]
+    mended = repair(points, faces, whole=False)
+    np.testing.assert_array_equal(mended.vertices, v)
+    np.testing.assert_array_equal(mended.faces, f)
+
+
+def test_vertices_where_an_open_surface_touches_itself_are_split():
+    v, f = bowl()
+    inside = int(np.flatnonzero(np.bincount(f.ravel()) == 6)[0])
+    around = np.flatnonzero((f == inside).any(axis=1))
+    first = f[around[0]]
+    apart = [k for k in around if len(np.intersect1d(f[k], first)) == 1]  # across the vertex
+    faces = np.delete(f, [around[0], apart[0]], axis=0)  # two holes that touch there
+    assert "non-manifold-vertices" in {defect.kind for defect in check(v, faces)}
+    mended = repair(v, faces, whole=False)
+    assert {defect.kind for defect in check(mended.vertices, mended.faces)} == {"open-boundary"}
+    assert len(mended.vertices) == len(v) + 1
+    np.testing.assert_array_equal(mended.vertices, v[mended.vertex_origin])
+    np.testing.assert_array_equal(mended.vertex_origin[mended.faces], faces)

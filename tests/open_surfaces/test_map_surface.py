@@ -64,16 +64,42 @@ def test_bowl_of_revolution_against_its_closed_form(depth):
     assert np.abs(to * np.conj(turn) / abs(turn) - at / np.maximum(radius, 1e-9) * wanted).max() < 0.035
 
 
-def test_half_of_a_symmetric_shape_agrees_with_half_of_its_map():
-    ball = shapes.uv_sphere(31, 48)  # one of its parallels is the equator
-    whole = omtwarp.Surface(ball.vertices * [1.0, 0.8, 1.4], ball.faces)
-    half = without(whole, whole.vertices[:, 2] > -1e-9)
-    open_map = omtwarp.map_surface(half, device="cpu")
-    full = omtwarp.map_to_sphere(whole, device="cpu").sphere[whole.vertices[:, 2] > -1e-9]
+def test_flat_disk_with_a_radial_density_against_its_closed_form():
+    """Mass within radius r of a disk with density 1 + 3 r² is (r² + 1.5 r⁴) / 2.5: the square of the image's radius."""
+    flat, faces = round_disk()
+    radius = np.linalg.norm(flat, axis=1)
+    mesh = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1), faces
+    middles = np.linalg.norm(flat[faces].mean(axis=1), axis=1)
+    result = omtwarp.map_surface(mesh, domain="disk", weights=1.0 + 3.0 * middles**2, device="cpu")
+    assert result.certificate.bijective and result.measure is not None
+    own = result.vertex_origin >= 0
+    wanted = np.sqrt((radius**2 + 1.5 * radius**4) / 2.5)
+    assert np.abs(wanted - radius).max() > 0.12  # the density matters
+    assert np.abs(np.linalg.norm(result.disk[own], axis=1) - wanted).max() < 0.03  # rings are 0.07 apart
+    at, to = flat @ [1, 1j], result.disk[own] @ [1, 1j]
+    turn = np.vdot(at, to)
+    assert np.abs(to * np.conj(turn) / abs(turn) - at / np.maximum(radius, 1e-9) * wanted).max() < 0.035
+
+
+SYMMETRIC = {
+    "ellipsoid": lambda x, y, z: np.stack([x, 0.8 * y, 1.4 * z], axis=1),
+    "peanut": lambda x, y, z: np.stack([x, y, 1.6 * z], axis=1) * (0.6 + 0.7 * z**2)[:, None],
+    "star": lambda x, y, z: np.stack([x, y, z], axis=1) * (1.0 + 0.25 * (x**3 - 3.0 * x * y**2))[:, None],
+}
+
+
+@pytest.mark.parametrize("name", SYMMETRIC)
+def test_half_of_a_symmetric_shape_agrees_with_half_of_its_map(name):
+    ball = shapes.uv_sphere(23, 36)  # one of its parallels is the equator
+    whole = omtwarp.Surface(SYMMETRIC[name](*ball.vertices.T), ball.faces)
+    north = ball.vertices[:, 2] > -1e-9
+    open_map = omtwarp.map_surface(without(whole, north), device="cpu")
+    full = omtwarp.map_to_sphere(whole, device="cpu").sphere[north]
     own = open_map.sphere[open_map.vertex_origin >= 0]
     u, _, vt = np.linalg.svd(own.T @ full)
     apart = np.linalg.norm(own @ (u @ vt) - full, axis=1)
-    assert np.sqrt(np.mean(apart**2)) < 0.01  # edges are 0.1 long
+    # The two conformal maps that transport starts from differ by 0.025, which halves with the edges, 0.13 long.
+    assert np.sqrt(np.mean(apart**2)) < 0.02
 
 
 @pytest.mark.parametrize("domain", ["hemisphere", "disk", "cap", "sphere"])
@@ -154,7 +180,8 @@ def test_flipped_triangles_of_the_plane_are_mended():
         (shapes.icosphere(4), {"fill_area": "large"}, "unknown fill area"),
         (([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 1]]), {}, "zero area"),
         ("mesh.ply", {}, "expected a trimesh"),
-        (face_with_hole(), {"weights": np.ones(4)}, "closed, connected"),
+        (face_with_hole(), {"weights": np.ones(4)}, "give one for each"),
+        (face_with_hole(), {"target": lambda points: points[:, 2] + 2.0}, "target density"),
     ],
 )
 def test_mistakes_are_told_in_one_line(mesh, options, words):
