@@ -30,6 +30,7 @@ _PUBLIC = {
     "check": "omtwarp.mesh.validate",
     "conformal_map": "omtwarp.conformal",
     "distortion": "omtwarp.metrics",
+    "film": "omtwarp.render.films",
     "hierarchical_embedding": "omtwarp.start.hierarchical",
     "map_optimality": "omtwarp.metrics.optimality",
     "map_surface": "omtwarp.any_surface",
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
     from omtwarp.optimal.refinement import refine_map as refine_map
     from omtwarp.pipeline import map_to_sphere as map_to_sphere
     from omtwarp.render import preview as preview
+    from omtwarp.render.films import film as film
     from omtwarp.reporting import write_report as write_report
     from omtwarp.resampling import resample as resample
     from omtwarp.result import MapResult as MapResult

@@ -21,6 +21,7 @@ from omtwarp.commands.check import check_mesh
 from omtwarp.commands.cohort import cohort
 from omtwarp.commands.demo import demo
 from omtwarp.commands.distance import distance
+from omtwarp.commands.film import film_map
 from omtwarp.commands.group import group
 from omtwarp.commands.map import map_mesh
 from omtwarp.commands.preview import preview_mesh
@@ -45,6 +46,7 @@ EXAMPLES = {
         "omtwarp preview bunny.glb -o bunny.png --size 800x600\n"
         "omtwarp preview bunny.npz -o turning.gif --frames 36 --size 320"
     ),
+    "film": ("omtwarp film bunny.ply -o flow.mp4\nomtwarp film --map bunny.npz -o flow.gif --size 480x270 --seconds 6"),
     "report": "omtwarp report --map bunny.npz -o bunny.html",
     "align": "omtwarp align left.npz --to right.npz -o aligned.npz",
     "resample": "omtwarp resample left.npz --to right.npz -o resampled.npz",
@@ -68,6 +70,7 @@ SUMMARIES = {
     "map": "Map closed meshes to the sphere, with their areas preserved.",
     "texture": "Texture a surface with a picture or pattern through its map.",
     "preview": "Draw a mesh, a textured surface or a map; pictures and films.",
+    "film": "Film the map: from conformal to optimal, and to the sphere.",
     "report": "Write a page about a map, with a 3D view, to open in a browser.",
     "align": "Turn a map so that it matches another, or the shape's own axes.",
     "resample": "Carry data or a surface from one sphere to another.",
@@ -91,6 +94,7 @@ app = typer.Typer(
 app.command("map", cls=Command, short_help=SUMMARIES["map"], epilog=EXAMPLES["map"])(map_mesh)
 app.command("texture", cls=Command, short_help=SUMMARIES["texture"], epilog=EXAMPLES["texture"])(texture_mesh)
 app.command("preview", cls=Command, short_help=SUMMARIES["preview"], epilog=EXAMPLES["preview"])(preview_mesh)
+app.command("film", cls=Command, short_help=SUMMARIES["film"], epilog=EXAMPLES["film"])(film_map)
 app.command("report", cls=Command, short_help=SUMMARIES["report"], epilog=EXAMPLES["report"])(report_on_map)
 app.command("align", cls=Command, short_help=SUMMARIES["align"], epilog=EXAMPLES["align"])(align_map)
 app.command("resample", cls=Command, short_help=SUMMARIES["resample"], epilog=EXAMPLES["resample"])(resample_map)

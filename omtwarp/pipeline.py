@@ -295,7 +295,9 @@ class _Run:
                 name=str(name), seconds=seconds, iterations=iterations, **measured, transport_cost=cost, details=details
             )
         )
-        self.notify(name, 1, 1, {"flips": measured["flips"], "cost": cost})
+        facts = {"flips": measured["flips"], "area": measured["area"]["surface"], "angle": measured["angle"]["surface"]}
+        # Cost is counted from the first map, which has none.
+        self.notify(name, 1, 1, facts if len(self.records) == 1 else facts | {"cost": cost})
         self.stage_begun = time.perf_counter()
 
     def result(self) -> MapResult:
@@ -406,8 +408,13 @@ class _Run:
         least = self.area_error(sphere)
         steps = repaired = 0
         for k in range(MOSER_PASSES):
-            self.notify(Stage.MOSER, k, MOSER_PASSES, {})
-            flowed = moser_map(self.surface, self.points(sphere), target=self.target, device=self.device)
+
+            def notify(stage: str, done: int, total: int, details: dict[str, Any], before: int = k) -> None:
+                self.notify(stage, before * total + done, MOSER_PASSES * total, {})
+
+            flowed = moser_map(
+                self.surface, self.points(sphere), target=self.target, device=self.device, progress=notify
+            )
             steps += flowed.steps
             mended, flips = self.mend(sphere, flowed.sphere)
             repaired += flips

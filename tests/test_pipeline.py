@@ -396,6 +396,17 @@ def test_progress_names_the_stages_in_order():
     assert result.bijective
 
 
+@pytest.mark.parametrize("stage", ["conformal", "moser", "omt"])
+def test_the_fraction_of_every_stage_moves(stage):
+    told = []
+    mapped(blob(seed=2, sphere=320), progress=lambda name, *rest: told.append(rest) if name == stage else None)
+    fractions = [done / total for done, total, _ in told]
+    assert fractions[-1] == 1.0 and len(set(fractions)) >= 4
+    for done, total, details in told:
+        assert 0 <= done <= total and details.get("cost") != 0.0
+    assert {"flips", "area", "angle"} <= set(told[-1][2])
+
+
 def test_a_tube_too_long_for_a_conformal_map_says_what_it_started_from():
     result = mapped(tube(length=30.0, girth=1.0, face_count=1500))
     assert result.bijective

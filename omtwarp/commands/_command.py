@@ -15,7 +15,7 @@ GROUPS = {
     "Texture": ("image", "pattern", "projection", "atlas", "rotate", "seam"),
     "View": (
         "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",
-        "frames", "fps", "backend",
+        "frames", "fps", "seconds", "captions", "backend",
     ),
     "Computation": ("device", "devices", "solver", "repair", "strict"),
 }  # fmt: skip

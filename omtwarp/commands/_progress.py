@@ -17,7 +17,7 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
     class CalmConsole(Console):
@@ -25,7 +25,7 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
             return False  # a process that is interrupted must not leave the terminal without a cursor
 
     name, words = TextColumn("{task.description:<12}"), TextColumn("{task.fields[words]}")
-    columns = (name, BarColumn(30), MofNCompleteColumn(), words, TimeElapsedColumn())
+    columns = (name, BarColumn(30), TaskProgressColumn(show_speed=False), words, TimeElapsedColumn())
     with Bars(*columns, console=CalmConsole(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
 

@@ -27,6 +27,7 @@ from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
 TIE_BREAKER = np.array([0.6180, 0.2361, 0.7503])
+PARTS = 4  # of the work as progress counts it: half is the factorisation
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,8 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
         device: where the per-vertex kernels run.
-        progress: called as ``progress("conformal", done, total, details)`` before and after.
+        progress: called as ``progress("conformal", done, 4, details)`` before, with the matrix factorised, with both
+            systems solved, and after.
 
     Returns:
         The map. Obtuse triangles can flip, and the tips of long limbs can shrink below what float64 resolves.
@@ -81,17 +83,21 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
     """
     surface = as_surface(surface)
     if progress is not None:
-        progress("conformal", 0, 1, {})
+        progress("conformal", 0, PARTS, {})
     points = surface.scaled_vertices
     face = most_regular_face(points @ principal_axes(surface).frame.T, surface.faces)
     solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]), device=device)
+    if progress is not None:
+        progress("conformal", 2, PARTS, {})
     where = resolve_device(device)
     dipole = _dipole(points, surface.faces[face])
     rights = [wp.array(np.ascontiguousarray(part), dtype=wp.float64, device=where) for part in dipole.T]
     plane = solver.solve_arrays(rights)
+    if progress is not None:
+        progress("conformal", 3, PARTS, {})
     sphere, steps = centre_points(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
     if progress is not None:
-        progress("conformal", 1, 1, {})
+        progress("conformal", PARTS, PARTS, {})
     return ConformalMap(sphere, face, steps, solver)
 
 

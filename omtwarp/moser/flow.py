@@ -24,6 +24,7 @@ from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve
 FINAL_TIME = 14.0
 LARGEST_STEP = 0.25  # at the start; it grows with s
 COURANT = 0.5
+PARTS = 4  # of the work as progress counts it: half is the factorisation
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ def moser_map(
             surface's own can serve and saves a factorisation, but around the pole a discrete conformal map is not
             conformal: the area error it leaves is three to four times as large, and does not vanish on fine meshes.
         device: where the particles move.
-        progress: called as ``progress("moser", done, total, details)`` before and after.
+        progress: called as ``progress("moser", done, 4, details)`` before, with the linear system factorised, with it
+            solved, and after.
 
     Returns:
         The map at t = 1, which preserves area up to the discretisation of Θ and can flip triangles where μ is steep.
@@ -90,13 +92,15 @@ def moser_map(
     surface = as_surface(surface)
     where = resolve_device(device)
     if progress is not None:
-        progress("moser", 0, 1, {})
+        progress("moser", 0, PARTS, {})
     vertices, triangles = surface.vertex_count, surface.face_count
     points = vectors(as_sphere(sphere, surface), where)
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
     if solver is None:
         solver = SurfaceLaplacianSolver(surface, points, device=where)
+    if progress is not None:
+        progress("moser", 2, PARTS, {})
     areas = wp.empty(triangles, dtype=wp.float64, device=where)
     total = wp.empty(1, dtype=wp.float64, device=where)
     sources, mu, excess = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(3))
@@ -111,6 +115,8 @@ def moser_map(
     inputs = [areas, total, wanted, wanted_total, wp.float64(SPHERE_AREA), mesh.vertex_areas, *rows]
     wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu, excess], device=where)
     (potential,) = solve_arrays(solver, [sources])
+    if progress is not None:
+        progress("moser", 3, PARTS, {})
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
 
@@ -130,5 +136,5 @@ def moser_map(
     launch_parts(integrate_particles, vertices, arguments, where)
     longest = int(steps.numpy().max())
     if progress is not None:
-        progress("moser", 1, 1, {"steps": longest})
+        progress("moser", PARTS, PARTS, {"steps": longest})
     return MoserMap(moved.numpy(), potential.numpy(), longest)

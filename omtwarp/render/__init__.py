@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from omtwarp.render.camera import Camera
+    from omtwarp.render.films import film
     from omtwarp.render.light import Light
     from omtwarp.render.pictures import comparison, preview, sheet
     from omtwarp.render.scene import Arrows, ScalarField, SurfaceView, Wireframe
@@ -21,6 +22,7 @@ _HOMES = {
     "Wireframe": "scene",
     "as_surface_view": "subject",
     "comparison": "pictures",
+    "film": "films",
     "map_view": "subject",
     "preview": "pictures",
     "sheet": "pictures",
@@ -34,6 +36,7 @@ __all__ = [
     "Wireframe",
     "as_surface_view",
     "comparison",
+    "film",
     "map_view",
     "preview",
     "sheet",

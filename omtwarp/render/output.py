@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
 
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
-FILM_FORMATS = (".gif", ".mp4")
+FILM_FORMATS = (".gif", ".mp4", ".webp")
+WEBP = 60  # of Pillow's 100: a third of the size at 80, and edges of a pattern stay clean
 LEAST_FREE = 65536  # bytes: ffmpeg's failure on a disk with less is taken for a full disk
 OPAQUE_FORMATS = (".jpg", ".jpeg", ".mp4")
 
@@ -29,10 +31,11 @@ def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool)
     suffix = target.suffix.lower()
     if suffix not in STILL_FORMATS and suffix not in FILM_FORMATS:
         raise OmtwarpError(
-            f"unknown picture format '{suffix}' of '{target}': use .png, .jpg, .webp or .tif; .gif or .mp4 for films"
+            f"unknown picture format '{suffix}' of '{target}': "
+            "use .png, .jpg, .webp or .tif; .gif, .webp or .mp4 for films"
         )
     if film and suffix not in FILM_FORMATS:
-        raise OmtwarpError(f"'{target}' cannot hold a film: use .gif or .mp4")
+        raise OmtwarpError(f"'{target}' cannot hold a film: use .gif, .webp or .mp4")
     if not film and suffix == ".mp4":
         raise OmtwarpError(f"'{target}' is a film: ask for turntable frames, or use .png")
     if transparent and suffix in OPAQUE_FORMATS:
@@ -60,8 +63,8 @@ def save_still(image: Any, path: str | os.PathLike[str]) -> None:
             image.save(file, kind)
 
 
-def save_film(frames: Sequence[Any], path: str | os.PathLike[str], fps: float) -> None:
-    """Write frames as an endless GIF or as an MP4 (H.264).
+def save_film(frames: Iterable[Any], path: str | os.PathLike[str], fps: float) -> None:
+    """Write frames as an endless GIF or WebP, or as an MP4 (H.264), for which they are not kept.
 
     Raises:
         OmtwarpError: the file cannot be written, or an MP4 is asked for without ffmpeg.
@@ -69,7 +72,11 @@ def save_film(frames: Sequence[Any], path: str | os.PathLike[str], fps: float) -
     target = Path(path)
     with staged(target) as file:
         if target.suffix.lower() == ".gif":
-            _gif(frames, file, fps)
+            _gif(list(frames), file, fps)
+        elif target.suffix.lower() == ".webp":
+            first, *others = frames
+            duration = max(1, round(1000 / fps))
+            first.save(file, "WEBP", save_all=True, append_images=others, duration=duration, loop=0, quality=WEBP)
         else:
             _mp4(frames, file, fps)
 
@@ -116,14 +123,16 @@ def _ffmpeg() -> Any:
     return imageio_ffmpeg
 
 
-def _mp4(frames: Sequence[Any], file: Path, fps: float) -> None:
-    width, height = (frames[0].width // 2 * 2, frames[0].height // 2 * 2)  # H.264 halves the colours' resolution
+def _mp4(frames: Iterable[Any], file: Path, fps: float) -> None:
+    shown_in_turn = iter(frames)
+    first = next(shown_in_turn)
+    width, height = (first.width // 2 * 2, first.height // 2 * 2)  # H.264 halves the colours' resolution
     writer = _ffmpeg().write_frames(
         str(file), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
     )
     try:
         writer.send(None)
-        for shown in frames:
+        for shown in itertools.chain([first], shown_in_turn):
             writer.send(shown.convert("RGB").crop((0, 0, width, height)).tobytes())
         writer.close()
         written = file.is_file() and file.stat().st_size > 0

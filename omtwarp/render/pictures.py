@@ -47,7 +47,8 @@ def preview(
     Args:
         subject: a mesh file, a ``trimesh.Trimesh``, a ``MapResult`` or its .npz file, a ``TexturedSurface``,
             (vertices, faces), or a :class:`SurfaceView`. Textures and colours of files and meshes are kept.
-        path: .png, .jpg, .webp, .tif, .gif or .mp4; the file appears whole or not at all.
+        path: .png, .jpg, .webp, .tif, .gif or .mp4; the file appears whole or not at all. With ``frames`` a .webp is
+            a film, too.
         size: width and height of a view in pixels.
         views: a name (front, back, left, right, top, bottom, three-quarter), ``"AZ,EL"`` or (azimuth, elevation) in
             degrees, a :class:`Camera`, a list of these, or ``"six"``. Several views make one sheet, all at one scale.
@@ -221,7 +222,7 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
         samples=int(options["samples"] or (2 if parts[0].edges else 1)),
         wireframe=wireframe if isinstance(wireframe, Wireframe) else Wireframe(),
     )
-    pictures, note = _render(job, options["backend"], options["device"])
+    pictures, note = render(job, options["backend"], options["device"])
     color = annotate.ink(background, options["transparent"])
     images = []
     for picture in pictures:
@@ -257,7 +258,7 @@ def _written(picture: Image.Image, target: Path | None) -> Image.Image:
     return picture
 
 
-def _render(job: RenderJob, backend: str, device: str) -> tuple[list[NDArray[np.uint8]], str]:
+def render(job: RenderJob, backend: str, device: str) -> tuple[list[NDArray[np.uint8]], str]:
     """Draw with OpenGL or, where that does not work and was not insisted on, with the ray caster."""
     if backend != "warp":
         try:

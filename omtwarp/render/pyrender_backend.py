@@ -169,11 +169,12 @@ class GLRenderer:
             "edge_width": float(wires.width * samples),
             "edge_opacity": float(wires.opacity),
         }
-        meshes = [self._mesh(part, job.light.roughness) for part in job.parts]
+        textures: dict[tuple, _Texture] = {}  # parts of a film share theirs
+        meshes = [self._mesh(part, job.light.roughness, textures) for part in job.parts]
         pictures = []
-        for shot in job.shots:
+        for k, shot in enumerate(job.shots):
             scene = pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0], ambient_light=[0.0, 0.0, 0.0])
-            for mesh in meshes:
+            for mesh in meshes[k : k + 1] if job.one_each else meshes:
                 scene.add(mesh)
             scene.add(_camera(shot, job.width / job.height), pose=shot.pose)
             # A part's defines differ by its mipmaps alone, and at most one part has an image.
@@ -185,14 +186,16 @@ class GLRenderer:
         self._renderer._update_context(pyrender.Scene(), pyrender.RenderFlags.NONE)
         return pictures
 
-    def _mesh(self, part: Part, roughness: float) -> Any:
-        texture = None
-        if part.image is not None:
+    def _mesh(self, part: Part, roughness: float, textures: dict[tuple, _Texture]) -> Any:
+        key = (id(part.image), part.repeat, part.repeat_rows, part.mipmaps)
+        texture = None if part.image is None else textures.get(key)
+        if part.image is not None and texture is None:
             wrap = GL.GL_REPEAT if part.repeat else GL.GL_CLAMP_TO_EDGE
             vertical = GL.GL_REPEAT if part.repeat_rows else GL.GL_CLAMP_TO_EDGE
             sampler = pyrender.Sampler(wrapS=wrap, wrapT=vertical)
             texture = _Texture(source=_fitted(part.image, self.largest_texture), source_channels="RGB", sampler=sampler)
             texture.mipmaps = part.mipmaps
+            textures[key] = texture
         material = pyrender.MetallicRoughnessMaterial(
             baseColorTexture=texture,
             baseColorFactor=[*(float(channel) for channel in part.tint), 1.0],

@@ -39,13 +39,16 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
         OmtwarpError: unknown device.
     """
     where = resolve_device(device)
-    shape, mesh = _geometry(job, where)
-    images = [part for part in job.parts if part.image is not None]
+    together = job.parts[:1] if job.one_each else job.parts
+    shape, mesh = _geometry(together, where)
+    images = [part for part in together if part.image is not None]
     kept = [_picture(part, where) for part in images] or [_picture(None, where)]
     pictures: Any = wp.array(kept, dtype=kernels.Picture, device=where)
     look = _look(job, where)
     drawn = []
-    for shot in job.shots:
+    for k, shot in enumerate(job.shots):
+        if job.one_each and k > 0:
+            shape, mesh = _geometry(job.parts[k : k + 1], where)
         view = _view(shot, job.width, job.height)
         colors = wp.empty((job.height, job.width), dtype=wp.vec4, device=where)
         marked = wp.empty((job.height, job.width), dtype=wp.int32, device=where)
@@ -74,26 +77,24 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
     return drawn
 
 
-def _geometry(job: RenderJob, where: Any) -> tuple[Any, Any]:
-    """All parts as one mesh with unshared corners, so that a face's number is enough to find its points."""
-    offsets = np.cumsum([0] + [len(part.positions) for part in job.parts])
-    faces = np.concatenate([part.faces + offset for part, offset in zip(job.parts, offsets[:-1], strict=True)])
-    positions = np.concatenate([part.positions for part in job.parts])
+def _geometry(parts: list[Part], where: Any) -> tuple[Any, Any]:
+    """Parts as one mesh with unshared corners, so that a face's number is enough to find its points."""
+    offsets = np.cumsum([0] + [len(part.positions) for part in parts])
+    faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets[:-1], strict=True)])
+    positions = np.concatenate([part.positions for part in parts])
     mesh = wp.Mesh(
         points=wp.array(positions, dtype=wp.vec3, device=where),
         indices=wp.array(faces.ravel().astype(np.int32), dtype=wp.int32, device=where),
     )
     shape: Any = kernels.Geometry()
     shape.mesh = mesh.id
-    shape.normals = wp.array(np.concatenate([part.normals for part in job.parts]), dtype=wp.vec3, device=where)
-    shape.values = wp.array(np.concatenate([part.value for part in job.parts]), dtype=wp.vec3, device=where)
+    shape.normals = wp.array(np.concatenate([part.normals for part in parts]), dtype=wp.vec3, device=where)
+    shape.values = wp.array(np.concatenate([part.value for part in parts]), dtype=wp.vec3, device=where)
     shape.faces = wp.array(faces.astype(np.int32), dtype=wp.int32, device=where)
-    kinds = np.concatenate([np.full(len(part.faces), _KINDS[part.kind], np.int32) for part in job.parts])
-    edges = np.concatenate([np.full(len(part.faces), int(part.edges), np.int32) for part in job.parts])
-    having = np.cumsum([part.image is not None for part in job.parts]) - 1
-    numbers = np.concatenate(
-        [np.full(len(p.faces), max(k, 0), np.int32) for p, k in zip(job.parts, having, strict=True)]
-    )
+    kinds = np.concatenate([np.full(len(part.faces), _KINDS[part.kind], np.int32) for part in parts])
+    edges = np.concatenate([np.full(len(part.faces), int(part.edges), np.int32) for part in parts])
+    having = np.cumsum([part.image is not None for part in parts]) - 1
+    numbers = np.concatenate([np.full(len(p.faces), max(k, 0), np.int32) for p, k in zip(parts, having, strict=True)])
     shape.pictures = wp.array(numbers, dtype=wp.int32, device=where)
     shape.kinds = wp.array(kinds, dtype=wp.int32, device=where)
     shape.edges = wp.array(edges, dtype=wp.int32, device=where)

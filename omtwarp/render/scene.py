@@ -267,6 +267,7 @@ class RenderJob:
         light: the lights.
         samples: samples along each side of a pixel that the renderer takes on top of its own antialiasing.
         wireframe: how edges are drawn, for parts that ask for them.
+        one_each: shot k shows part k alone; the parts share one image, the first one's.
     """
 
     parts: list[Part]
@@ -276,6 +277,7 @@ class RenderJob:
     light: Light
     samples: int = 1
     wireframe: Wireframe = field(default_factory=Wireframe)
+    one_each: bool = False
 
 
 def as_image(image: Any) -> NDArray[np.uint8]:

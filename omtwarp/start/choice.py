@@ -76,7 +76,7 @@ def bijective_start(
     conformal: ConformalMap | None = None
     many = 0
     try:
-        conformal = conformal_map(surface, device=device)
+        conformal = conformal_map(surface, device=device, progress=progress)
         reason = _defect(surface, conformal.sphere)
     except OmtwarpError as error:
         reason = str(error)

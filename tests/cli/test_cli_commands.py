@@ -233,7 +233,14 @@ def test_progress_on_a_terminal(monkeypatch, capsys):
         progress("moser", 1, 2, {})
         progress("omt", 3, 40, {"cost": 0.25, "flips": 0})
     err = capsys.readouterr().err
-    assert "moser" in err and "omt" in err and "cost 0.25" in err and "flips 0" in err and "\x1b[?25l" not in err
+    assert (
+        "50%" in err
+        and "moser" in err
+        and "omt" in err
+        and "cost 0.25" in err
+        and "flips 0" in err
+        and "\x1b[?25l" not in err
+    )
 
 
 def test_importing_the_package_loads_nothing_heavy():

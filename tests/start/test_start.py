@@ -92,7 +92,7 @@ def test_random_blobs_have_a_bijective_start(seed, amplitude, rounds):
 
 
 def test_a_conformal_map_that_cannot_be_made_has_a_substitute(monkeypatch):
-    def fails(surface, *, device):
+    def fails(surface, *, device, progress):
         raise OmtwarpError("the plane has a hole")
 
     monkeypatch.setattr(start_module, "conformal_map", fails)

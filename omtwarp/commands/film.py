@@ -1,0 +1,141 @@
+"""``omtwarp film``: the map flowing from conformal to optimal, and the surface turning into its sphere."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._options import (
+    CostOption,
+    DeviceOption,
+    JsonOption,
+    MapOption,
+    MethodOption,
+    OptionalMesh,
+    QuietOption,
+    RefineOption,
+    RepairOption,
+    SchemeOption,
+    SolverOption,
+    as_size,
+    picture_size,
+)
+from omtwarp.commands._streams import output_file
+from omtwarp.commands.texture import PatternName
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output
+from omtwarp.options import Backend, MapOptions, Refinement
+
+FILMS = (".mp4", ".gif", ".webp")
+
+
+def film_size(text: str | None) -> str | None:
+    """Check what --size is given, where it is given."""
+    return None if text is None else picture_size(text)
+
+
+def film_map(
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE", callback=output_file(".gif"), help=".mp4; .gif and .webp need no ffmpeg."
+        ),
+    ],
+    mesh: OptionalMesh = None,
+    finished: MapOption = None,
+    image: Annotated[Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture.")] = None,
+    pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead; circles by default.")] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WIDTHxHEIGHT",
+            callback=film_size,
+            help="In pixels; 1920x1080 by default, 640x360 of .gif and .webp.",
+        ),
+    ] = None,
+    view: Annotated[
+        str, typer.Option(metavar="NAME|AZIMUTH,ELEVATION", help="Where the camera stands, as for preview.")
+    ] = "three-quarter",
+    up: Annotated[str | None, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...")] = None,
+    front: Annotated[
+        str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
+    ] = None,
+    background: Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")] = "white",
+    seconds: Annotated[float | None, typer.Option(help="How long; by default as long as smooth motion takes.")] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames per second; 30 by default, 20 of .gif and .webp.")] = None,
+    captions: Annotated[bool, typer.Option(help="Name what is seen below the picture.")] = True,
+    backend: Annotated[Backend, typer.Option(help="OpenGL or the ray caster.")] = Backend.AUTO,
+    method: MethodOption = MapOptions.method,
+    cost: CostOption = MapOptions.cost,
+    scheme: SchemeOption = MapOptions.scheme,
+    refine: RefineOption = str(Refinement.NONE),
+    device: DeviceOption = MapOptions.device,
+    solver: SolverOption = MapOptions.solver,
+    repair: RepairOption = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Film a map without a display: it flows from conformal to optimal, then the surface turns into its sphere."""
+    from omtwarp.commands._progress import progress_bar
+    from omtwarp.commands._work import map_from, start_device
+    from omtwarp.render.films import film
+    from omtwarp.render.output import check_target
+    from omtwarp.texturing import read_image
+
+    check_output(output, FILMS, mesh, finished, image)
+    check_target(output, film=True, transparent=False)
+    if image is not None and pattern is not None:
+        raise OmtwarpError("both --image and --pattern: give one")
+    start_device(device)
+    picture = read_image(image) if image is not None else None
+    result = map_from(
+        mesh,
+        finished,
+        repair=repair,
+        quiet=quiet,
+        device=device,
+        method=method,
+        cost=cost,
+        scheme=scheme,
+        refine=refine,
+        solver=solver,
+    )
+    begun = time.perf_counter()
+    frames = 0
+    with progress_bar(quiet) as progress:
+
+        def notify(stage: str, done: int, total: int, facts: dict) -> None:
+            nonlocal frames
+            frames = total if stage == "film" else frames
+            if progress is not None:
+                progress(stage, done, total, facts)
+
+        film(
+            result,
+            output,
+            pattern=pattern.value if pattern else "circles",
+            image=picture,
+            size=None if size is None else as_size(size),
+            fps=fps,
+            seconds=seconds,
+            view=view,
+            up=up,
+            front=front,
+            background=background,
+            captions=captions,
+            backend=backend.value,
+            device=device,
+            progress=notify,
+        )
+    facts = {"output": str(output), "frames": frames, "bytes": output.stat().st_size}
+    if as_json:
+        print(json.dumps(facts))
+    elif not quiet:
+        print(
+            f"{output}: a film of {frames} frames, {facts['bytes'] / 1e6:.1f} MB, "
+            f"drawn in {time.perf_counter() - begun:.1f} s"
+        )

@@ -1,0 +1,64 @@
+"""How finished maps show themselves in notebooks, and hand themselves to other programs' viewers."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+def _viewers() -> Any:
+    # They are built on maps, which are built on this: so they are loaded by name, and only when something is shown.
+    return importlib.import_module("omtwarp.reporting.notebook")
+
+
+class Shown:
+    """What maps have in common that can be looked at; nothing is computed before one of these is called."""
+
+    def _repr_html_(self) -> str:
+        """The view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""
+        return _viewers().notebook_view(self)
+
+    def plot(self, *, pattern: str = "circles", size: tuple[int, int] = (640, 480), **options: Any) -> Image:
+        """Draw the map: the surface, with a pattern carried to it.
+
+        Args:
+            pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``; left out where ``scalar`` or ``image`` is given.
+            size: width and height in pixels.
+            options: those of :func:`omtwarp.preview`, such as ``views="six"`` or ``image="earth.png"``.
+
+        Returns:
+            A PIL image, which a notebook shows.
+
+        Raises:
+            OmtwarpError: an option that makes no sense.
+        """
+        return _viewers().plot(self, pattern=pattern, size=size, **options)
+
+    def to_pyvista(self) -> Any:
+        """Hand the map to PyVista: ``result.to_pyvista().plot(scalars="area_ratio")``.
+
+        Returns:
+            A ``pyvista.PolyData`` of the surface, with every stage's map as vectors at its points, and ``area_ratio``
+            (on the sphere over on the surface, 1 is perfect) and ``angle`` (2 is perfect) of its triangles.
+
+        Raises:
+            OmtwarpError: PyVista is not installed.
+        """
+        return _viewers().to_pyvista(self)
+
+    def to_polyscope(self, name: str = "surface") -> Any:
+        """Hand the map to Polyscope: the surface and its sphere side by side; ``polyscope.show()`` opens the window.
+
+        Args:
+            name: of the surface among Polyscope's structures; the sphere is called ``NAME's sphere``.
+
+        Returns:
+            Polyscope's surface mesh of the surface, with area and angle distortion as quantities of its faces.
+
+        Raises:
+            OmtwarpError: Polyscope is not installed.
+        """
+        return _viewers().to_polyscope(self, name)

@@ -1,0 +1,380 @@
+"""Films of a map: from the conformal to the optimal map, and the surface turning into its sphere."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+from scipy.spatial.transform import Rotation
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
+from omtwarp.mesh.surface import triangle_areas
+from omtwarp.options import Backend, Progress, choose
+from omtwarp.render import annotate, output
+from omtwarp.render.camera import Camera, Shot, as_view, frame
+from omtwarp.render.colors import backdrop
+from omtwarp.render.light import as_light
+from omtwarp.render.pictures import render
+from omtwarp.render.scene import Part, RenderJob, normalisation, welded_normals
+from omtwarp.render.subject import map_view
+from omtwarp.texturing.rasterizing import rasterize
+
+Floats = NDArray[np.float64]
+
+HD = (1920, 1080)
+SMALL = (640, 360)  # of films that browsers load as pictures: .gif and .webp
+# Share of the picture that edges sweep over from one frame to the next. Circles on a creature then move by a pixel or
+# two of a picture of 1920 x 1080, and no more than a fiftieth of its pixels change.
+PACE = 0.008
+# Motion is measured on pictures of this width, with times halved until no step sweeps over more than STEP.
+PROBE_WIDTH = 192
+STEP = 0.012
+MOST_HALVINGS = 9
+# What an edge between two fields of a pattern changes a pixel by, of the whole range; a smaller change in proportion.
+EDGE = 0.6
+REST = 0.7  # seconds that the film rests at its beginning, between its two parts and at its end
+EASE = 0.12  # part of the way on which motion sets in and dies away
+BATCH = 12  # frames that are drawn together: their texture is uploaded once
+CAPTIONS = ("conformal map", "to the optimal map", "optimal map", "to its sphere", "the map on the sphere")
+# Texels around the sphere of a pattern: two to a pixel of the picture, of which a ball fills about a half.
+PICTURE_WIDTHS = (512, 4096)
+
+
+@dataclass(frozen=True)
+class _Story:
+    """Where every vertex is drawn and on the sphere, at any time of the film.
+
+    From time 0 to 1 the points on the sphere go along great circles from the conformal to the final map, which is what
+    optimal transport does with them; from 1 to 2 the surface goes straight to its sphere.
+
+    Attributes:
+        surface: the surface, centred, its farthest point at distance 1, shape [V, 3].
+        ball: the points of the final map on a sphere of the surface's area, turned to lie nearest to it, shape [V, 3].
+        first: the conformal map, shape [V, 3].
+        last: the final map, shape [V, 3].
+        faces: shape [F, 3].
+        image: equirectangular picture that is carried along.
+    """
+
+    surface: Floats
+    ball: Floats
+    first: Floats
+    last: Floats
+    faces: NDArray[np.int32]
+    image: NDArray[np.uint8]
+
+    @property
+    def flows(self) -> bool:
+        """Whether the two maps differ."""
+        return not np.array_equal(self.first, self.last)
+
+    def part(self, time: float) -> Part:
+        """What is drawn at a time between 0 and 2."""
+        places = self.surface + max(time - 1.0, 0.0) * (self.ball - self.surface)
+        points = along_great_circles(self.first, self.last, min(time, 1.0))
+        return Part(
+            positions=places.astype(np.float32),
+            normals=welded_normals(places, self.faces).astype(np.float32),
+            faces=self.faces,
+            kind="sphere",
+            value=points.astype(np.float32),
+            image=self.image,
+        )
+
+
+def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
+    """Points on the way between unit vectors, at constant speed along great circles, shape [N, 3].
+
+    Args:
+        first: where points are at time 0, shape [N, 3].
+        last: where they are at time 1, shape [N, 3].
+        time: 0 to 1; both ends are exact.
+    """
+    if time <= 0.0:
+        return first
+    if time >= 1.0:
+        return last
+    cosine = np.einsum("ij,ij->i", first, last)
+    angle = np.arctan2(np.linalg.norm(np.cross(first, last), axis=1), cosine)[:, None]
+    sine = np.maximum(np.sin(angle), 1e-12)
+    near = angle < 1e-6
+    ahead = np.where(near, time, np.sin(time * angle) / sine)
+    behind = np.where(near, 1.0 - time, np.sin((1.0 - time) * angle) / sine)
+    points = behind * first + ahead * last
+    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
+
+
+def film(
+    result: Any,
+    path: str | os.PathLike[str],
+    *,
+    pattern: str = "circles",
+    image: Any = None,
+    size: tuple[int, int] | None = None,
+    fps: float | None = None,
+    seconds: float | None = None,
+    view: Any = None,
+    up: str | None = None,
+    front: str | None = None,
+    background: Any = "white",
+    captions: bool = True,
+    backend: str = "auto",
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Path:
+    """Write a film of a map: it flows from the conformal to the optimal one, then the surface becomes its sphere.
+
+    A pattern on the sphere is carried to the surface by the map of every moment, so that its circles move and grow to
+    equal areas. The last frame shows the sphere of the final map. No display is needed.
+
+    Args:
+        result: a :class:`~omtwarp.MapResult` of a surface in one part.
+        path: ``.mp4`` (needs ``omtwarp[film]``), ``.gif`` or ``.webp``; the file appears whole or not at all.
+        pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``.
+        image: equirectangular picture in place of the pattern: a path, a PIL image or an array [H, W, 3].
+        size: width and height in pixels; None takes 1920 x 1080, and 640 x 360 for ``.gif`` and ``.webp``.
+        fps: frames per second; None takes 30, and 20 for ``.gif`` and ``.webp``.
+        seconds: how long the film is; None takes as long as smooth motion needs, with edges that sweep over less than
+            a hundredth of the picture from frame to frame.
+        view: where the camera stands, as one view of :func:`~omtwarp.preview`; None takes three-quarter.
+        up: axis that points upwards; None takes the subject's own.
+        front: axis that points at the viewer in the front view.
+        background: a colour, (top, bottom) colours, or ``"studio"``.
+        captions: name what is seen below the picture.
+        backend: ``"pyrender"`` (OpenGL), ``"warp"`` (ray caster) or ``"auto"``.
+        device: where the pattern is computed and the ray caster runs.
+        progress: called with the stage, frames done, frames in all and further facts.
+
+    Returns:
+        The path.
+
+    Raises:
+        OmtwarpError: a map that has no one sphere, an option that makes no sense, or a file that cannot be written.
+
+    Example:
+        >>> import omtwarp
+        >>> result = omtwarp.map_to_sphere(omtwarp.shapes.blob(seed=3, sphere=320), until="moser", device="cpu")
+        >>> str(omtwarp.film(result, "flow.gif", size=(96, 54), seconds=1.0, fps=4, backend="warp", device="cpu"))
+        'flow.gif'
+    """
+    target = output.check_target(path, film=True, transparent=False)
+    pictorial = target.suffix.lower() != ".mp4"
+    width, height = _checked_size(size or (SMALL if pictorial else HD))
+    rate = float(fps or (20.0 if pictorial else 30.0))
+    slowest, fastest = FRAMES_PER_SECOND
+    if not slowest <= rate <= fastest:
+        raise OmtwarpError(f"{fps} frames per second asked for: use {slowest:g} to {fastest:g}")
+    if seconds is not None and not 0.0 < seconds * rate <= MOST_FRAMES:
+        raise OmtwarpError(f"a film of {seconds:g} seconds: use more than 0 and at most {MOST_FRAMES / rate:g}")
+    choose(Backend, backend)
+    backdrop(background, 1, 2)
+    studio = _Studio(
+        *_story_of(result, pattern, image, width, view, up, front, device), background, captions, backend, device, rate
+    )
+    times = studio.times(width / height, seconds, progress)
+    if pictorial and len(times) * width * height > MOST_FILM_PIXELS:
+        raise OmtwarpError(
+            f"a film of {len(times)} frames of {width} x {height} pixels is more than the "
+            f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels that {target.suffix} takes: make it smaller, or use .mp4"
+        )
+    output.save_film(studio.frames(times, (width, height), progress), target, rate)
+    return target
+
+
+def film_frames(
+    result: Any,
+    *,
+    pattern: str = "circles",
+    image: Any = None,
+    size: tuple[int, int] = SMALL,
+    fps: float = 20.0,
+    seconds: float | None = None,
+    view: Any = None,
+    up: str | None = None,
+    front: str | None = None,
+    background: Any = "white",
+    captions: bool = True,
+    backend: str = "auto",
+    device: str = "auto",
+) -> Iterator[Image.Image]:
+    """The frames of :func:`film`, one after another, with the same arguments."""
+    size = _checked_size(size)
+    story, shot_for = _story_of(result, pattern, image, size[0], view, up, front, device)
+    studio = _Studio(story, shot_for, background, captions, backend, device, fps)
+    return studio.frames(studio.times(size[0] / size[1], seconds), size)
+
+
+def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
+    width, height = int(size[0]), int(size[1])
+    if not (16 <= width <= LARGEST_VIEW and 16 <= height <= LARGEST_VIEW):
+        raise OmtwarpError(f"cannot draw a film of {width} x {height} pixels: use 16 to {LARGEST_VIEW} along each side")
+    return width, height
+
+
+def _story_of(
+    result: Any, pattern: str, image: Any, width: int, view: Any, up: str | None, front: str | None, device: str
+) -> tuple[_Story, Callable[[float], Shot]]:
+    """What happens, and the camera for a picture of a given width over height.
+
+    Raises:
+        OmtwarpError: no map to a sphere, a map of several parts, or an unusable picture or view.
+    """
+    if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal")):
+        raise OmtwarpError(f"cannot film a {type(result).__name__}: give a map to the sphere")
+    if getattr(result, "part", None) is not None and len(np.unique(result.part)) > 1:
+        raise OmtwarpError("cannot film a map of several parts, each of which has a sphere of its own: map one of them")
+    if image is None:
+        least, most = PICTURE_WIDTHS
+        image = rasterize(pattern, int(np.clip(2 ** math.ceil(math.log2(2 * width)), least, most)), device=device)
+    shown = map_view(result, image)
+    upward = up or shown.up
+    centre, radius = normalisation(shown)
+    surface = (np.asarray(result.vertices) - centre) / radius
+    areas = np.bincount(
+        np.asarray(result.faces).ravel(), np.repeat(triangle_areas(surface, result.faces), 3), minlength=len(surface)
+    )
+    turn, _ = Rotation.align_vectors(surface, np.asarray(result.sphere), weights=areas + areas.mean() * 1e-9)
+    ball = math.sqrt(areas.sum() / 3.0 / (4.0 * math.pi)) * np.asarray(result.sphere) @ turn.as_matrix().T
+    story = _Story(
+        surface,
+        ball,
+        np.asarray(result.conformal),
+        np.asarray(result.sphere),
+        np.asarray(result.faces, dtype=np.int32),
+        np.asarray(shown.image),
+    )
+    camera = as_view("three-quarter" if view is None else view, Camera())
+    used = np.unique(story.faces)
+    extent = np.concatenate([surface[used], ball[used]])
+    facing = front if front is not None or (up is not None and up != shown.up) else shown.front
+
+    def shot_for(aspect: float) -> Shot:
+        return frame(extent, [camera], aspect, up=upward, front=facing)[0]
+
+    return story, shot_for
+
+
+@dataclass(frozen=True)
+class _Studio:
+    """Draws the moments of a story."""
+
+    story: _Story
+    shot_for: Callable[[float], Shot]
+    background: Any
+    captions: bool
+    backend: str
+    device: str
+    fps: float
+
+    def draw(self, times: Sequence[float], width: int, height: int) -> list[NDArray[np.uint8]]:
+        """Pictures of some moments, uint8 [height, width, 4], colours multiplied by their coverage."""
+        shot = self.shot_for(width / height)
+        job = RenderJob(
+            parts=[self.story.part(time) for time in times],
+            shots=[shot] * len(times),
+            width=width,
+            height=height,
+            light=as_light("studio"),
+            one_each=True,
+        )
+        return render(job, self.backend, self.device)[0]
+
+    def times(self, aspect: float, seconds: float | None, progress: Progress | None = None) -> list[float]:
+        """The time of every frame, for motion that looks even.
+
+        Motion is the share of the picture that edges sweep over, measured on small pictures; within each part of the
+        film its speed is constant but for where it sets in and dies away.
+        """
+        rest = max(round(REST * self.fps), 1)
+        parts = [(0.0, 1.0), (1.0, 2.0)][0 if self.story.flows else 1 :]
+        curves = [self._motion(*part, aspect, progress) for part in parts]
+        total = sum(swept[-1] for _, swept in curves)
+        if seconds is None:
+            moving = math.ceil(total / PACE / (1.0 - EASE))
+            if moving + 3 * rest > MOST_FRAMES:
+                moving = MOST_FRAMES - 3 * rest
+        else:
+            whole = max(round(seconds * self.fps), 2)
+            rest = min(rest, whole // 6)
+            moving = max(whole - (len(parts) + 1) * rest, 1)
+        found = [parts[0][0]] * max(rest, 1)
+        for moments, swept in curves:
+            count = max(round(moving * swept[-1] / max(total, 1e-12)), 1)
+            way = _eased(np.arange(1, count + 1) / count) * swept[-1]
+            found += [float(time) for time in np.interp(way, swept, moments)]
+            found[-1] = moments[-1]
+            found += [moments[-1]] * rest
+        return found
+
+    def _motion(
+        self, first: float, last: float, aspect: float, progress: Progress | None
+    ) -> tuple[list[float], Floats]:
+        """Moments of a part of the film, and the motion from its beginning up to each."""
+        width, height = PROBE_WIDTH, max(round(PROBE_WIDTH / aspect), 16)
+        seen: dict[float, NDArray[np.int16]] = {}
+
+        def look(times: Sequence[float]) -> None:
+            for start in range(0, len(times), BATCH):
+                some = times[start : start + BATCH]
+                for time, picture in zip(some, self.draw(some, width, height), strict=True):
+                    seen[time] = picture.astype(np.int16)
+
+        def swept(earlier: float, later: float) -> float:
+            change = np.abs(seen[later] - seen[earlier]).max(axis=2) / (255.0 * EDGE)
+            return float(np.minimum(change, 1.0).mean())
+
+        look([float(time) for time in np.linspace(first, last, 9)])
+        for level in range(MOST_HALVINGS):
+            if progress is not None:
+                progress("motion", level, MOST_HALVINGS, {})
+            times = sorted(seen)
+            wide = [(a, b) for a, b in itertools.pairwise(times) if swept(a, b) > STEP]
+            if not wide:
+                break
+            look([0.5 * (a + b) for a, b in wide])
+        times = sorted(seen)
+        # A little is added so that time never stands still.
+        steps = [swept(a, b) + 1e-6 * (b - a) for a, b in itertools.pairwise(times)]
+        return times, np.concatenate([[0.0], np.cumsum(steps)])
+
+    def frames(
+        self, times: Sequence[float], size: tuple[int, int], progress: Progress | None = None
+    ) -> Iterator[Image.Image]:
+        """The pictures of the film, drawn as they are asked for; moments in which nothing moves are drawn once."""
+        width, height = size
+        letters = max(11.0, height / 26.0)
+        band = round(2.0 * letters) if self.captions else 0
+        ink = annotate.ink(self.background, False)
+        moments = sorted(set(times))
+        repeats = {moment: times.count(moment) for moment in moments}
+        done = 0
+        for start in range(0, len(moments), BATCH):
+            some = moments[start : start + BATCH]
+            for moment, picture in zip(some, self.draw(some, width, height - band), strict=True):
+                image = annotate.compose(picture, size, self.background, False)
+                if band:
+                    place = (width / 2, height - 0.55 * band)
+                    words = CAPTIONS[math.floor(moment) + math.ceil(moment)]  # at 0, to 1, at 1, to 2, at 2
+                    ImageDraw.Draw(image).text(place, words, font=annotate.font(letters), fill=ink, anchor="mm")
+                for _ in range(repeats[moment]):
+                    yield image
+                done += repeats[moment]
+            if progress is not None:
+                progress("film", done, len(times), {})
+
+
+def _eased(x: Floats) -> Floats:
+    """The way covered at times in [0, 1] by a motion that sets in and dies away over EASE, constant between."""
+    speed = 1.0 / (1.0 - EASE)
+    begun = speed * x**2 / (2.0 * EASE)
+    ending = 1.0 - speed * (1.0 - x) ** 2 / (2.0 * EASE)
+    return np.where(x < EASE, begun, np.where(x > 1.0 - EASE, ending, speed * (x - EASE / 2.0)))

@@ -1,0 +1,133 @@
+"""Maps in notebooks: an interactive view that needs no network, pictures, and other programs' viewers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import Surface
+from omtwarp.render import Camera, SurfaceView, preview
+from omtwarp.render.subject import map_view
+from omtwarp.reporting.markup import asset, data_block, fill_page, html, script, source_hash
+from omtwarp.reporting.page import viewer_section
+from omtwarp.reporting.scene import cube_faces, data_uri, make_scene
+from omtwarp.reporting.stages import Stage, stages_of
+from omtwarp.texturing.rasterizing import rasterize
+
+PATTERN = "circles"
+# A notebook holds all of its outputs: the surface of a view is simplified above this many triangles, and its texture
+# has this many texels along each of six faces.
+MOST_FACES = 20_000
+FACE_TEXELS = 256
+HEIGHT = 460  # pixels of the view
+STILL = (640, 360)
+PICTURE_WIDTH = 1024  # texels around the sphere of the texture of still pictures
+
+
+def notebook_view(result: Any) -> str:
+    """HTML of a map for a notebook: a picture, and over it an interactive view where scripts may run.
+
+    The view is a page of its own in a frame that may run the two scripts in it, by their hashes, and load nothing.
+    A notebook that is not trusted, or that is shown where there are no frames, keeps the picture.
+
+    Args:
+        result: a map to the sphere, or any other map of a surface, of which there is the picture alone.
+    """
+    caption = html("<p style='margin:.3em 0;font-size:90%'>{}</p>", repr(result))
+    if not hasattr(result, "sphere"):
+        return str(html('<div><img alt="{}" src="{}">{}</div>', repr(result), data_uri(plot(result), "webp"), caption))
+    stages = stages_of(result)
+    poster = data_uri(plot(result, transparent=True, size=STILL, camera=Camera(margin=0.03)), "webp")
+    return str(
+        html(
+            '<div><div style="position:relative;height:{height}px;max-width:960px">'
+            '<img alt="{name}" src="{poster}" style="width:100%;height:100%;object-fit:contain">'
+            '<iframe title="{name}" srcdoc="{page}" sandbox="allow-scripts" loading="lazy" '
+            'style="position:absolute;inset:0;width:100%;height:100%;border:0"></iframe></div>{caption}</div>',
+            height=HEIGHT,
+            name=repr(result),
+            poster=poster,
+            page=view_page(result, stages, poster),
+            caption=caption,
+        )
+    )
+
+
+def view_page(result: Any, stages: list[Stage], poster: str) -> str:
+    """The page in the frame: the viewer of the report page, alone."""
+    scene = make_scene(
+        result, stages, cube_faces(PATTERN, FACE_TEXELS), most_faces=MOST_FACES, device="auto"
+    )
+    three, viewer = script("three/three.min.js"), script("viewer.js")
+    return fill_page(
+        asset("notebook.html"),
+        title=repr(result),
+        scripts=html("{} {}", source_hash(three), source_hash(viewer)),
+        style=asset("page.css"),
+        view=viewer_section(stages, poster, repr(result), PATTERN.capitalize()),
+        scene=data_block(scene.header),
+        data=data_block(scene.data),
+        three=three,
+        viewer=viewer,
+    )
+
+
+def plot(result: Any, *, pattern: str = PATTERN, size: tuple[int, int] = (640, 480), **options: Any) -> Any:
+    """Draw a map; see :meth:`omtwarp.display.Shown.plot`."""
+    if not hasattr(result, "sphere"):
+        return preview((result.vertices, result.faces), size=size, **options)
+    image = options.pop("image", None)
+    if options.get("scalar") is not None:
+        return preview(SurfaceView(result.vertices, result.faces), size=size, **options)
+    return preview(
+        map_view(result, rasterize(pattern, PICTURE_WIDTH) if image is None else image), size=size, **options
+    )
+
+
+def to_pyvista(result: Any) -> Any:
+    """Make PyVista's mesh of a map; see :meth:`omtwarp.display.Shown.to_pyvista`."""
+    try:
+        import pyvista
+    except ImportError:
+        raise OmtwarpError("PyVista is not installed: pip install 'omtwarp[viewers]'") from None
+    mesh = pyvista.PolyData.from_regular_faces(np.asarray(result.vertices), np.asarray(result.faces))
+    for name, values in _maps(result).items():
+        mesh.point_data[name] = values
+    for name, values in _distortions(result).items():
+        mesh.cell_data[name] = values
+    return mesh
+
+
+def to_polyscope(result: Any, name: str = "surface") -> Any:
+    """Register a map with Polyscope; see :meth:`omtwarp.display.Shown.to_polyscope`."""
+    try:
+        import polyscope
+    except ImportError:
+        raise OmtwarpError("Polyscope is not installed: pip install 'omtwarp[viewers]'") from None
+    if not polyscope.is_initialized():
+        polyscope.init()
+    vertices, faces = np.asarray(result.vertices), np.asarray(result.faces)
+    shown = polyscope.register_surface_mesh(name, vertices, faces)
+    meshes = [shown]
+    if hasattr(result, "sphere"):
+        scale = 0.5 * float(np.ptp(vertices, axis=0).max())
+        beside = vertices.mean(axis=0) + (2.5 * scale, 0.0, 0.0)
+        meshes.append(
+            polyscope.register_surface_mesh(f"{name}'s sphere", scale * np.asarray(result.sphere) + beside, faces)
+        )
+    for quantity, values in _distortions(result).items():
+        for mesh in meshes:
+            mesh.add_scalar_quantity(quantity, values, defined_on="faces", enabled=quantity == "area_ratio")
+    return shown
+
+
+def _maps(result: Any) -> dict[str, np.ndarray]:
+    names = ("sphere", "conformal", "moser", "transported", "coordinates")
+    return {name: np.array(value) for name in names if (value := getattr(result, name, None)) is not None}
+
+
+def _distortions(result: Any) -> dict[str, np.ndarray]:
+    found = result.distortion()
+    return {"area_ratio": np.array(found.area_ratio), "angle": np.array(found.face_angle)}
