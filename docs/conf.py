@@ -13,6 +13,8 @@ ROOT = HERE.parent
 sys.path[:0] = [str(HERE / "_ext"), str(ROOT)]
 os.environ.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
 os.environ.setdefault("MPLBACKEND", "Agg")
+# The processes that run notebook pages use this checkout, too.
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
 logging.getLogger("omtwarp.render").setLevel(logging.ERROR)  # which program drew a picture is no part of an example
 
 from sphinx.util.nodes import make_refnode  # noqa: E402
@@ -26,7 +28,7 @@ copyright = "the omtwarp developers"
 version = release = omtwarp.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
@@ -36,9 +38,15 @@ extensions = [
     "commands",
     "report_page",
     "data_flow",
+    "comparison_plot",
 ]
 exclude_patterns = ["_build", "README.md", "gallery/*.ipynb"]
-source_suffix = {".rst": "restructuredtext", ".md": "markdown"}
+source_suffix = {".rst": "restructuredtext", ".md": "myst-nb"}
+# Pages that begin with `file_format: mystnb` are notebooks: their cells run during the build, and have to succeed.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 900
+nb_merge_streams = True
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
 from omtwarp.inputs import open_input, read_arrays
@@ -82,7 +83,7 @@ class StageRecord:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapResult:
+class MapResult(Shown):
     """A surface and its map to the unit sphere, in the order of the input.
 
     The arrays belong to the result: they are copies, and cannot be written to.

@@ -21,8 +21,10 @@ HEAVY = {
     "matplotlib",
     "nibabel",
     "ot",
+    "polyscope",
     "pyarrow",
     "pyrender",
+    "pyvista",
     "resource",
     "rich",
     "scipy",  # parts of it that few maps need; scipy.linalg once BLAS is told how many threads to use

@@ -296,7 +296,9 @@ class _Studio:
         """
         rest = max(round(REST * self.fps), 1)
         parts = [(0.0, 1.0), (1.0, 2.0)][0 if self.story.flows else 1 :]
-        curves = [self._motion(*part, aspect, progress) for part in parts]
+        # A film of few frames needs no finer measure of its motion than that.
+        most = MOST_FRAMES if seconds is None else math.ceil(seconds * self.fps)
+        curves = [self._motion(*part, aspect, most, progress) for part in parts]
         total = sum(swept[-1] for _, swept in curves)
         if seconds is None:
             moving = math.ceil(total / PACE / (1.0 - EASE))
@@ -316,9 +318,9 @@ class _Studio:
         return found
 
     def _motion(
-        self, first: float, last: float, aspect: float, progress: Progress | None
+        self, first: float, last: float, aspect: float, most: int, progress: Progress | None
     ) -> tuple[list[float], Floats]:
-        """Moments of a part of the film, and the motion from its beginning up to each."""
+        """Moments of a part of the film, about ``most`` of them at most, and the motion from its beginning to each."""
         width, height = PROBE_WIDTH, max(round(PROBE_WIDTH / aspect), 16)
         seen: dict[float, NDArray[np.int16]] = {}
 
@@ -338,7 +340,7 @@ class _Studio:
                 progress("motion", level, MOST_HALVINGS, {})
             times = sorted(seen)
             wide = [(a, b) for a, b in itertools.pairwise(times) if swept(a, b) > STEP]
-            if not wide:
+            if not wide or len(times) > most:
                 break
             look([0.5 * (a + b) for a, b in wide])
         times = sorted(seen)

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.surface import Surface
 from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.subject import map_view
 from omtwarp.reporting.markup import asset, data_block, fill_page, html, script, source_hash
 from omtwarp.reporting.page import viewer_section
-from omtwarp.reporting.scene import cube_faces, data_uri, make_scene
+from omtwarp.reporting.scene import data_uri, make_scene
 from omtwarp.reporting.stages import Stage, stages_of
 from omtwarp.texturing.rasterizing import rasterize
 
@@ -44,7 +43,7 @@ def notebook_view(result: Any) -> str:
         html(
             '<div><div style="position:relative;height:{height}px;max-width:960px">'
             '<img alt="{name}" src="{poster}" style="width:100%;height:100%;object-fit:contain">'
-            '<iframe title="{name}" srcdoc="{page}" sandbox="allow-scripts" loading="lazy" '
+            '<iframe title="{name}" srcdoc="{page}" sandbox="allow-scripts" '
             'style="position:absolute;inset:0;width:100%;height:100%;border:0"></iframe></div>{caption}</div>',
             height=HEIGHT,
             name=repr(result),
@@ -57,9 +56,7 @@ def notebook_view(result: Any) -> str:
 
 def view_page(result: Any, stages: list[Stage], poster: str) -> str:
     """The page in the frame: the viewer of the report page, alone."""
-    scene = make_scene(
-        result, stages, cube_faces(PATTERN, FACE_TEXELS), most_faces=MOST_FACES, device="auto"
-    )
+    scene = make_scene(result, stages, PATTERN, most_faces=MOST_FACES, texels=FACE_TEXELS)
     three, viewer = script("three/three.min.js"), script("viewer.js")
     return fill_page(
         asset("notebook.html"),

@@ -141,10 +141,12 @@ def report_page(
         style=asset("page.css"),
         lead=_lead(result, report),
         verdict=_verdict(report, stages),
-        poster=stills[stages[-1].key],
-        poster_alt=f"{shown} carried to the surface by the final map",
-        controls=_controls(stages, image is not None, pattern),
-        legends=_legends(),
+        view=viewer_section(
+            stages,
+            stills[stages[-1].key],
+            f"{shown} carried to the surface by the final map",
+            "Picture" if image is not None else pattern.capitalize(),
+        ),
         sections=join(content, "\n"),
         footer=sections.footer(report),
         scene=data_block(scene.header),
@@ -172,10 +174,30 @@ def _verdict(report: dict[str, Any], stages: Sequence[Stage]) -> Markup:
     return html('<p class="verdict bad">{} Not certified</p>', _WARNING)
 
 
-def _controls(stages: Sequence[Stage], has_image: bool, pattern: str) -> Markup:
+def viewer_section(stages: Sequence[Stage], poster: str, poster_alt: str, texture: str) -> Markup:
+    """The interactive view's elements, over a picture that is shown until it draws.
+
+    Args:
+        stages: of the map, the last one shown first.
+        poster: the picture, as a data URI.
+        poster_alt: what the picture shows.
+        texture: name of the texture among the colourings.
+    """
+    return Markup(
+        fill_page(
+            asset("viewer.html"),
+            poster=poster,
+            poster_alt=poster_alt,
+            controls=_controls(stages, texture),
+            legends=_legends(),
+        )
+    )
+
+
+def _controls(stages: Sequence[Stage], texture: str) -> Markup:
     last = stages[-1].key
     colourings = [
-        ("picture", "Picture" if has_image else pattern.capitalize()),
+        ("picture", texture),
         ("graticule", "Graticule"),
         ("area", "Area"),
         ("angle", "Angle"),

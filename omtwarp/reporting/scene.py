@@ -36,6 +36,7 @@ AREA_COLOURS, ANGLE_COLOURS = "coolwarm", "magma_r"
 ANGLE_PART = 0.78  # the rest of that colour map is too dark to show the surface's form
 # Above this many faces the view, and only the view, shows a simplified mesh: a page has to stay light.
 MOST_FACES = 150_000
+FACE_TEXELS = 512  # of the texture along each face of the cube
 # Degrees above the horizon from which the view starts.
 ELEVATION = 18.0
 
@@ -69,7 +70,16 @@ class Scene:
     faces: int
 
 
-def make_scene(result: Any, stages: list[Stage], texture: Any, *, up: str | None = None, device: str = "auto") -> Scene:
+def make_scene(
+    result: Any,
+    stages: list[Stage],
+    texture: Any,
+    *,
+    up: str | None = None,
+    most_faces: int = MOST_FACES,
+    texels: int = FACE_TEXELS,
+    device: str = "auto",
+) -> Scene:
     """Collect what the interactive view needs.
 
     Args:
@@ -77,9 +87,11 @@ def make_scene(result: Any, stages: list[Stage], texture: Any, *, up: str | None
         stages: as :func:`~omtwarp.reporting.stages.stages_of` gives them.
         texture: a picture, or the name of a pattern.
         up: the surface's upward axis; y by default.
+        most_faces: a surface of more triangles is simplified.
+        texels: of the texture along each of its six faces.
         device: where the texture is baked.
     """
-    vertices, faces = shown_mesh(result.vertices, result.faces)
+    vertices, faces = shown_mesh(result.vertices, result.faces, most_faces)
     used, corners = np.unique(faces, return_inverse=True)
     triangles = corners.reshape(-1, 3).astype(np.int32)
     axes = _axes(up or "y", DEFAULT_FRONT[(up or "y").lstrip("+-")])
@@ -115,7 +127,7 @@ def make_scene(result: Any, stages: list[Stage], texture: Any, *, up: str | None
         "turn": alignment(stages[-1].sphere[used], placed).T.ravel().round(6).tolist(),
         "area": {"range": AREA_RANGE, "colours": colour_ramp(AREA_COLOURS)},
         "angle": {"range": ANGLE_RANGE, "colours": colour_ramp(ANGLE_COLOURS, ANGLE_PART)},
-        "picture": cube_faces(texture, device=device),
+        "picture": cube_faces(texture, texels, device=device),
     }
     packed = base64.b64encode(zlib.compress(bytes(blob), 9)).decode()
     return Scene(json.dumps(header, separators=(",", ":")), packed, len(triangles))
@@ -168,7 +180,7 @@ def alignment(directions: Floats, placed: Floats) -> Floats:
     return u @ np.diag([1.0, 1.0, flip]) @ vt
 
 
-def cube_faces(texture: Any, size: int = 512, *, device: str = "auto") -> list[str]:
+def cube_faces(texture: Any, size: int = FACE_TEXELS, *, device: str = "auto") -> list[str]:
     """A texture as the six faces of an OpenGL cube map with equiangular faces, as data URIs.
 
     Args:

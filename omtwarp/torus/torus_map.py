@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
 from omtwarp.flips.predicates import flipped_faces
@@ -59,7 +60,7 @@ class TorusCertificate:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TorusMap:
+class TorusMap(Shown):
     """A surface and its map to the flat torus R² / Λ.
 
     The corner ``k`` of triangle ``f`` lies at ``corners[f, k] @ lattice`` in the plane.
