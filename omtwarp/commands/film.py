@@ -131,11 +131,10 @@ def film_map(
             device=device,
             progress=notify,
         )
-    facts = {"output": str(output), "frames": frames, "bytes": output.stat().st_size}
+    length = output.stat().st_size
     if as_json:
-        print(json.dumps(facts))
+        print(json.dumps({"output": str(output), "frames": frames, "bytes": length}))
     elif not quiet:
         print(
-            f"{output}: a film of {frames} frames, {facts['bytes'] / 1e6:.1f} MB, "
-            f"drawn in {time.perf_counter() - begun:.1f} s"
+            f"{output}: a film of {frames} frames, {length / 1e6:.1f} MB, drawn in {time.perf_counter() - begun:.1f} s"
         )
