@@ -129,16 +129,26 @@ def start_device(device: str) -> None:
     resolve_device(device)
 
 
-def load_map(path: Path) -> MapResult:
+def load_map(path: Path, torus: bool = False) -> Any:
     """Read a finished map.
 
+    Args:
+        path: the file.
+        torus: whether a map to a torus will do.
+
     Raises:
-        OmtwarpError: a missing file, or one that is not a map.
+        OmtwarpError: a missing file, or one that is not a map, or is one to a torus where that will not do.
     """
     from omtwarp.inputs import holds_array
     from omtwarp.result import MapResult
     from omtwarp.surface_map import SurfaceMap
 
+    if path.is_file() and holds_array(path, "wraps"):
+        from omtwarp.torus.torus_map import TorusMap
+
+        if not torus:
+            raise OmtwarpError(f"'{path}' is a map to a torus: this command takes maps to the sphere")
+        return TorusMap.load(path)
     return (SurfaceMap if path.is_file() and holds_array(path, "domain") else MapResult).load(path)
 
 
@@ -200,9 +210,25 @@ def require_bijective(result: MapResult, path: Path | None = None) -> None:
 
 
 def map_from(
-    mesh: Path | None, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Any
-) -> MapResult:
+    mesh: Path | None,
+    finished: Path | None,
+    *,
+    repair: bool,
+    quiet: bool,
+    device: str,
+    torus: bool = False,
+    **options: Any,
+) -> Any:
     """The map that a command works on: a finished one, or one made now from a mesh.
+
+    Args:
+        mesh: a mesh, or a finished map in its place.
+        finished: a finished map.
+        repair: whether to mend the mesh first.
+        quiet: whether to draw no progress.
+        device: where kernels run.
+        torus: whether a map to a torus will do.
+        options: those of :func:`omtwarp.map_to_sphere`.
 
     Raises:
         OmtwarpError: neither or both given, or whatever is wrong with what is given.
@@ -210,12 +236,12 @@ def map_from(
     if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
         from omtwarp.inputs import holds_array
 
-        if holds_array(mesh, "sphere"):
+        if holds_array(mesh, "sphere") or holds_array(mesh, "wraps"):
             mesh, finished = None, mesh  # a map stands where a mesh may stand
     if finished is not None:
         if mesh is not None:
             raise OmtwarpError(f"both a mesh '{mesh}' and a finished map '{finished}': the map has its mesh, give one")
-        return load_map(finished)
+        return load_map(finished, torus)
     if mesh is None:
         raise OmtwarpError("nothing to work on: give a mesh, or a finished map with --map")
     sound = read_sound_mesh(mesh, repair)

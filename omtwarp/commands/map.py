@@ -139,8 +139,8 @@ def map_mesh(
     for target, report_target in zip(targets, reports, strict=True):
         if target is not None:
             check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
-            if torus and target.suffix.lower() not in (".npz", ".glb"):
-                raise OmtwarpError("a map to a torus is written as .npz, or as .glb with a texture that repeats")
+            if torus and beside:
+                raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
         if report_target is not None:
             check_output(report_target, (".json",), *meshes, target)
     any_surface = surface_options(
@@ -252,14 +252,16 @@ def composed(origin: NDArray | None, before: NDArray) -> NDArray:
 def save(
     result: MapResult | TorusMap, file: Path, like: Path | None = None, radius: float = 1.0, beside: bool = False
 ) -> None:
-    """Write a map as .npz, or its sphere as a mesh; of a map to a torus the textured surface."""
+    """Write a map as .npz, or its sphere as a mesh; of a map to a torus the textured surface, or a ring torus."""
     from omtwarp.mesh.write import write_mesh
     from omtwarp.torus.torus_map import TorusMap
 
     if file.suffix.lower() == ".npz":
         result.save(file)
+    elif isinstance(result, TorusMap) and file.suffix.lower() == ".glb":
+        result.textured(pattern="checker").export(file)
     elif isinstance(result, TorusMap):
-        result.trimesh().export(file)
+        write_mesh(file, radius * result.ring(), result.faces, like=like)
     elif beside:
         places = dict(zip(("px", "py", "pz"), radius * image_of(result).T, strict=True))
         write_mesh(file, result.vertices, result.faces, beside=places)

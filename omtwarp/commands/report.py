@@ -70,6 +70,7 @@ def report_on_map(
         repair=repair,
         quiet=quiet,
         device=device,
+        torus=True,
         method=method,
         until=until,
         cost=cost,

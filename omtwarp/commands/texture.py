@@ -83,7 +83,10 @@ def texture_mesh(
     repair: RepairOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Texture a surface through its map to the sphere, with a picture or a pattern."""
+    """Texture a surface through its map to the sphere, with a picture or a pattern.
+
+    Of a map to a torus the texture closes up both ways: a picture that repeats, circles or a checker.
+    """
     from omtwarp.commands._work import map_from, require_bijective, start_device
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.export import SUFFIXES
@@ -101,6 +104,7 @@ def texture_mesh(
         repair=repair,
         quiet=quiet,
         device=device,
+        torus=True,
         method=method,
         until=until,
         cost=cost,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import read_bytes
+from omtwarp.inputs import holds_array, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.materials.base import WHITE
 from omtwarp.materials.painted import PaintedMesh
@@ -21,6 +21,7 @@ from omtwarp.mesh.read import read_mesh as read_triangles
 from omtwarp.mesh.scenes import load_scene, scene_formats
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
 from omtwarp.texturing.image import read_image as read_picture
+from omtwarp.torus.torus_map import TorusMap
 
 
 @runtime_checkable
@@ -76,8 +77,12 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
         if path.suffix.lower() == ".npz":
             from omtwarp.result import MapResult
 
+            if path.is_file() and holds_array(path, "wraps"):
+                return torus_view(TorusMap.load(path), image)
             return map_view(MapResult.load(path), image)
         view = _file_view(path)
+    elif isinstance(subject, TorusMap):
+        return torus_view(subject, image)
     elif isinstance(subject, FinishedMap):
         return map_view(subject, image)
     elif hasattr(subject, "visual") and hasattr(subject, "faces"):
@@ -128,6 +133,38 @@ def map_view(
     if on == "sphere":
         return SurfaceView(sphere, result.faces, image=picture, sphere=sphere, up="z", front="+x", caption=caption)
     return SurfaceView(result.vertices, result.faces, image=picture, sphere=sphere, caption=caption)
+
+
+def torus_view(
+    result: TorusMap,
+    image: Picture | None = None,
+    *,
+    which: str = "optimal",
+    on: str = "surface",
+    pattern: str = "circles",
+    caption: str = "",
+) -> SurfaceView:
+    """A view of a map to a torus: the surface, or the ring torus, with a picture that repeats both ways.
+
+    Args:
+        result: the map.
+        image: the picture; a pattern where there is none.
+        which: ``"optimal"`` (the final map) or ``"conformal"``.
+        on: ``"surface"`` or ``"torus"``, the ring torus.
+        pattern: ``circles`` or ``checker``.
+        caption: text for a sheet.
+
+    Raises:
+        OmtwarpError: an unknown choice.
+    """
+    if which not in ("optimal", "conformal") or on not in ("surface", "torus"):
+        raise OmtwarpError(f"unknown view ('{which}', '{on}'): use optimal or conformal, and surface or torus")
+    shown = result if which == "optimal" else replace(result, coordinates=result.conformal)
+    cut = shown.textured(None if image is None else read_image(image), pattern=None if image is not None else pattern)
+    places = cut.vertices if on == "surface" else shown.ring()[cut.welded]
+    return SurfaceView(
+        places, cut.faces, image=cut.image, uv=cut.uv, up="y" if on == "surface" else "z", caption=caption
+    )
 
 
 def checker_image(columns: int = 24, rows: int = 12, cell: int = 64) -> NDArray[np.uint8]:

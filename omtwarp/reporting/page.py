@@ -28,10 +28,12 @@ from omtwarp.reporting.scene import (
     make_scene,
 )
 from omtwarp.reporting.stages import Stage, stages_of
+from omtwarp.reporting.torus_page import write_torus_report
 from omtwarp.texturing import read_image
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
 from omtwarp.texturing.rasterizing import rasterize
+from omtwarp.torus.torus_map import TorusMap
 
 MOST_EDGES = 60_000  # faces: the edges of more would leave nothing to see of what is between them
 TEXTURES = {"circles": "Circles of equal size", "puzzle": "A jigsaw puzzle", "globe": "A globe", "checker": "A checker"}
@@ -66,7 +68,8 @@ def write_report(
     (section 6 of the paper), the cost of the transport over its iterations, what each stage did, and the certificate.
 
     Args:
-        result: a :class:`~omtwarp.result.MapResult`.
+        result: a :class:`~omtwarp.result.MapResult`; or a :class:`omtwarp.TorusMap`, of which the page has still
+            pictures only.
         path: the file to write; it appears whole or not at all.
         title: heading of the page; "Map report" by default.
         image: equirectangular picture shown on the surface: a path, a PIL image or an array [H, W, 3].
@@ -90,6 +93,17 @@ def write_report(
     """
     target = Path(path)
     check_output(target)
+    if isinstance(result, TorusMap):
+        return write_torus_report(
+            result,
+            target,
+            title=title,
+            image=image,
+            pattern=pattern,
+            up=up,
+            picture_size=picture_size,
+            device=device,
+        )
     page = report_page(
         result, title=title, image=image, pattern=pattern, up=up, picture_size=picture_size, device=device
     )

@@ -11,20 +11,49 @@ import os
 import struct
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import MARK, companion, staged
-from omtwarp.texturing.mesh import TexturedMesh
 
 SUFFIXES = (".glb", ".obj", ".ply")
 REPEAT, CLAMP = 10497, 33071  # glTF 2.0, sampler.wrapS and wrapT
 LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
 FLOAT, UNSIGNED_INT = 5126, 5125
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+
+
+class Exportable(Protocol):
+    """A mesh cut along the seams of its texture: :class:`omtwarp.texturing.mesh.TexturedMesh` says what is what."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    image: NDArray[np.uint8]
+    welded: NDArray[np.int32]
+    original_vertices: NDArray[np.float64]
+    original_faces: NDArray[np.int32]
+    source_image: Path | None
+
+    @property
+    def wraps(self) -> bool:
+        """Whether the image repeats to the right."""
+
+    @property
+    def wraps_rows(self) -> bool:
+        """Whether it repeats upwards."""
+
+    @property
+    def original_vertex_count(self) -> int:
+        """How many vertices the input has."""
+
+    @property
+    def vertex_colours(self) -> NDArray[np.uint8]:
+        """Colours of the texture at the input's vertices, uint8, shape [V, 4]."""
 
 
 def check_suffix(path: str | os.PathLike[str]) -> str:
@@ -41,7 +70,7 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
     return suffix
 
 
-def export(textured: TexturedMesh, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+def export(textured: Exportable, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
     """Write a textured surface in the format of the path's suffix.
 
     Args:
@@ -92,7 +121,7 @@ def _single(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
-def glb_bytes(textured: TexturedMesh) -> bytes:
+def glb_bytes(textured: Exportable) -> bytes:
     """A binary glTF 2.0 file: one mesh, one PBR material with the texture embedded, lit from any side the same way."""
     position = _single("positions", textured.vertices)
     normal = _single("normals", textured.normals)
@@ -169,7 +198,8 @@ def glb_bytes(textured: TexturedMesh) -> bytes:
                 "magFilter": LINEAR,
                 "minFilter": LINEAR_MIPMAP_LINEAR,
                 "wrapS": REPEAT if textured.wraps else CLAMP,  # u runs around the sphere
-                "wrapT": CLAMP,  # repeating here would let the poles bleed into each other
+                # On a sphere repeating here would let the poles bleed into each other.
+                "wrapT": REPEAT if textured.wraps_rows else CLAMP,
             }
         ],
         "images": [{"bufferView": picture, "mimeType": "image/png", "name": "texture"}],
@@ -193,7 +223,7 @@ def _lines(prefix: str, rows: NDArray, form: str) -> str:
     return (pattern * len(rows)) % tuple(rows.ravel().tolist())
 
 
-def obj_files(textured: TexturedMesh, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
+def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
     """An OBJ with its material and picture, the OBJ last.
 
     Positions and normals are written once per vertex of the uncut mesh (the input's vertices first, in their order);
@@ -209,7 +239,7 @@ def obj_files(textured: TexturedMesh, place: Path, *, keep: Iterable[Path | None
     face = "f %d/%d/%d %d/%d/%d %d/%d/%d\n"
     text = "".join(
         [
-            "# omtwarp: surface with a texture from its area-preserving map to the sphere\n",
+            "# omtwarp: surface with a texture from its area-preserving map\n",
             f"# the first {textured.original_vertex_count} vertices are those of the input, in its order\n",
             f"mtllib {material.name}\no surface\n",
             _lines("v", textured.vertices[first], "%.9g"),
@@ -235,7 +265,7 @@ def obj_files(textured: TexturedMesh, place: Path, *, keep: Iterable[Path | None
     return [(picture, png_bytes(textured.image)), (material, "\n".join(lines).encode()), (place, text.encode())]
 
 
-def ply_bytes(textured: TexturedMesh) -> bytes:
+def ply_bytes(textured: Exportable) -> bytes:
     """A binary PLY of the **input's** vertices and faces, unchanged and in their order, with a colour per vertex."""
     vertices, faces = textured.original_vertices, textured.original_faces
     record = np.dtype(
@@ -252,7 +282,7 @@ def ply_bytes(textured: TexturedMesh) -> bytes:
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment omtwarp: colours of a texture on the area-preserving map to the sphere",
+        "comment omtwarp: colours of a texture on the area-preserving map",
         f"element vertex {len(vertices)}",
         *(f"property double {name}" for name in "xyz"),
         *(f"property uchar {name}" for name in ("red", "green", "blue", "alpha")),

@@ -80,6 +80,11 @@ class TexturedMesh:
         return self.atlas.wraps
 
     @property
+    def wraps_rows(self) -> bool:
+        """Whether the image is periodic in v, too: never on a sphere."""
+        return False
+
+    @property
     def vertex_colours(self) -> NDArray[np.uint8]:
         """Red, green, blue and alpha of the texture at the input's vertices, uint8, shape [V, 4]."""
         values = sample(self.image, self.original_sphere @ self.rotation, self.atlas, device="cpu")

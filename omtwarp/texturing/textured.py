@@ -85,7 +85,7 @@ def texture(
 
     Args:
         result: a :class:`~omtwarp.result.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three
-            as a tuple.
+            as a tuple; or a :class:`omtwarp.TorusMap`, whose texture repeats both ways.
         image: a path, a PIL image or an array [H, W, 3]; its left and right borders are longitude -180 and 180 degrees,
             its top is the north pole (+z).
         pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``, or a :class:`~omtwarp.texturing.patterns.Pattern`.
@@ -116,6 +116,12 @@ def texture(
         >>> [path.name for path in textured.export("checker.glb")]
         ['checker.glb']
     """
+    on_torus = getattr(result, "textured", None)
+    if on_torus is not None:
+        if (projection, atlas, rotate, seam_longitude) != ("equirectangular", "cube", None, 180.0):
+            raise OmtwarpError("projection, atlas, rotation and seam are of textures on the sphere: a torus has none")
+        on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=size)
+        return on_its_own
     vertices, faces, sphere = _map_of(result)
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
@@ -143,7 +149,7 @@ def texture(
         vertices=cut.weights @ vertices,
         faces=cut.faces,
         uv=cut.uv,
-        normals=_unit_normals(cut.weights @ vertex_normals(vertices, faces)),
+        normals=unit_normals(cut.weights @ vertex_normals(vertices, faces)),
         image=np.ascontiguousarray(texels),
         sphere=cut.sphere,
         source_vertex=cut.source_vertex,
@@ -177,7 +183,7 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     return total / np.where(length > 0, length, 1.0)
 
 
-def _unit_normals(normals: Floats) -> Floats:
+def unit_normals(normals: Floats) -> Floats:
     """Normals of length one; the north pole where there is none, as formats of files demand some direction."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))

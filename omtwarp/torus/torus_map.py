@@ -22,7 +22,9 @@ from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.texturing.image import as_bytes, read_image
+from omtwarp.texturing.textured import unit_normals, vertex_normals
 from omtwarp.torus.harmonic import QUANTUM, conformal_torus, embedded_torus, quantised
+from omtwarp.torus.pictures import TexturedTorus, ring_torus, textured_torus, torus_pattern
 from omtwarp.torus.transport import transport_on_torus
 
 if TYPE_CHECKING:
@@ -150,29 +152,42 @@ class TorusMap(Shown):
         solid = areas * (SPHERE_AREA / whole)
         return summarize(surface, areas, determinant, angle, areas, solid, bool(np.isfinite(corner).all()))
 
+    def textured(self, image: Any = None, *, pattern: str | None = None, size: int | None = None) -> TexturedTorus:
+        """The surface with a picture that closes up both ways; ``.export("name.glb")`` writes it.
+
+        Args:
+            image: a picture that repeats, path, PIL image or array [H, W, 3], shown once on the torus: to the right
+                along the lattice's first vector, upwards along its second.
+            pattern: ``circles`` (by default), all of one size and round on the torus, or ``checker``.
+            size: width of a pattern in texels.
+
+        Raises:
+            OmtwarpError: an unusable image or pattern, or both.
+        """
+        if image is not None and pattern is not None:
+            raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
+        if image is None:
+            picture = torus_pattern(pattern or "circles", self.lattice, size)
+        else:
+            picture = as_bytes(read_image(image))
+        normals = unit_normals(vertex_normals(self.vertices, self.faces))
+        source = Path(image) if isinstance(image, str | os.PathLike) else None
+        return textured_torus(self.vertices, self.faces, normals, self.coordinates, self.wraps, picture, source)
+
     def trimesh(self, image: Any = None) -> trimesh.Trimesh:
-        """The surface with a texture that closes up both ways, corners apart, as a :class:`trimesh.Trimesh`.
+        """The surface with a texture that closes up both ways, as a :class:`trimesh.Trimesh`.
 
         Args:
             image: a picture that repeats, path or array, shown once on the torus; a checker by default.
         """
-        import trimesh
-        from PIL import Image
+        return self.textured(image, pattern="checker" if image is None else None).trimesh()
 
-        picture = Image.fromarray(_checker(self.lattice) if image is None else as_bytes(read_image(image)))
-        material = trimesh.visual.material.PBRMaterial(
-            name="texture", baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.65
-        )
-        uv = self.corners - np.floor(self.corners.min(axis=1, keepdims=True))
-        whole = trimesh.Trimesh(self.vertices, self.faces, process=False)
-        return trimesh.Trimesh(
-            vertices=self.vertices[self.faces].reshape(-1, 3),
-            faces=np.arange(3 * len(self.faces)).reshape(-1, 3),
-            vertex_normals=whole.vertex_normals[self.faces].reshape(-1, 3),
-            visual=trimesh.visual.TextureVisuals(uv=uv.reshape(-1, 2), material=material),
-            process=False,
-            validate=False,
-        )
+    def ring(self) -> Floats:
+        """The vertices on a ring torus, areas in proportion to those of the surface, shape [V, 3].
+
+        The ring's radii are in the proportion of the lattice's vectors, the tube at most 0.8 of the ring.
+        """
+        return ring_torus(self.coordinates, self.lattice)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map as ``.npz``: arrays of the attributes' names, and the report as JSON text under ``report``.
@@ -292,17 +307,6 @@ def _areas(corner: Floats) -> Floats:
     """Signed areas of plane triangles, shape [F], from corners [F, 3, 2]."""
     one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
-
-
-def _checker(lattice: Floats, cell: int = 32) -> NDArray[np.uint8]:
-    """A checker that repeats both ways, its cells as nearly square as even numbers of them allow."""
-    long = np.linalg.norm(lattice, axis=1)
-    counts = [max(2, 2 * round(6.0 * float(side / long.min()))) for side in long]
-    column, row = np.arange(counts[0] * cell) // cell, np.arange(counts[1] * cell) // cell
-    turn = 2.0 * np.pi * column / counts[0]
-    dark = np.stack([0.33 + 0.22 * np.cos(turn + shift) for shift in (0.4, -1.9, 2.6)], axis=-1)
-    chosen = ((row[:, None] + column[None, :]) % 2)[..., None]
-    return np.rint(255.0 * np.where(chosen == 1, np.array([0.96, 0.94, 0.90]), dark[None])).astype(np.uint8)
 
 
 __all__ = ["TorusCertificate", "TorusMap", "map_to_torus"]

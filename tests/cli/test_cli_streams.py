@@ -118,9 +118,9 @@ def test_torus_and_exact_maps_of_several_meshes(folder, monkeypatch, capfdbinary
     )
     assert status == 1 and not out and (folder / "maps/ring.npz").exists() and "omtwarp: omt: " in err
     assert "omtwarp: ball.ply: only a closed, connected surface of genus 1" in err
-    status, out, err = run(monkeypatch, capfdbinary, ["map", "ring.ply", "-o", "ring.obj", "--torus"])
+    status, out, err = run(monkeypatch, capfdbinary, ["map", "ring.ply", "-o", "ring2.ply", "--torus", "--beside"])
     assert status == 1 and err == (
-        "omtwarp: error: a map to a torus is written as .npz, or as .glb with a texture that repeats\n"
+        "omtwarp: error: --beside is for maps to the sphere: a ring torus is written by itself\n"
     )
     status, out, _ = run(monkeypatch, capfdbinary, ["map", "ball.ply", "-o", "ball.npz", "--exact", "-q", "--json"])
     found = json.loads(out)

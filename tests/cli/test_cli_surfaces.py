@@ -92,4 +92,24 @@ def test_torus(capsys, tmp_path):
     status, _, err = run(capsys, "preview", tmp_path / "m.glb", "-o", tmp_path / "m.png", "--quiet")
     assert status == 0, err
     status, _, err = run(capsys, "map", tmp_path / "ring.ply", "-o", tmp_path / "m.ply", "--torus")
-    assert status == 1 and "written as .npz" in err
+    assert status == 0, err
+    ring = read_mesh(tmp_path / "m.ply")
+    assert len(ring.faces) == len(omtwarp.TorusMap.load(tmp_path / "m.npz").faces)
+    assert np.ptp(ring.vertices[:, 2]) < 0.7 * np.ptp(ring.vertices[:, 0])
+    whole = tmp_path / "m.npz"
+    for words in (
+        ["texture", "--map", whole, "-o", tmp_path / "t.glb"],
+        ["texture", whole, "-o", tmp_path / "t.obj", "--pattern", "checker", "--size", "64"],
+        ["preview", whole, "-o", tmp_path / "t.png", "--size", "64"],
+        ["report", whole, "-o", tmp_path / "t.html"],
+    ):
+        status, _, err = run(capsys, *words)
+        assert status == 0, err
+    assert "one to one" in (tmp_path / "t.html").read_text("utf-8") and (tmp_path / "t.png").stat().st_size > 1000
+    for words, told in (
+        (["texture", whole, "-o", tmp_path / "u.glb", "--pattern", "globe"], "one of the sphere"),
+        (["texture", whole, "-o", tmp_path / "u.glb", "--atlas", "octahedral"], "a torus has none"),
+        (["spharm", whole, "-o", tmp_path / "u.csv"], "a map to a torus"),
+    ):
+        status, _, err = run(capsys, *words)
+        assert status == 1 and told in err and err.count("\n") == 1 and "Traceback" not in err, err

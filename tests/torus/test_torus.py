@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import omtwarp
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
+from omtwarp.torus.pictures import ring_torus as on_ring_torus
+from omtwarp.torus.pictures import torus_pattern
 from omtwarp.torus.transport import transport_on_torus
 
 
@@ -87,8 +90,12 @@ def test_map_is_one_to_one_keeps_areas_and_closes_up(surface, tmp_path):
     result.save(tmp_path / "torus.npz")
     again = omtwarp.TorusMap.load(tmp_path / "torus.npz")
     assert np.array_equal(again.corners, result.corners) and np.array_equal(again.lattice, result.lattice)
-    textured = result.trimesh()
-    assert np.allclose(textured.area, own.sum()) and len(textured.visual.uv) == 3 * len(surface.faces)
+    textured = result.textured(pattern="checker", size=64)
+    assert np.array_equal(textured.vertices[: len(surface.vertices)], surface.vertices)
+    assert np.array_equal(textured.welded[textured.faces], surface.faces)
+    # Up to whole pictures, the copies of a vertex have one place in the picture.
+    assert np.array_equal(textured.uv % 1.0, (result.coordinates % 1.0)[textured.welded])
+    assert np.allclose(textured.trimesh().area, own.sum())
 
 
 def test_a_flip_is_seen_in_the_universal_cover():
@@ -105,3 +112,38 @@ def test_other_surfaces_do_not_go_to_a_torus(tmp_path):
     np.savez(tmp_path / "not.npz", vertices=np.zeros((3, 3)))
     with pytest.raises(omtwarp.OmtwarpError, match="no 'faces'"):
         omtwarp.TorusMap.load(tmp_path / "not.npz")
+
+
+def test_circles_are_round_on_a_slanted_torus_and_close_up():
+    """The pattern covers the share that it promises, and each circle's second moments are those of a disc."""
+    lattice = np.array([[2.0, 0.0], [0.7, 5.0]])
+    picture = torus_pattern("circles", lattice, 240)
+    height, width = picture.shape[:2]
+    assert height / width == pytest.approx(np.linalg.norm(lattice[1]) / 2.0, rel=0.01)
+    inside = picture.min(axis=2) < 180
+    assert inside.mean() == pytest.approx(0.56, abs=0.02)
+    labels, count = ndimage.label(np.tile(inside, (2, 2)))
+    whole = [region for region in range(1, count + 1) if not _touches_the_rim(labels == region)]
+    assert len(whole) > 100
+    for region in whole[::10]:
+        rows, columns = np.nonzero(labels == region)
+        places = np.stack([columns / width, -rows / height], axis=1) @ lattice
+        low, high = np.linalg.eigvalsh(np.cov(places.T))
+        assert high / low < 1.1
+
+
+def _touches_the_rim(region: np.ndarray) -> bool:
+    return bool(region[0].any() or region[-1].any() or region[:, 0].any() or region[:, -1].any())
+
+
+def test_ring_torus_keeps_areas_in_proportion_and_faces_outwards():
+    columns, rows = 200, 80
+    places, faces, _ = grid_torus(rows, columns)
+    lattice = np.array([[2.0, 0.0], [0.3, 5.0]])
+    points = on_ring_torus(places, lattice)
+    areas = triangle_areas(points, faces)
+    assert np.abs(areas / areas.mean() - 1.0).max() < 0.03  # of chords
+    corner = points[faces]
+    volume = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() / 6.0
+    share = 2.0 / np.linalg.norm(lattice[1])
+    assert volume == pytest.approx(2.0 * np.pi**2 * share**2, rel=0.01)

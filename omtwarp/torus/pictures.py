@@ -1,0 +1,242 @@
+"""Pictures that close up both ways on a flat torus, and meshes that are textured with them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.texturing.atlas import check_size
+from omtwarp.texturing.export import export
+
+if TYPE_CHECKING:
+    import trimesh
+
+Floats = NDArray[np.float64]
+
+PATTERNS = ("circles", "checker")
+CIRCLES = 162  # as many as the sphere's pattern has
+COVERAGE = 0.56  # the share of the torus that circles cover
+CHECKS = 6  # of the shorter lattice vector
+TEXELS = 1 << 21  # of a pattern, as of one that is 2048 wide on the sphere
+LIGHT = np.array([0.96, 0.94, 0.90])
+
+
+@dataclass(repr=False)
+class TexturedTorus:
+    """A surface with a picture that repeats both ways, cut where texture coordinates would have to jump.
+
+    The input's vertices come first, in their order; copies of them follow.
+
+    Attributes:
+        vertices: float64, shape [N, 3].
+        faces: int32, shape [F, 3].
+        uv: texture coordinates, shape [N, 2], beyond [0, 1] where the picture repeats.
+        normals: unit vectors, shape [N, 3], the same for all copies of a vertex.
+        image: uint8, shape [H, W, 3] or [H, W, 4].
+        welded: the input's vertex that each vertex is a copy of, shape [N].
+        original_vertices, original_faces: the input.
+        vertex_colours: red, green, blue and alpha at the input's vertices, uint8, shape [V, 4].
+        source_image: the file that the texture was made from, if any; an export never replaces it.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.int32]
+    uv: Floats
+    normals: Floats
+    image: NDArray[np.uint8]
+    welded: NDArray[np.int32]
+    original_vertices: Floats = field(repr=False)
+    original_faces: NDArray[np.int32] = field(repr=False)
+    vertex_colours: NDArray[np.uint8] = field(repr=False)
+    source_image: Path | None = field(default=None, repr=False)
+
+    wraps = True
+    wraps_rows = True
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        return f"TexturedTorus({len(self.vertices)} vertices, {len(self.faces)} faces, texture {width}x{height})"
+
+    @property
+    def original_vertex_count(self) -> int:
+        """How many vertices the input has: they are the first ones."""
+        return len(self.original_vertices)
+
+    def export(self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+        """Write the surface as .glb, .obj (with .mtl and .png) or .ply (a colour per vertex).
+
+        Args:
+            path: the file to write.
+            keep: more files that must not be replaced.
+
+        Returns:
+            The files written, the named one last.
+
+        Raises:
+            OmtwarpError: another suffix, or a place that cannot be written to.
+        """
+        return export(self, path, keep=keep)
+
+    def trimesh(self) -> trimesh.Trimesh:
+        """The cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
+        import trimesh
+        from PIL import Image
+
+        material = trimesh.visual.material.PBRMaterial(
+            name="texture", baseColorTexture=Image.fromarray(self.image), metallicFactor=0.0, roughnessFactor=0.65
+        )
+        return trimesh.Trimesh(
+            vertices=self.vertices,
+            faces=self.faces,
+            vertex_normals=self.normals,
+            visual=trimesh.visual.TextureVisuals(uv=self.uv, material=material),
+            process=False,
+            validate=False,
+        )
+
+
+def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArray[np.uint8]:
+    """A picture of a flat torus: u to the right along the first lattice vector, v upwards along the second.
+
+    Args:
+        name: ``circles``, all of one size and round on the torus, or ``checker``.
+        lattice: the two vectors, as rows, shape [2, 2].
+        size: width in texels; by default such that the picture has about two million.
+
+    Returns:
+        uint8, shape [H, W, 3].
+
+    Raises:
+        OmtwarpError: another pattern, or a size that is too large.
+    """
+    if name not in PATTERNS:
+        raise OmtwarpError(f"the pattern '{name}' is one of the sphere: a torus takes {' or '.join(PATTERNS)}")
+    along = np.linalg.norm(lattice, axis=1)
+    wide = int(np.sqrt(TEXELS * along[0] / along[1])) if size is None else size
+    width, height = check_size((max(wide, 16), max(round(wide * float(along[1] / along[0])), 16)))
+    u = (np.arange(width) + 0.5) / width
+    v = 1.0 - (np.arange(height) + 0.5) / height
+    turn = 2.0 * np.pi * v[:, None]
+    tint = np.stack([0.33 + 0.22 * np.cos(turn + shift) for shift in (0.4, -1.9, 2.6)], axis=-1)
+    share = _checks(lattice, u, v) if name == "checker" else _circles(lattice, u, v)
+    picture = LIGHT + share[..., None] * (tint - LIGHT)
+    return np.rint(255.0 * picture).astype(np.uint8)
+
+
+def _checks(lattice: Floats, u: Floats, v: Floats) -> Floats:
+    """1 on the dark cells of a checker, which are as nearly square as even numbers of them allow, shape [H, W]."""
+    along = np.linalg.norm(lattice, axis=1)
+    columns, rows = (max(2, 2 * round(CHECKS / 2 * float(side / along.min()))) for side in along)
+    return ((np.floor(rows * v)[:, None] + np.floor(columns * u)[None, :]) % 2.0).astype(np.float64)
+
+
+def _circles(lattice: Floats, u: Floats, v: Floats) -> Floats:
+    """1 inside of circles and 0 outside, in between at their rims, shape [H, W]."""
+    area = abs(float(np.linalg.det(lattice)))
+    first = float(np.linalg.norm(lattice[0]))
+    apart = np.sqrt(2.0 / np.sqrt(3.0) * area / CIRCLES)
+    columns = max(1, round(first / apart))
+    rows = max(2, 2 * round(area / first / (apart * np.sqrt(3.0) / 2.0) / 2.0))
+    offsets = np.array([(j, i) for j in range(-2, 3) for i in np.arange(-2.0, 2.5, 0.5)])
+    offsets = offsets[(offsets[:, 1] % 1.0 == 0.5) == (offsets[:, 0] % 2.0 == 1.0)]
+    steps = np.stack([offsets[:, 1] / columns, offsets[:, 0] / rows], axis=1) @ lattice
+    lengths = np.linalg.norm(steps, axis=1)
+    least = float(lengths[lengths > 0.0].min())
+    radius = min(float(np.sqrt(COVERAGE * area / (columns * rows * np.pi))), 0.46 * least)
+    texel = np.sqrt(area / (len(u) * len(v)))
+    nearest = np.full((len(v), len(u)), np.inf)
+    row = np.round(v * rows)
+    for shift in range(-1, 2):
+        j = row + shift
+        half = 0.5 * (j % 2.0)
+        for more in range(-1, 2):
+            i = np.round(u[None, :] * columns - half[:, None]) + half[:, None] + more
+            du, dv = u[None, :] - i / columns, (v - j / rows)[:, None]
+            x, y = du * lattice[0, 0] + dv * lattice[1, 0], du * lattice[0, 1] + dv * lattice[1, 1]
+            np.minimum(nearest, np.hypot(x, y), out=nearest)
+    return np.clip(0.5 + (radius - nearest) / texel, 0.0, 1.0)
+
+
+def textured_torus(
+    vertices: Floats,
+    faces: NDArray[np.int32],
+    normals: Floats,
+    coordinates: Floats,
+    wraps: NDArray[np.int64],
+    image: NDArray[np.uint8],
+    source_image: Path | None = None,
+) -> TexturedTorus:
+    """Cut a surface where the texture coordinates of its map to a torus jump.
+
+    Args:
+        vertices, faces, normals: of the surface, shapes [V, 3], [F, 3] and [V, 3].
+        coordinates, wraps: its map, see :class:`omtwarp.TorusMap`.
+        image: a picture that repeats both ways.
+        source_image: where it is from.
+    """
+    corner = coordinates[faces] + wraps
+    whole = wraps - np.floor(corner.min(axis=1, keepdims=True)).astype(np.int64)
+    low = whole.reshape(-1, 2).min(axis=0)
+    span = whole.reshape(-1, 2).max(axis=0) - low + 1
+    shifted = whole - low
+    kinds = int(span.prod())
+    keys = faces.astype(np.int64) * kinds + shifted[..., 0] * span[1] + shifted[..., 1]
+    unique, which = np.unique(keys.ravel(), return_inverse=True)
+    owner, rest = unique // kinds, unique % kinds
+    first = np.concatenate([[True], owner[1:] != owner[:-1]])
+    place = np.empty(len(unique), dtype=np.int64)
+    place[first] = owner[first]
+    place[~first] = len(vertices) + np.arange(int((~first).sum()))
+    welded = np.empty(len(unique), dtype=np.int32)
+    uv = np.empty((len(unique), 2))
+    welded[place] = owner
+    uv[place] = coordinates[owner] + np.stack([rest // span[1], rest % span[1]], axis=1) + low
+    height, width = image.shape[:2]
+    column = np.floor((coordinates[:, 0] % 1.0) * width).astype(np.int64) % width
+    row = np.floor((-coordinates[:, 1] % 1.0) * height).astype(np.int64) % height
+    colours = np.full((len(vertices), 4), 255, dtype=np.uint8)
+    colours[:, : image.shape[2]] = image[row, column]
+    return TexturedTorus(
+        vertices=vertices[welded],
+        faces=place[which].reshape(-1, 3).astype(np.int32),
+        uv=uv,
+        normals=normals[welded],
+        image=image,
+        welded=welded,
+        original_vertices=vertices,
+        original_faces=faces,
+        vertex_colours=colours,
+        source_image=source_image,
+    )
+
+
+def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
+    """Points of a ring torus for points of a flat one, areas in proportion, shape [N, 3].
+
+    The first coordinate goes around the tube and the second around the ring. The radii are in the proportion of the
+    lattice's vectors, the tube at most 0.8 of the ring; along the tube the angle t grows such that t + (r/R) sin t, to
+    which the area from the outside on is proportional, grows evenly.
+
+    Args:
+        coordinates: in multiples of the lattice's vectors, shape [N, 2].
+        lattice: the vectors, as rows, shape [2, 2].
+    """
+    along = np.linalg.norm(lattice, axis=1)
+    share = min(float(along.min() / along.max()), 0.8)
+    tube, ring = (coordinates.T if along[0] <= along[1] else coordinates.T[::-1]) * (2.0 * np.pi)
+    angle = tube.copy()
+    for _ in range(40):  # Newton's method on Kepler's equation; convex enough for every share below 1
+        angle -= (angle + share * np.sin(angle) - tube) / (1.0 + share * np.cos(angle))
+    reach = 1.0 + share * np.cos(angle)
+    turned = -1.0 if along[0] <= along[1] else 1.0  # keeps triangles counter-clockwise from outside
+    return np.stack([reach * np.cos(ring), reach * np.sin(ring), turned * share * np.sin(angle)], axis=1)
+
+
+__all__ = ["PATTERNS", "TexturedTorus", "ring_torus", "textured_torus", "torus_pattern"]
