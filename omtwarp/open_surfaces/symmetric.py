@@ -95,6 +95,8 @@ class SymmetricEnergy(TransportEnergy):
         start, device, shape_weight, cost_weight, area_weight: as of :class:`TransportEnergy`.
     """
 
+    local_steps = False  # they would not keep the symmetry
+
     def __init__(
         self,
         double: Double,

@@ -97,6 +97,7 @@ class CellEnergy(TransportEnergy):
         shape_weight: of the distortion of the parts.
     """
 
+    local_steps = False  # those are for areas around vertices
     area_tolerances = (MAX_CELL_RMS, MAX_CELL_ERROR)
     exact_tolerance = EXACT
 

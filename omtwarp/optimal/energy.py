@@ -77,7 +77,11 @@ class TransportEnergy:
         wanted: the areas that constraints ask for, 3 m_v, shape [V].
         area_tolerances: root mean square and largest relative error up to which they count as kept.
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
+        start_points: x on the host, shape [V, 3].
+        local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move vertices of its maps.
     """
+
+    local_steps = True
 
     area_tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
     exact_tolerance = 1e-6
@@ -97,6 +101,7 @@ class TransportEnergy:
         self.wanted = 3.0 * surface.vertex_areas
         mesh = surface.on(device)
         self._start, self._mesh, self._rows = start, mesh, mesh.vertex_corners
+        self.start_points: Numbers = start.numpy()
         count, faces, edges = surface.vertex_count, surface.face_count, len(surface.edges)
         self._solid = wp.empty(faces, dtype=wp.float64, device=device)
         self._forward, self._backward = (wp.empty(edges, dtype=wp.vec2d, device=device) for _ in range(2))

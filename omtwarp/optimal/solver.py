@@ -6,7 +6,8 @@ Every step solves the saddle-point system of :mod:`omtwarp.optimal.energy`,
 
 whose last block makes it a step of the augmented Lagrangian method with penalty μ (Nocedal and Wright, "Numerical
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A
-factorisation serves as long as the steps made with it gain enough.
+factorisation serves as long as the steps made with it gain enough. After each step the few vertices that have most to
+gain settle by steps of their own (:mod:`omtwarp.optimal.local`).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
+from omtwarp.optimal.local import LEAST_DAMPING, LocalSteps, freed_vertices
 from omtwarp.options import Progress
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
@@ -33,7 +35,7 @@ from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
 
 Numbers = NDArray[np.float64]
 
-SHAPE_WEIGHT = 0.0105  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
+SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: how heavily areas that are still wrong count beside cost
 MIN_COST = 1e-6  # radians²: of maps that move less than that the gain counts as if they moved that far
 REACH = 0.5  # radians: the farthest that a vertex goes in one step
@@ -49,12 +51,14 @@ STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 # Eigenvalues of the inverse map's derivative are raised to the damping. Where the conformal map has shrunk a limb the
 # cost hardly depends on the image, and a step would go farther than its second derivative is good for: the damping
 # grows after short steps and shrinks after full ones.
-LEAST_DAMPING, MOST_DAMPING = 1e-3, 1.0
+MOST_DAMPING = 1.0
 DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
 MIN_CURVATURE_SHARE = 0.03  # see refine.kernels.triangle_hessian
 
+# Local steps end where one is expected to gain this share of what ends the minimisation.
+LOCAL_GAIN_SHARE = 0.1
 # Optimal: a further step would gain this share of the cost, and areas are right to the energy's tolerances.
-GAIN = 3e-4
+GAIN = 1e-4
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,8 @@ class OptimalMap:
         history: one record per step: ``cost`` (Σ m d², masses 4π in all), ``energy`` (cost, shape and errors of areas
             in one number), ``ring_rms`` and ``ring_largest`` (errors of the areas around vertices), ``area`` and
             ``angle`` (distortions of triangles), ``decrement`` (what the step was expected to gain), ``length`` of the
-            step, ``factorised``, ``mended`` (vertices untangled or held back). The first record is the start.
+            step, ``factorised``, ``mended`` (vertices untangled or held back), ``settled`` (vertices moved by local
+            steps after it). The first record is the start.
         converged: whether gain and areas reached their tolerances.
         ended: how it ended, in words.
         factorisations: how many sparse matrices were factorised.
@@ -225,8 +230,9 @@ class _Newton:
             if self.constrained:
                 self.multipliers = self.multipliers + length * q
             trust = (before - value) / (length * decrement)
-            terms, last = after, decrement
-            history.append(self._record(terms, decrement, length, fresh, mended))
+            points, terms, settled = self._settled(points, after)
+            last = decrement
+            history.append(self._record(terms, decrement, length, fresh, mended, settled))
             if progress is not None:
                 progress(self.stage, number + 1, iterations, history[-1])
             if fresh and length == 1.0 and mended == 0 and trust > 0.4:
@@ -250,13 +256,39 @@ class _Newton:
             points.numpy().copy(), self.multipliers, tuple(history), converged, ended, self.factorisations
         )
 
+    def _settled(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, MapTerms, int]:
+        """Let the few vertices move that have most to gain: the map, its terms, and how many moved."""
+        energy = self.energy
+        if not energy.local_steps:
+            return points, terms, 0
+        gradient = self._coordinates(energy.gradient(points, terms, self.multipliers))
+        alone = gradient[:, 0] ** 2 * self.own[:, 1, 1] - 2.0 * gradient[:, 0] * gradient[:, 1] * self.own[:, 0, 1]
+        alone = (alone + gradient[:, 1] ** 2 * self.own[:, 0, 0]) / np.linalg.det(self.own)
+        freed = freed_vertices(self.surface.faces, alone + self.stiffness * energy.missing(terms) ** 2)
+        if freed is None:
+            return points, terms, 0
+        steps = LocalSteps(energy, freed, points, terms, self.multipliers, self.stiffness, self.constrained)
+        moved, vertices, multipliers = steps.run(LOCAL_GAIN_SHARE * self._enough(terms))
+        after = energy.terms(moved)
+        if not self._worth(after) < self._worth(terms):
+            return points, terms, 0
+        self.multipliers = self.multipliers.copy()
+        self.multipliers[vertices] = multipliers
+        return moved, after, int(freed.sum())
+
+    def _enough(self, terms: MapTerms) -> float:
+        """What a step has to promise to gain for another one to be taken."""
+        if not self.constrained:
+            return 2.0 * self.gain
+        return self.gain * max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST)
+
     def _reached(self, terms: MapTerms, decrement: float) -> bool:
         """Whether a map is as good as asked for."""
+        enough = decrement <= self._enough(terms)
         if not self.constrained:
-            return 0.5 * decrement <= self.gain
+            return enough
         rms, largest = self.energy.ring_errors(terms)
-        gain = self.gain * max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST)
-        return decrement <= gain and rms <= self.max_rms and largest <= self.max_error
+        return enough and rms <= self.max_rms and largest <= self.max_error
 
     def _worth(self, terms: MapTerms) -> float:
         """Cost, shape and area errors of a map in one number that does not depend on multipliers."""
@@ -279,6 +311,7 @@ class _Newton:
                 self.factor.factorise(diagonal, off_diagonal, gradients, 1.0 / self.stiffness)
             except NotPositiveDefinite:
                 continue
+            self.own = diagonal
             self.factorisations += 1
             return
         raise OmtwarpError("the second derivative of the transport cost is not finite")
@@ -336,7 +369,7 @@ class _Newton:
         return None
 
     def _record(
-        self, terms: MapTerms, decrement: float, length: float, factorised: bool, mended: int
+        self, terms: MapTerms, decrement: float, length: float, factorised: bool, mended: int, settled: int = 0
     ) -> dict[str, Any]:
         rms, largest = self.energy.ring_errors(terms)
         return {
@@ -350,4 +383,5 @@ class _Newton:
             "length": length,
             "factorised": factorised,
             "mended": mended,
+            "settled": settled,
         }

@@ -1,0 +1,81 @@
+"""Local steps of the optimal map: they gain, keep what they must, and find the same optimum sooner."""
+
+import numpy as np
+import pytest
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.policy import resolve_device
+from omtwarp.flips.rings import is_bijective
+from omtwarp.mesh.patches import grow
+from omtwarp.mesh.shapes import demo_shape
+from omtwarp.optimal.energy import TransportEnergy
+from omtwarp.optimal.local import MAX_CHOSEN_SHARE, LocalSteps, freed_vertices
+from omtwarp.optimal.solver import PENALTY, minimise
+from omtwarp.pipeline import map_to_sphere
+
+CPU = resolve_device("cpu")
+
+
+@pytest.fixture(scope="module")
+def moser():
+    surface = demo_shape(3000)
+    return surface, map_to_sphere(surface, until="moser", device="cpu")
+
+
+def energy_of(surface, moser):
+    return TransportEnergy(surface, vectors(moser.conformal, CPU), CPU, shape_weight=0.01)
+
+
+def worth(energy, terms, stiffness):
+    """Cost, shape and penalty, as a sum over the whole sphere."""
+    missing = energy.missing(terms)
+    return energy.lagrangian(terms, np.zeros(len(missing))) + 0.5 * float(stiffness @ missing**2)
+
+
+def test_steps_gain_and_touch_nothing_else(moser):
+    surface, result = moser
+    energy = energy_of(surface, result)
+    points = vectors(result.sphere, CPU)
+    before = energy.terms(points)
+    stiffness = PENALTY / energy.wanted.sum() / energy.wanted
+    seed = np.zeros(surface.vertex_count, dtype=bool)
+    seed[np.argsort(-np.abs(energy.missing(before) / energy.wanted))[:20]] = True
+    freed = grow(surface.faces, seed, 2)
+    steps = LocalSteps(energy, freed, points, before, np.zeros(len(freed)), stiffness, constrained=True)
+    moved, vertices, multipliers = steps.run(0.0)
+    after = energy.terms(moved)
+    assert worth(energy, after, stiffness) < worth(energy, before, stiffness)
+    np.testing.assert_array_equal(moved.numpy()[~freed], result.sphere[~freed])
+    assert np.abs(moved.numpy() - result.sphere).max() > 1e-4
+    assert is_bijective(moved, surface.on("cpu").faces, device="cpu")
+    # Patches cover what they covered, and their multipliers have no constant part.
+    assert after.ring[vertices].sum() == pytest.approx(before.ring[vertices].sum(), rel=1e-9)
+    assert float(energy.wanted[vertices] @ multipliers) == pytest.approx(0.0, abs=1e-9 * np.abs(multipliers).max())
+
+
+def test_the_same_optimum_in_fewer_factorisations(moser):
+    surface, result = moser
+    found = {}
+    for local in (True, False):
+        energy = energy_of(surface, result)
+        energy.local_steps = local
+        found[local] = minimise(energy, result.sphere, gain=1e-6, iterations=60, progress=None)
+        assert found[local].converged
+    assert any(record["settled"] for record in found[True].history)
+    assert not any(record["settled"] for record in found[False].history)
+    last = [found[local].history[-1] for local in (True, False)]
+    assert last[0]["energy"] <= last[1]["energy"] * (1.0 + 1e-3)
+    assert last[0]["cost"] == pytest.approx(last[1]["cost"], rel=2e-3)
+    assert found[True].factorisations < found[False].factorisations
+
+
+def test_too_many_vertices_are_left_to_whole_steps():
+    surface = demo_shape(3000)
+    count = surface.vertex_count
+    assert freed_vertices(surface.faces, np.ones(count)) is None
+    assert freed_vertices(surface.faces, np.zeros(count)) is None
+    gains = np.full(count, 1e-6)
+    gains[7] = 1.0
+    freed = freed_vertices(surface.faces, gains)
+    assert freed is not None and freed[7]
+    assert 0 < freed.sum() < MAX_CHOSEN_SHARE * count
