@@ -1,0 +1,359 @@
+"""A map to the sphere made smooth between its vertices, so that the lines of a texture have no corners at edges.
+
+A map is known at the vertices of a mesh. Linear inside every triangle, a circle of the sphere comes out with a corner at
+every edge that it crosses. Here the map keeps its values at the vertices and is cubic in between, after Clough and
+Tocher: every triangle is cut into three at its middle, with one cubic polynomial in each, and the derivative across an
+edge is the same from both sides [1]_. The derivatives at the vertices are those for which the curves over all edges bend
+least [2]_. The cubic map is taken at the points of a regular grid in every triangle, and linear between these.
+
+Where a triangle of the grid would come out flipped, the map is drawn back towards the linear one, as far as it takes.
+
+.. [1] P. Alfeld, "A trivariate Clough-Tocher scheme for tetrahedral data", Comput. Aided Geom. Design 1 (1984), with the
+   two-dimensional scheme in section 2.
+.. [2] G. Nielson, "A method for interpolating scattered data based upon a minimum norm network", Math. Comp. 40 (1983).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from omtwarp.flips.predicates import flipped_faces
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# The derivatives' system is as well conditioned as that of a spline: each step of the iteration gains a digit or so.
+MOST_STEPS = 60
+TOLERANCE = 1e-5  # relative residual; a line moves by less than that share of an edge
+HALVINGS = 4  # of what is added to the linear map, before it is left out at a place
+
+
+@dataclass(frozen=True)
+class SmoothMap:
+    """A map of a mesh that is divided evenly, each triangle into n² parts.
+
+    Attributes:
+        parts: n, into how many parts every edge is divided.
+        sphere: unit vectors of all points: the mesh's vertices first, then those on edges and inside, shape [N, 3].
+        grid: the points of every triangle, row by row as :func:`grid_points` lists them, int32, shape [F, K].
+        weights: sparse, shape [N, V]: every point as a combination of vertices; ``weights @ x`` carries over what is
+            linear on triangles, such as the surface itself.
+        linear_share: part of the triangles that were left linear, at least in part, to keep them from flipping.
+    """
+
+    parts: int
+    sphere: Floats
+    grid: Ints
+    weights: sparse.csr_matrix
+    linear_share: float
+
+    @property
+    def faces(self) -> Ints:
+        """The parts of all triangles, those of triangle f from f n² on, int32, shape [F n², 3]."""
+        return self.grid[:, grid_triangles(self.parts)].reshape(-1, 3)
+
+
+@lru_cache(maxsize=8)
+def grid_points(parts: int) -> NDArray[np.int64]:
+    """Steps from corner 0 towards corners 1 and 2 of the points of an evenly divided triangle, shape [K, 2].
+
+    Row i holds the points with i steps towards corner 1; point (i, j) is number i (2 n + 3 - i) / 2 + j.
+    """
+    return np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)], dtype=np.int64)
+
+
+@lru_cache(maxsize=8)
+def grid_triangles(parts: int) -> NDArray[np.int64]:
+    """Corners of the parts of an evenly divided triangle, numbers of its points, shape [parts², 3]."""
+
+    def number(i: int, j: int) -> int:
+        return i * (2 * parts + 3 - i) // 2 + j
+
+    upright = [
+        (number(i, j), number(i + 1, j), number(i, j + 1)) for i in range(parts) for j in range(parts - i)
+    ]
+    turned = [
+        (number(i + 1, j), number(i + 1, j + 1), number(i, j + 1)) for i in range(parts) for j in range(parts - i - 1)
+    ]
+    return np.array(upright + turned, dtype=np.int64)
+
+
+def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int) -> SmoothMap:
+    """Divide a mesh and its map, with new points where the smooth map has them.
+
+    Args:
+        vertices: the surface, shape [V, 3].
+        faces: triangles; where they form no manifold, or have no area, the result is still a map.
+        sphere: unit vectors, shape [V, 3].
+        parts: into how many parts every edge is divided, 1 or more.
+
+    Returns:
+        The divided map. None of its triangles is flipped unless the triangle of the mesh is that it is a part of, or is
+        so thin that rounding decides.
+
+    Example:
+        >>> from omtwarp.mesh import shapes
+        >>> from omtwarp.texturing.smooth import smooth_map
+        >>> ball = shapes.icosphere(1)
+        >>> smooth_map(ball.vertices, ball.faces, ball.vertices, 3).sphere.shape
+        (362, 3)
+    """
+    faces = np.asarray(faces, dtype=np.int32)
+    tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
+    keys, edge_of = np.unique(np.minimum(tails, heads) * len(vertices) + np.maximum(tails, heads), return_inverse=True)
+    ends = np.stack(np.divmod(keys, len(vertices)), axis=1)
+    edge_of = edge_of.reshape(-1, 3)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    places = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
+    towards = _edge_derivatives(places, faces, sphere, ends)
+
+    points = grid_points(parts)
+    share = np.column_stack([parts - points.sum(axis=1), points]) / parts  # of the three corners
+    on_edge = np.isclose(share, 0.0)
+    inner = np.flatnonzero(~on_edge.any(axis=1))
+    count, steps = len(vertices), np.arange(1, parts)
+    first_inner = count + len(ends) * (parts - 1)
+    grid = np.empty((len(faces), len(points)), dtype=np.int32)
+    grid[:, inner] = first_inner + np.arange(len(faces))[:, None] * len(inner) + np.arange(len(inner))
+    for k in range(3):
+        grid[:, np.flatnonzero(share[:, k] == 1.0)[0]] = faces[:, k]
+        # Points between corners k and k + 1, in the order in which they follow from k.
+        between = np.flatnonzero(on_edge[:, (k + 2) % 3] & (share.max(axis=1) < 1.0))
+        between = between[np.argsort(share[between, (k + 1) % 3])]
+        forward = (faces[:, k] == ends[edge_of[:, k], 0])[:, None]
+        step = np.where(forward, steps - 1, parts - 1 - steps)
+        grid[:, between] = count + edge_of[:, k, None] * (parts - 1) + step
+
+    t = (steps / parts)[None, :, None]
+    one, other = sphere[ends[:, 0], None], sphere[ends[:, 1], None]
+    edge_line = (1.0 - t) * one + t * other
+    edge_curve = (
+        (1.0 - t) ** 3 * one
+        + 3.0 * t * (1.0 - t) ** 2 * (one + towards[:, 0, None] / 3.0)
+        + 3.0 * t**2 * (1.0 - t) * (other - towards[:, 1, None] / 3.0)
+        + t**3 * other
+    )
+    inside_line = np.einsum("kc,fcj->fkj", share[inner], sphere[faces])
+    inside_curve = _inside(places, faces, sphere, ends, edge_of, towards, share[inner])
+    lines = np.concatenate([edge_line.reshape(-1, 3), inside_line.reshape(-1, 3)])
+    added = np.concatenate([edge_curve.reshape(-1, 3), inside_curve.reshape(-1, 3)]) - lines
+    owners = np.concatenate(
+        [np.repeat(np.arange(len(ends)), parts - 1), len(ends) + np.repeat(np.arange(len(faces)), len(inner))]
+    )
+    weights = _weights(ends, faces, steps / parts, share[inner], count)
+    result, kept = _without_flips(sphere, faces, lines, added, owners, edge_of, grid, parts)
+    return SmoothMap(parts, result, grid, weights, float(np.mean(kept < 1.0)))
+
+
+def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray[np.int64]) -> Floats:
+    """Derivatives at the two ends of every edge, from its first end to its second, for the whole edge, [E, 2, 3]."""
+    count = len(places)
+    corner = places[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    total = np.stack(
+        [np.bincount(faces.ravel(), np.repeat(normal[:, k], 3), minlength=count) for k in range(3)], axis=1
+    )
+    first, second = _tangents(total)
+    edge = places[ends[:, 1]] - places[ends[:, 0]]
+    length = np.maximum(np.linalg.norm(edge, axis=1), np.finfo(float).tiny)
+    # The direction of the edge in the tangent plane of each end, of length one: what bends there is the surface's.
+    way = np.empty((len(ends), 2, 2))
+    for side in range(2):
+        flat = np.stack([np.einsum("ij,ij->i", edge, axes[ends[:, side]]) for axes in (first, second)], axis=1)
+        size = np.linalg.norm(flat, axis=1, keepdims=True)
+        way[:, side] = np.where(size > 1e-9 * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0))
+    rows, columns, values = [], [], []
+    for a, b, factor in ((0, 0, 2.0), (1, 1, 2.0), (0, 1, 1.0), (1, 0, 1.0)):
+        block = factor * way[:, a, :, None] * way[:, b, None, :] / length[:, None, None]
+        row = 2 * ends[:, a, None, None] + np.arange(2)[None, :, None]
+        column = 2 * ends[:, b, None, None] + np.arange(2)[None, None, :]
+        rows.append(np.broadcast_to(row, block.shape).ravel())
+        columns.append(np.broadcast_to(column, block.shape).ravel())
+        values.append(block.ravel())
+    matrix = sparse.csr_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(2 * count, 2 * count)
+    )
+    rise = 3.0 * (sphere[ends[:, 1]] - sphere[ends[:, 0]]) / length[:, None] ** 2
+    right = np.zeros((2 * count, 3))
+    for side in range(2):
+        for k in range(2):
+            at = 2 * ends[:, side] + k
+            for axis in range(3):
+                right[:, axis] += np.bincount(at, way[:, side, k] * rise[:, axis], minlength=2 * count)
+    slopes = _solve(matrix, right).reshape(count, 2, 3)
+    return np.stack(
+        [length[:, None] * np.einsum("ek,ekj->ej", way[:, side], slopes[ends[:, side]]) for side in range(2)], axis=1
+    )
+
+
+def _tangents(normals: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors at right angles to each normal, and to one another; any where the normal is 0."""
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    n = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), (0.0, 0.0, 1.0))
+    away = np.eye(3)[np.argmin(np.abs(n), axis=1)]
+    first = np.cross(n, away)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(n, first)
+
+
+def _solve(matrix: sparse.csr_matrix, right: Floats) -> Floats:
+    """Conjugate gradients for three right-hand sides at once, with the inverses of the blocks of two on the diagonal."""
+    count = matrix.shape[0] // 2
+    blocks = np.empty((count, 2, 2))
+    blocks[:, 0, 0], blocks[:, 1, 1] = matrix.diagonal()[::2], matrix.diagonal()[1::2]
+    above = matrix.diagonal(1)[::2]
+    blocks[:, 0, 1] = blocks[:, 1, 0] = above
+    # Vertices without two directions of edges: what is left open there is 0.
+    blocks += np.maximum(1e-12 * np.trace(blocks, axis1=1, axis2=2), np.finfo(float).tiny)[:, None, None] * np.eye(2)
+    inverse = np.linalg.inv(blocks)
+
+    def conditioned(residual: Floats) -> Floats:
+        return np.einsum("vab,vbj->vaj", inverse, residual.reshape(count, 2, 3)).reshape(-1, 3)
+
+    x = np.zeros_like(right)
+    residual = right.copy()
+    z = conditioned(residual)
+    direction, product = z, np.einsum("ij,ij->j", residual, z)
+    goal = TOLERANCE**2 * product
+    for _ in range(MOST_STEPS):
+        if np.all(product <= goal):
+            break
+        image = matrix @ direction
+        step = product / np.maximum(np.einsum("ij,ij->j", direction, image), np.finfo(float).tiny)
+        x += step * direction
+        residual -= step * image
+        z = conditioned(residual)
+        fresh = np.einsum("ij,ij->j", residual, z)
+        direction = z + fresh / np.maximum(product, np.finfo(float).tiny) * direction
+        product = fresh
+    return x
+
+
+def _inside(
+    places: Floats,
+    faces: Ints,
+    sphere: Floats,
+    ends: NDArray[np.int64],
+    edge_of: NDArray[np.int64],
+    towards: Floats,
+    share: Floats,
+) -> Floats:
+    """The cubic map at points inside of every triangle, by their shares of its corners [K, 3]; shape [F, K, 3]."""
+    corner, value = places[faces], sphere[faces]
+    # Derivatives along the sides of each triangle: out[k] from corner k to the next, back[k] from k + 1 to k.
+    forward = (faces == ends[edge_of, 0])[..., None]
+    start, end = towards[edge_of, 0], towards[edge_of, 1]
+    out, back = np.where(forward, start, -end), np.where(forward, -end, start)
+    after, before = value + out / 3.0, np.roll(value, -1, axis=1) + back / 3.0
+    # Control points next to the corners, on the lines from these to the middle.
+    near = (value + after + np.roll(before, 1, axis=1)) / 3.0
+
+    side = np.roll(corner, -1, axis=1) - corner
+    square = np.maximum(np.einsum("fkj,fkj->fk", side, side), np.finfo(float).tiny)
+    middle = corner.mean(axis=1, keepdims=True) - 0.5 * (corner + np.roll(corner, -1, axis=1))
+    along = np.einsum("fkj,fkj->fk", middle, side) / square
+    across = middle - along[..., None] * side
+    height = np.maximum(np.linalg.norm(across, axis=2), np.finfo(float).tiny)
+    # Derivative across each side, at its two ends, per unit of length and inwards, as this triangle has it.
+    third = np.roll(corner, -2, axis=1) - corner
+    along_third = np.einsum("fkj,fkj->fk", third, side) / square
+    altitude = np.maximum(np.linalg.norm(third - along_third[..., None] * side, axis=2), np.finfo(float).tiny)
+    at_start = np.roll(back, 1, axis=1) - along_third[..., None] * out
+    at_end = np.roll(out, -1, axis=1) - (1.0 - along_third)[..., None] * back
+    inwards = 0.5 * (at_start + at_end) / altitude[..., None]
+    # The same from both triangles of an edge: the mean of the two, seen from each as inwards.
+    sign = np.where(forward[..., 0], 1.0, -1.0)
+    flat = edge_of.ravel()
+    number = np.bincount(flat, minlength=len(ends))
+    mean = np.stack(
+        [np.bincount(flat, (sign * inwards[..., k]).ravel(), minlength=len(ends)) for k in range(3)], axis=1
+    )
+    mean /= np.maximum(number, 1)[:, None]
+    inwards = sign[..., None] * mean[edge_of]
+    # Derivative from the middle of each side towards the middle of the triangle, and the control point that gives it.
+    speed = 0.75 * (np.roll(value, -1, axis=1) + before - after - value)
+    wanted = along[..., None] * speed + height[..., None] * inwards
+    ahead = np.roll(near, -1, axis=1)
+    outer = 0.5 * (value + after), 0.5 * (before + np.roll(value, -1, axis=1))
+    crossing = 0.5 * (after + before) + 2.0 * (wanted / 3.0 - 0.25 * (near - outer[0]) - 0.25 * (ahead - outer[1]))
+    # Side k lies between corners k and k + 1; two sides meet at each corner.
+    inner = (near + crossing + np.roll(crossing, 1, axis=1)) / 3.0
+    centre = inner.mean(axis=1)
+
+    found = np.empty((len(faces), len(share), 3))
+    for index, part in enumerate(share):
+        lone = int(np.argmin(part))  # the corner opposite to the side whose third the point lies in
+        k = (lone + 1) % 3
+        w = 3.0 * part[lone]
+        a, b = part[k] - part[lone], part[(k + 1) % 3] - part[lone]
+        j = (k + 1) % 3
+        found[:, index] = (
+            a**3 * value[:, k]
+            + 3.0 * a * a * b * after[:, k]
+            + 3.0 * a * b * b * before[:, k]
+            + b**3 * value[:, j]
+            + 3.0 * a * a * w * near[:, k]
+            + 6.0 * a * b * w * crossing[:, k]
+            + 3.0 * b * b * w * near[:, j]
+            + 3.0 * a * w * w * inner[:, k]
+            + 3.0 * b * w * w * inner[:, j]
+            + w**3 * centre
+        )
+    return found
+
+
+def _weights(
+    ends: NDArray[np.int64], faces: Ints, steps: Floats, share: Floats, count: int
+) -> sparse.csr_matrix:
+    """Every point as a combination of vertices, shape [N, V]."""
+    on_edges = len(ends) * len(steps)
+    inside = len(faces) * len(share)
+    columns = np.concatenate(
+        [np.arange(count), np.repeat(ends, len(steps), axis=0).ravel(), np.repeat(faces, len(share), axis=0).ravel()]
+    )
+    values = np.concatenate(
+        [
+            np.ones(count),
+            np.tile(np.column_stack([1.0 - steps, steps]), (len(ends), 1)).ravel(),
+            np.tile(share, (len(faces), 1)).ravel(),
+        ]
+    )
+    sizes = np.repeat([1, 2, 3], [count, on_edges, inside])
+    return sparse.csr_matrix((values, columns, np.r_[0, np.cumsum(sizes)]), shape=(len(sizes), count))
+
+
+def _without_flips(
+    sphere: Floats,
+    faces: Ints,
+    lines: Floats,
+    added: Floats,
+    owners: NDArray[np.int64],
+    edge_of: NDArray[np.int64],
+    grid: Ints,
+    parts: int,
+) -> tuple[Floats, Floats]:
+    """Points of the grid with as much of the curve as flips nothing, and how much that is for every edge and face."""
+    edges = int(edge_of.max(initial=-1)) + 1
+    kept = np.ones(edges + len(faces))
+    triangles = grid_triangles(parts)
+    around = np.concatenate([edge_of, edges + np.arange(len(faces))[:, None]], axis=1)
+    points = np.concatenate([sphere, lines + added])
+    open_faces, rounds = np.arange(len(faces)), 0
+    while len(open_faces):
+        corners = grid[open_faces][:, triangles].reshape(-1, 3)
+        flipped = flipped_faces(points, corners).reshape(len(open_faces), -1).any(axis=1)
+        touched = np.unique(around[open_faces[flipped]])
+        touched = touched[kept[touched] > 0.0]
+        kept[touched] = 0.5 * kept[touched] if rounds < HALVINGS else 0.0
+        points[len(sphere) :] = lines + kept[owners, None] * added
+        changed = np.zeros(len(kept), dtype=bool)
+        changed[touched] = True
+        open_faces = np.flatnonzero(changed[around].any(axis=1))
+        rounds += 1
+    points[len(sphere) :] /= np.linalg.norm(points[len(sphere) :], axis=1, keepdims=True)
+    return points, kept
