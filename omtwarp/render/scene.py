@@ -15,6 +15,8 @@ from omtwarp.render.colors import colormap_table, parse_color
 from omtwarp.render.light import Light
 
 CLAY = (0.80, 0.79, 0.77)
+SMOOTH_FACES = 300_000  # parts that triangles are divided into: at 1024 x 1024 pixels one covers three or so
+MOST_PARTS = 8
 
 
 @dataclass(eq=False)
@@ -372,6 +374,11 @@ def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
     return parts
 
 
+def smooth_parts(face_count: int) -> int:
+    """Into how many parts the edges of a mesh of so many triangles are divided to show its map smooth."""
+    return int(np.clip(np.sqrt(SMOOTH_FACES / face_count), 1, MOST_PARTS))
+
+
 def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | None = None) -> Part:
     """One part of a surface in the form the renderers take; ``whole`` is the surface it is a part of.
 
@@ -423,6 +430,14 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
             corner_normals = normals[flat]
         positions, normals, value = corner_positions, corner_normals, corner_value
         faces = np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
+    elif kind == "sphere" and (parts := smooth_parts(len(faces))) > 1:
+        # What lies between the vertices is looked up where the smooth map has it.
+        from omtwarp.texturing.smooth import smooth_map
+
+        divided = smooth_map(vertices, faces, value, parts)
+        positions, faces, value = divided.weights @ positions, divided.faces, divided.sphere
+        normals = divided.weights @ normals
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
     if value.shape[1] == 2:
         value = np.column_stack([value, np.zeros(len(value))])
     return Part(

@@ -18,16 +18,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import core_count, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing import kernels
+from omtwarp.texturing import kernels, smooth_kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.image import as_floats, read_image
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection
 from omtwarp.texturing.seams import Unwrapped, unwrap
+from omtwarp.texturing.smooth import SmoothMap
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]
@@ -140,27 +141,98 @@ def bake(
     """
     where = resolve_device(device)
     target = _target(atlas, size)
-    given = _source(source, projection, where)
+    return _bake(_source(source, projection, where), target, supersample, None, where)
+
+
+def bake_on_map(
+    source: Any,
+    atlas: Atlas,
+    cut: Unwrapped,
+    smooth: SmoothMap,
+    faces: NDArray[np.int32],
+    *,
+    rotation: Floats,
+    projection: str = "equirectangular",
+    supersample: int = 3,
+    device: Any = "auto",
+) -> Picture:
+    """Bake a function on the sphere into the picture of an atlas as a mesh shows it through its smooth map.
+
+    The mesh's texture coordinates are linear on its triangles. What the picture shows at a place is moved by as much as
+    the smooth map differs there from the linear one, so that the mesh itself shows smooth lines.
+
+    Args:
+        source: as in :func:`bake`.
+        atlas: the picture's layout.
+        cut: the mesh unwrapped onto it.
+        smooth: the mesh's map, divided evenly.
+        faces: the mesh's triangles, shape [F, 3].
+        rotation: turns the function on the sphere, shape [3, 3].
+        projection, supersample, device: as in :func:`bake`.
+
+    Returns:
+        float32, shape [H, W, C].
+    """
+    where = resolve_device(device)
+    bend = _Bend(atlas, cut, smooth, faces, rotation, where)
+    return _bake(_source(source, projection, where), atlas, supersample, bend, where)
+
+
+class _Bend:
+    """Moves directions on a picture from the linear map of a mesh to its smooth one."""
+
+    def __init__(
+        self, atlas: Atlas, cut: Unwrapped, smooth: SmoothMap, faces: NDArray[np.int32], rotation: Floats, where: Any
+    ):
+        turned = smooth.sphere @ rotation
+        layout, part = _sphere_layout(cut, atlas, turned[: cut.weights.shape[1]], None, where)
+        offset, gutter = atlas.parameters
+        self._picture = [atlas.kind, atlas.width, atlas.height, wp.float64(offset), wp.float64(gutter)]
+        self._owner = layout.owner
+        self._tables: list[Any] = [
+            wp.array(np.ascontiguousarray(given), dtype=kind, device=where)
+            for given, kind in (
+                (cut.source_face[part], wp.int32),
+                (faces, wp.int32),
+                (turned[: cut.weights.shape[1]], wp.vec3d),
+                (smooth.grid, wp.int32),
+                (turned, wp.vec3d),
+            )
+        ]
+        self._parts = smooth.parts
+
+    def bent(self, directions: wp.array) -> wp.array:
+        """The moved directions."""
+        out = wp.empty_like(directions)
+        launch_parts(
+            smooth_kernels.bend_directions,
+            len(directions),
+            lambda part: (
+                [*self._picture, self._owner, *self._tables, self._parts, directions[part]],
+                [out[part]],
+            ),
+            directions.device,
+        )
+        return out
+
+
+def _bake(given: _Source, target: Atlas, supersample: int, bend: _Bend | None, where: Any) -> Picture:
     picture = wp.empty((target.width * target.height, given.channels), dtype=wp.float32, device=where)
     offset, gutter = target.parameters
+    numbers = [target.kind, target.width, target.height, wp.float64(offset), wp.float64(gutter)]
 
     def fill(texels: NDArray[np.int32], samples: int) -> None:
-        def look(part: wp.array, directions: wp.array) -> None:
-            wp.launch(
+        def look(part: wp.array, directions: wp.array) -> wp.array:
+            launch_parts(
                 kernels.texel_sample_directions,
-                dim=len(directions),
-                inputs=[
-                    target.kind,
-                    target.width,
-                    target.height,
-                    wp.float64(offset),
-                    wp.float64(gutter),
-                    part,
-                    samples,
-                    directions,
-                ],
-                device=where,
+                len(part),
+                lambda some: (
+                    [*numbers, part[some], samples],
+                    [directions[some.start * samples**2 : some.stop * samples**2]],
+                ),
+                where,
             )
+            return directions if bend is None else bend.bent(directions)
 
         _fill(given, texels, samples, look, picture, where)
 
@@ -171,16 +243,25 @@ def bake(
 
 
 def _fill(given: _Source, texels: NDArray[np.int32], samples: int, look: Any, picture: wp.array, where: Any) -> None:
-    """Evaluate a source in texels, some at a time; ``look`` writes the directions of their samples."""
+    """Evaluate a source in texels, some at a time; ``look`` gives the directions of their samples, in room for them."""
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
         part: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         count = len(part) * samples**2
         directions = wp.empty(count, dtype=wp.vec3d, device=where)
         values = wp.empty((count, given.channels), dtype=wp.float64, device=where)
-        look(part, directions)
-        given.values(directions, values)
-        wp.launch(kernels.average_samples, dim=len(part), inputs=[values, samples, part, picture], device=where)
+        given.values(look(part, directions), values)
+        _average(values, samples, part, picture, where)
+
+
+def _average(values: wp.array, samples: int, texels: wp.array, picture: wp.array, where: Any) -> None:
+    """Write the mean of the samples of every texel to its place in the picture."""
+    launch_parts(
+        kernels.average_samples,
+        len(texels),
+        lambda some: ([values[some.start * samples**2 : some.stop * samples**2], samples, texels[some], picture], []),
+        where,
+    )
 
 
 def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
@@ -264,12 +345,19 @@ class Layout:
 
     def _claim(self, grow: float) -> NDArray[np.int32]:
         owner = wp.full(self.width * self.height, NOBODY, dtype=wp.int32, device=self.where)
-        wp.launch(
-            kernels.own_texels,
-            dim=len(self.corners),
-            inputs=[self.corners, self.width, self.height, wp.float64(grow), owner],
-            device=self.where,
-        )
+
+        def claim(rows: tuple[int, int]) -> None:
+            wp.launch(
+                kernels.own_texels,
+                dim=len(self.corners),
+                inputs=[self.corners, self.width, wp.float64(grow), *rows, owner],
+                device=self.where,
+            )
+
+        parts = launch_parts_of(self.where, self.height, core_count(), 1)
+        if parts > 1:
+            load(kernels.own_texels, self.where)
+        run_all(claim, [(self.height * k // parts, self.height * (k + 1) // parts) for k in range(parts)])
         return owner.numpy()
 
     def owned(self) -> NDArray[np.int32]:
@@ -385,10 +473,11 @@ def bake_to_uv(
     picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
 
     def fill(texels: NDArray[np.int32], samples: int) -> None:
-        def look(part: wp.array, directions: wp.array) -> None:
+        def look(part: wp.array, directions: wp.array) -> wp.array:
             chords = wp.empty((len(directions), 3), dtype=wp.float64, device=where)
             layout.interpolate(points, part, samples, chords)
             wp.launch(kernels.unit_vectors, dim=len(directions), inputs=[chords, directions], device=where)
+            return directions
 
         _fill(given, texels, samples, look, picture, where)
 

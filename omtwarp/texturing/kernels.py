@@ -189,14 +189,13 @@ def texel_sample_directions(
     directions: wp.array[wp.vec3d],
 ):
     """Directions of the samples (a regular grid of samples x samples) of texels given by number, row by row."""
-    i = wp.tid()
-    per_texel = samples * samples
-    number = texels[i // per_texel]
-    k = i % per_texel
+    i, _compiled_once = wp.tid()
+    number = texels[i]
     step = ONE / wp.float64(samples)
-    x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
-    y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
-    directions[i] = picture_direction(kind, x, y, width, height, offset, gutter)
+    for k in range(samples * samples):
+        x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
+        y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
+        directions[i * samples * samples + k] = picture_direction(kind, x, y, width, height, offset, gutter)
 
 
 @wp.kernel
@@ -274,15 +273,17 @@ def edge_side(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64, px
 def own_texels(
     corners: wp.array2d[wp.vec2d],
     width: int,
-    height: int,
     grow: wp.float64,
+    first_row: int,
+    end_row: int,
     # Data out:
     owner: wp.array[wp.int32],
 ):
     """Each triangle claims the texels whose centres it contains; the lowest number wins, whatever the order of threads.
 
     ``corners`` are in texels, y down. ``grow`` lets a triangle claim centres up to that many texels outside, so that
-    round-off cannot leave a hole between two triangles, or so that a ring around the charts gets an owner.
+    round-off cannot leave a hole between two triangles, or so that a ring around the charts gets an owner. Rows outside
+    of the given ones are left alone, so that launches side by side write to places of their own.
     """
     f = wp.tid()
     a = corners[f, 0]
@@ -298,8 +299,8 @@ def own_texels(
     ca = wp.length(a - c) * flip
     low_x = wp.max(int(wp.ceil(wp.min(wp.min(a[0], b[0]), c[0]) - HALF - grow)), 0)
     high_x = wp.min(int(wp.floor(wp.max(wp.max(a[0], b[0]), c[0]) - HALF + grow)), width - 1)
-    low_y = wp.max(int(wp.ceil(wp.min(wp.min(a[1], b[1]), c[1]) - HALF - grow)), 0)
-    high_y = wp.min(int(wp.floor(wp.max(wp.max(a[1], b[1]), c[1]) - HALF + grow)), height - 1)
+    low_y = wp.max(int(wp.ceil(wp.min(wp.min(a[1], b[1]), c[1]) - HALF - grow)), first_row)
+    high_y = wp.min(int(wp.floor(wp.max(wp.max(a[1], b[1]), c[1]) - HALF + grow)), end_row - 1)
     for row in range(low_y, high_y + 1):
         for column in range(low_x, high_x + 1):
             x = wp.float64(column) + HALF

@@ -1,15 +1,15 @@
 """A map to the sphere made smooth between its vertices, so that the lines of a texture have no corners at edges.
 
-A map is known at the vertices of a mesh. Linear inside every triangle, a circle of the sphere comes out with a corner at
-every edge that it crosses. Here the map keeps its values at the vertices and is cubic in between, after Clough and
+A map is known at the vertices of a mesh. Linear inside every triangle, a circle of the sphere comes out with a corner
+at every edge that it crosses. Here the map keeps its values at the vertices and is cubic in between, after Clough and
 Tocher: every triangle is cut into three at its middle, with one cubic polynomial in each, and the derivative across an
-edge is the same from both sides [1]_. The derivatives at the vertices are those for which the curves over all edges bend
-least [2]_. The cubic map is taken at the points of a regular grid in every triangle, and linear between these.
+edge is the same from both sides [1]_. The derivatives at the vertices are those for which the curves over all edges
+bend least [2]_. The cubic map is taken at the points of a regular grid in every triangle, and linear between these.
 
 Where a triangle of the grid would come out flipped, the map is drawn back towards the linear one, as far as it takes.
 
-.. [1] P. Alfeld, "A trivariate Clough-Tocher scheme for tetrahedral data", Comput. Aided Geom. Design 1 (1984), with the
-   two-dimensional scheme in section 2.
+.. [1] P. Alfeld, "A trivariate Clough-Tocher scheme for tetrahedral data", Comput. Aided Geom. Design 1 (1984), with
+   the two-dimensional scheme in section 2.
 .. [2] G. Nielson, "A method for interpolating scattered data based upon a minimum norm network", Math. Comp. 40 (1983).
 """
 
@@ -30,6 +30,7 @@ Ints = NDArray[np.int32]
 # The derivatives' system is as well conditioned as that of a spline: each step of the iteration gains a digit or so.
 MOST_STEPS = 60
 TOLERANCE = 1e-5  # relative residual; a line moves by less than that share of an edge
+SHORTEST_EDGE = 1e-9  # in extents of the mesh: shorter ones count as that long, lest divisions by their length overflow
 HALVINGS = 4  # of what is added to the linear map, before it is left out at a place
 
 
@@ -74,9 +75,7 @@ def grid_triangles(parts: int) -> NDArray[np.int64]:
     def number(i: int, j: int) -> int:
         return i * (2 * parts + 3 - i) // 2 + j
 
-    upright = [
-        (number(i, j), number(i + 1, j), number(i, j + 1)) for i in range(parts) for j in range(parts - i)
-    ]
+    upright = [(number(i, j), number(i + 1, j), number(i, j + 1)) for i in range(parts) for j in range(parts - i)]
     turned = [
         (number(i + 1, j), number(i + 1, j + 1), number(i, j + 1)) for i in range(parts) for j in range(parts - i - 1)
     ]
@@ -155,18 +154,20 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
     count = len(places)
     corner = places[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    total = np.stack(
+    total: Floats = np.stack(
         [np.bincount(faces.ravel(), np.repeat(normal[:, k], 3), minlength=count) for k in range(3)], axis=1
     )
     first, second = _tangents(total)
     edge = places[ends[:, 1]] - places[ends[:, 0]]
-    length = np.maximum(np.linalg.norm(edge, axis=1), np.finfo(float).tiny)
+    length = np.maximum(np.linalg.norm(edge, axis=1), SHORTEST_EDGE)
     # The direction of the edge in the tangent plane of each end, of length one: what bends there is the surface's.
     way = np.empty((len(ends), 2, 2))
     for side in range(2):
         flat = np.stack([np.einsum("ij,ij->i", edge, axes[ends[:, side]]) for axes in (first, second)], axis=1)
         size = np.linalg.norm(flat, axis=1, keepdims=True)
-        way[:, side] = np.where(size > 1e-9 * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0))
+        way[:, side] = np.where(
+            size > 1e-9 * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
+        )
     rows, columns, values = [], [], []
     for a, b, factor in ((0, 0, 2.0), (1, 1, 2.0), (0, 1, 1.0), (1, 0, 1.0)):
         block = factor * way[:, a, :, None] * way[:, b, None, :] / length[:, None, None]
@@ -202,14 +203,14 @@ def _tangents(normals: Floats) -> tuple[Floats, Floats]:
 
 
 def _solve(matrix: sparse.csr_matrix, right: Floats) -> Floats:
-    """Conjugate gradients for three right-hand sides at once, with the inverses of the blocks of two on the diagonal."""
+    """Conjugate gradients for three right-hand sides at once, conditioned by the diagonal's blocks of two."""
     count = matrix.shape[0] // 2
     blocks = np.empty((count, 2, 2))
     blocks[:, 0, 0], blocks[:, 1, 1] = matrix.diagonal()[::2], matrix.diagonal()[1::2]
     above = matrix.diagonal(1)[::2]
     blocks[:, 0, 1] = blocks[:, 1, 0] = above
     # Vertices without two directions of edges: what is left open there is 0.
-    blocks += np.maximum(1e-12 * np.trace(blocks, axis1=1, axis2=2), np.finfo(float).tiny)[:, None, None] * np.eye(2)
+    blocks += np.maximum(1e-12 * np.trace(blocks, axis1=1, axis2=2), 1e-12)[:, None, None] * np.eye(2)
     inverse = np.linalg.inv(blocks)
 
     def conditioned(residual: Floats) -> Floats:
@@ -270,7 +271,7 @@ def _inside(
     sign = np.where(forward[..., 0], 1.0, -1.0)
     flat = edge_of.ravel()
     number = np.bincount(flat, minlength=len(ends))
-    mean = np.stack(
+    mean: Floats = np.stack(
         [np.bincount(flat, (sign * inwards[..., k]).ravel(), minlength=len(ends)) for k in range(3)], axis=1
     )
     mean /= np.maximum(number, 1)[:, None]
@@ -307,9 +308,7 @@ def _inside(
     return found
 
 
-def _weights(
-    ends: NDArray[np.int64], faces: Ints, steps: Floats, share: Floats, count: int
-) -> sparse.csr_matrix:
+def _weights(ends: NDArray[np.int64], faces: Ints, steps: Floats, share: Floats, count: int) -> sparse.csr_matrix:
     """Every point as a combination of vertices, shape [N, V]."""
     on_edges = len(ends) * len(steps)
     inside = len(faces) * len(share)

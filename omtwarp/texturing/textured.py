@@ -6,14 +6,14 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing.atlas import Equirectangular, make_atlas
-from omtwarp.texturing.baking import bake
+from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
+from omtwarp.texturing.baking import bake, bake_on_map
 from omtwarp.texturing.export import export
 from omtwarp.texturing.image import as_bytes, read_image
 from omtwarp.texturing.mesh import TexturedMesh
@@ -21,12 +21,19 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
+from omtwarp.texturing.smooth import smooth_map
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+# Where a line turns by a quarter of a radian at an edge, and the next is 12 texels on, a smooth curve lies within 0.25
+# x 12 / 8 of a texel of it: smaller triangles need none.
+LEAST_BENT = 12.0
+GRID_STEP = 4.0  # texels between points of the smooth map, which is linear from one to the next
+MOST_PARTS = 8  # 45 points in every triangle; more would turn by less than 5 degrees from one to the next
 
 
 @dataclass(repr=False)
@@ -79,6 +86,7 @@ def texture(
     rotate: ArrayLike | str | None = None,
     seam_longitude: float | str = 180.0,
     size: int | tuple[int, int] | None = None,
+    smooth: bool = True,
     device: str | None = "auto",
 ) -> TexturedSurface:
     """Texture a surface through its map to the sphere (section 5 of the paper).
@@ -101,6 +109,9 @@ def texture(
             borders; ``auto`` takes the meridian that is shortest and most hidden on the surface.
         size: width of the texture in texels, or (width, height) for the equirectangular atlas. By default the image's
             own size, or 2048 for a pattern.
+        smooth: make the map smooth between the vertices, which stay where they are, so that lines of the texture have
+            no corners at the edges of large triangles. The texture is then made for this mesh alone, and its lines in
+            the picture are bent. False leaves the map linear on triangles; so does an image that is kept to the byte.
         device: ``auto``, ``cpu`` or ``cuda:N``, for the baking.
 
     Returns:
@@ -128,23 +139,32 @@ def texture(
     check_projection(projection)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if atlas == "equirectangular" else np.pi
+    source: Any
+    texels = None
     if image is None:
-        layout = make_atlas(atlas, size, seam=seam)
         chosen = "circles" if pattern is None else pattern
         source = by_name(chosen) if isinstance(chosen, str) else chosen
-        texels = as_bytes(bake(source, layout, projection=projection, device=device))
+        layout = make_atlas(atlas, size, seam=seam)
     else:
-        picture = read_image(image)
-        size = _natural_size(picture, atlas) if size is None else size
+        source = read_image(image)
+        size = _natural_size(source, atlas) if size is None else size
         layout = make_atlas(atlas, size, seam=seam)
         unchanged = isinstance(layout, Equirectangular) and projection == "equirectangular"
-        if unchanged and picture.shape[:2] == (layout.height, layout.width):
-            layout, texels = _shifted(picture, seam)
+        if unchanged and source.shape[:2] == (layout.height, layout.width):
+            layout, texels = _shifted(source, seam)
+    cut = unwrap(sphere, faces, layout, rotation=rotation)
+    if texels is None:
+        parts = _parts(layout, len(faces)) if smooth else 1
+        if parts == 1:
+            texels = as_bytes(bake(source, layout, projection=projection, device=device))
         else:
-            texels = as_bytes(bake(picture, layout, projection=projection, device=device))
+            divided = smooth_map(vertices, faces, sphere, parts)
+            bent = bake_on_map(
+                source, layout, cut, divided, faces, rotation=rotation, projection=projection, device=device
+            )
+            texels = as_bytes(bent)
     if texels.shape[2] == 4 and texels[..., 3].min() == 255:
         texels = texels[..., :3]
-    cut = unwrap(sphere, faces, layout, rotation=rotation)
     return TexturedSurface(
         vertices=cut.weights @ vertices,
         faces=cut.faces,
@@ -163,6 +183,12 @@ def texture(
         original_sphere=sphere,
         source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
     )
+
+
+def _parts(layout: Atlas, face_count: int) -> int:
+    """Into how many parts the edges of a mesh are divided to bend a texture; 1 where that would not show."""
+    side = float(np.sqrt(layout.width * layout.height / face_count))  # of the square that a triangle's texels fill
+    return 1 if side < LEAST_BENT else int(np.clip(np.ceil(side / GRID_STEP), 2, MOST_PARTS))
 
 
 def vertex_normals(vertices: Floats, faces: Ints) -> Floats:

@@ -1,0 +1,132 @@
+"""The smooth map against maps known in closed form, and what it must never do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from texturing_shapes import ellipsoid, rotation, stretch_latitude, unit
+
+from omtwarp.flips.predicates import count_flips, flipped_faces
+from omtwarp.texturing import bake, texture
+from omtwarp.texturing.baking import sample
+from omtwarp.texturing.smooth import grid_points, smooth_map
+
+
+def ball(subdivisions):
+    """A ball and a smooth map of it that distorts areas: (vertices, faces, the map of any direction)."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    turn = rotation(5)
+    return unit(np.asarray(mesh.vertices)), np.asarray(mesh.faces), lambda x: stretch_latitude(unit(x) @ turn)
+
+
+def errors(subdivisions, parts=4):
+    """Largest angle between the map of the ball and what is made of its values at the vertices: smooth, and linear."""
+    vertices, faces, exact = ball(subdivisions)
+    divided = smooth_map(vertices, faces, exact(vertices), parts)
+    truth = exact(divided.weights @ vertices)
+    linear = unit(divided.weights @ exact(vertices))
+    return np.linalg.norm(divided.sphere - truth, axis=1).max(), np.linalg.norm(linear - truth, axis=1).max()
+
+
+def test_the_error_falls_faster_than_that_of_the_linear_map():
+    (coarse, coarse_linear), (fine, fine_linear) = errors(2), errors(3)
+    assert fine < 0.2 * fine_linear
+    assert coarse / fine > 6.0 > coarse_linear / fine_linear  # third order and more, against the second
+
+
+def kinks(divided, faces):
+    """Where the mean of the two points beside each edge lies, an eighth of a height away, from the edge's middle."""
+    n, steps = divided.parts, grid_points(divided.parts)
+    share = np.column_stack([n - steps.sum(axis=1), steps])
+    sums, middles = {}, {}
+    for k in range(3):
+        half, beside = np.full(3, n // 2), np.full(3, n // 2 - 1)
+        half[k], beside[k] = 0, 2
+        middle, near = (int(np.flatnonzero((share == want).all(axis=1))[0]) for want in (half, beside))
+        for f in range(len(faces)):
+            edge = divided.grid[f, middle]
+            middles[edge] = divided.sphere[edge]
+            sums.setdefault(edge, []).append(divided.sphere[divided.grid[f, near]])
+    return np.array([np.mean(pair, axis=0) - middles[edge] for edge, pair in sums.items()])
+
+
+def test_lines_have_no_corners_at_edges():
+    """Where the derivative jumps at an edge, the mean of two points beside it lies elsewhere than by the exact map."""
+    vertices, faces, exact = ball(2)
+    sphere = exact(vertices)
+    smooth = smooth_map(vertices, faces, sphere, 16)
+    linear = replace(smooth, sphere=unit(smooth.weights @ sphere))
+    truth = kinks(replace(smooth, sphere=exact(smooth.weights @ vertices)), faces)
+    off, off_linear = (np.linalg.norm(kinks(m, faces) - truth, axis=1) for m in (smooth, linear))
+    assert np.quantile(off, 0.95) < 0.25 * np.quantile(off_linear, 0.95)
+
+
+def test_points_lie_where_the_weights_say_and_vertices_stay():
+    vertices, faces, sphere = ellipsoid(2, seed=1)
+    divided = smooth_map(vertices, faces, sphere, 3)
+    np.testing.assert_array_equal(divided.sphere[: len(sphere)], sphere)
+    np.testing.assert_allclose(np.asarray(divided.weights.sum(axis=1)).ravel(), 1.0, rtol=1e-12)
+    share = np.column_stack([3 - grid_points(3).sum(axis=1), grid_points(3)]) / 3.0
+    expected = np.einsum("kc,fcj->fkj", share, vertices[faces])
+    np.testing.assert_allclose((divided.weights @ vertices)[divided.grid], expected, atol=1e-12)
+    # Euler's formula: nothing is there twice, and every edge is shared.
+    edges = len(np.unique(np.sort(divided.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0))
+    assert len(divided.sphere) - edges + len(divided.faces) == 2
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6), strength=st.floats(0.0, 0.9), parts=st.integers(2, 6))
+def test_nothing_is_flipped_that_was_not(seed, strength, parts):
+    """Rough maps: vertices moved at random; where that leaves a triangle of the mesh in order, its parts are too."""
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    rng = np.random.default_rng(seed)
+    vertices, faces = np.asarray(mesh.vertices) * rng.uniform(0.3, 2.0, 3), np.asarray(mesh.faces)
+    sphere = unit(unit(np.asarray(mesh.vertices)) + 0.2 * strength * rng.normal(size=(len(vertices), 3)))
+    divided = smooth_map(vertices, faces, sphere, parts)
+    allowed = np.repeat(flipped_faces(sphere, faces), parts**2)
+    assert not (flipped_faces(divided.sphere, divided.faces) & ~allowed).any()
+
+
+def test_an_even_map_needs_no_drawing_back():
+    vertices, faces, sphere = ellipsoid(2, seed=2)
+    divided = smooth_map(vertices, faces, sphere, 8)
+    assert divided.linear_share == 0.0 and count_flips(divided.sphere, divided.faces) == 0
+
+
+def test_meshes_that_are_no_surfaces_do_no_harm():
+    """A folded map, a face twice, one without area, a vertex without a face: finite points, and vertices that stay."""
+    vertices, faces, sphere = ellipsoid(1, seed=4)
+    sphere = sphere.copy()
+    sphere[7] = -sphere[7]
+    faces = np.concatenate([faces[:-1], faces[:1], [[3, 3, 5]]])
+    vertices, sphere = np.concatenate([vertices, [[9.0, 9.0, 9.0]]]), np.concatenate([sphere, [[0.0, 0.0, 1.0]]])
+    divided = smooth_map(vertices, faces, sphere, 4)
+    assert np.isfinite(divided.sphere).all()
+    np.testing.assert_array_equal(divided.sphere[: len(sphere)], sphere)
+
+
+@pytest.mark.parametrize("atlas", ["cube", "octahedral", "equirectangular"])
+def test_a_smooth_texture_shows_what_the_exact_map_does(atlas):
+    """A soft function baked through a coarse mesh, looked up at points inside of its triangles."""
+    vertices, faces, exact = ball(1)
+
+    def shade(d):
+        return 0.5 + 0.5 * np.sin(5.0 * d)
+
+    worst = {}
+    picture = (255.0 * bake(shade, "equirectangular", size=2048, device="cpu") + 0.5).astype(np.uint8)
+    rng = np.random.default_rng(0)
+    share = rng.dirichlet(np.ones(3), size=4 * len(faces))
+    corner = faces[np.arange(len(share)) % len(faces)]
+    place = np.einsum("kc,kcj->kj", share, vertices[corner])
+    chord = unit(np.einsum("kc,kcj->kj", share, exact(vertices)[corner]))
+    for smooth in (True, False):
+        # (1024, 512) is not the picture's own size, which would be kept to the byte
+        size = (1024, 512) if atlas == "equirectangular" else 768
+        textured = texture((vertices, faces, exact(vertices)), picture, atlas=atlas, size=size, smooth=smooth)
+        seen = sample(textured.image, chord, textured.atlas, device="cpu")
+        worst[smooth] = np.quantile(np.abs(seen - shade(exact(place))), 0.99)
+    assert worst[True] < 0.6 * worst[False]
