@@ -44,14 +44,12 @@ class SmoothMap:
         grid: the points of every triangle, row by row as :func:`grid_points` lists them, int32, shape [F, K].
         weights: sparse, shape [N, V]: every point as a combination of vertices; ``weights @ x`` carries over what is
             linear on triangles, such as the surface itself.
-        linear_share: part of the triangles that were left linear, at least in part, to keep them from flipping.
     """
 
     parts: int
     sphere: Floats
     grid: Ints
     weights: sparse.csr_matrix
-    linear_share: float
 
     @property
     def faces(self) -> Ints:
@@ -145,8 +143,8 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int) -> Smo
         [np.repeat(np.arange(len(ends)), parts - 1), len(ends) + np.repeat(np.arange(len(faces)), len(inner))]
     )
     weights = _weights(ends, faces, steps / parts, share[inner], count)
-    result, kept = _without_flips(sphere, faces, lines, added, owners, edge_of, grid, parts)
-    return SmoothMap(parts, result, grid, weights, float(np.mean(kept < 1.0)))
+    result = _without_flips(sphere, faces, lines, added, owners, edge_of, grid, parts)
+    return SmoothMap(parts, result, grid, weights)
 
 
 def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray[np.int64]) -> Floats:
@@ -335,8 +333,8 @@ def _without_flips(
     edge_of: NDArray[np.int64],
     grid: Ints,
     parts: int,
-) -> tuple[Floats, Floats]:
-    """Points of the grid with as much of the curve as flips nothing, and how much that is for every edge and face."""
+) -> Floats:
+    """Points of the grid with as much of the curve over every edge and in every face as flips nothing."""
     edges = int(edge_of.max(initial=-1)) + 1
     kept = np.ones(edges + len(faces))
     triangles = grid_triangles(parts)
@@ -355,4 +353,4 @@ def _without_flips(
         open_faces = np.flatnonzero(changed[around].any(axis=1))
         rounds += 1
     points[len(sphere) :] /= np.linalg.norm(points[len(sphere) :], axis=1, keepdims=True)
-    return points, kept
+    return points
