@@ -36,7 +36,13 @@ HEAVY_ROOMS = {
     # A driver waits for processes, and draws pictures at the end.
     "omtwarp.cohort": {"omtwarp.cohort.page"},
     # A picture by OpenGL needs no Warp, and the process that draws it nothing but its own modules.
-    "omtwarp.render": {"omtwarp.device", "omtwarp.render.ray_caster", "omtwarp.render.pyrender_", "omtwarp.result"},
+    "omtwarp.render": {
+        "omtwarp.device",
+        "omtwarp.render.ray_caster",
+        "omtwarp.render.pyrender_",
+        "omtwarp.result",
+        "omtwarp.texturing.smooth",
+    },
 }
 
 
