@@ -40,6 +40,7 @@ _PUBLIC = {
     "optimal_map": "omtwarp.optimal",
     "optimal_transport": "omtwarp.transport",
     "optimality": "omtwarp.metrics.optimality",
+    "paint": "omtwarp.painting",
     "paper_flow": "omtwarp.transport",
     "preview": "omtwarp.render",
     "read_mesh": "omtwarp.mesh.read",
@@ -48,8 +49,10 @@ _PUBLIC = {
     "repair": "omtwarp.mesh.repair",
     "resample": "omtwarp.resampling",
     "texture": "omtwarp.texturing",
+    "transfer_texture": "omtwarp.painting",
     "transport_cost": "omtwarp.transport",
     "untangle": "omtwarp.untangling.untangle",
+    "unwrap_uv": "omtwarp.painting",
     "weighted_surface": "omtwarp.measures",
     "write_report": "omtwarp.reporting",
 }
@@ -83,6 +86,9 @@ if TYPE_CHECKING:
     from omtwarp.moser import moser_map as moser_map
     from omtwarp.optimal import optimal_map as optimal_map
     from omtwarp.optimal.refinement import refine_map as refine_map
+    from omtwarp.painting import paint as paint
+    from omtwarp.painting import transfer_texture as transfer_texture
+    from omtwarp.painting import unwrap_uv as unwrap_uv
     from omtwarp.pipeline import map_to_sphere as map_to_sphere
     from omtwarp.render import preview as preview
     from omtwarp.render.films import film as film

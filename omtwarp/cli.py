@@ -29,6 +29,8 @@ from omtwarp.commands.report import report_on_map
 from omtwarp.commands.resample import resample_map
 from omtwarp.commands.spharm import spharm
 from omtwarp.commands.texture import texture_mesh
+from omtwarp.commands.transfer import transfer
+from omtwarp.commands.unwrap import unwrap_mesh
 from omtwarp.errors import OmtwarpError, one_line
 from omtwarp.version import package_version
 
@@ -40,8 +42,11 @@ EXAMPLES = {
     ),
     "texture": (
         "omtwarp texture bunny.ply -o bunny.glb --pattern circles\n"
-        "omtwarp texture --map bunny.npz -o earth.obj --image earth.png"
+        "omtwarp texture --map bunny.npz -o earth.obj --image earth.png\n"
+        "omtwarp texture shoe.obj -o shoe.glb --uv own --keep-materials over --bake ao"
     ),
+    "transfer": "omtwarp transfer scan.glb template.ply -o painted.glb",
+    "unwrap": "omtwarp unwrap bunny.ply -o bunny.obj\nomtwarp unwrap --map bunny.npz -o bunny.glb",
     "preview": (
         "omtwarp preview bunny.glb -o bunny.png --size 800x600\n"
         "omtwarp preview bunny.npz -o turning.gif --frames 36 --size 320"
@@ -69,6 +74,8 @@ EXAMPLES = {
 SUMMARIES = {
     "map": "Map closed meshes to the sphere, with their areas preserved.",
     "texture": "Texture a surface with a picture or pattern through its map.",
+    "transfer": "Carry the texture of one mesh over to another.",
+    "unwrap": "Give a mesh texture coordinates, without a texture.",
     "preview": "Draw a mesh, a textured surface or a map; pictures and films.",
     "film": "Film the map: from conformal to optimal, and to the sphere.",
     "report": "Write a page about a map, with a 3D view, to open in a browser.",
@@ -93,6 +100,8 @@ app = typer.Typer(
 )
 app.command("map", cls=Command, short_help=SUMMARIES["map"], epilog=EXAMPLES["map"])(map_mesh)
 app.command("texture", cls=Command, short_help=SUMMARIES["texture"], epilog=EXAMPLES["texture"])(texture_mesh)
+app.command("transfer", cls=Command, short_help=SUMMARIES["transfer"], epilog=EXAMPLES["transfer"])(transfer)
+app.command("unwrap", cls=Command, short_help=SUMMARIES["unwrap"], epilog=EXAMPLES["unwrap"])(unwrap_mesh)
 app.command("preview", cls=Command, short_help=SUMMARIES["preview"], epilog=EXAMPLES["preview"])(preview_mesh)
 app.command("film", cls=Command, short_help=SUMMARIES["film"], epilog=EXAMPLES["film"])(film_map)
 app.command("report", cls=Command, short_help=SUMMARIES["report"], epilog=EXAMPLES["report"])(report_on_map)

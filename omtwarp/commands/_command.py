@@ -12,7 +12,10 @@ GROUPS = {
         "method", "until", "cost", "scheme", "refine", "exact", "weights", "density", "target_floor", "optimality",
         "hemisphere", "disk", "cap", "fill_area", "components", "cut", "torus",
     ),
-    "Texture": ("image", "pattern", "projection", "atlas", "rotate", "seam"),
+    "Texture": (
+        "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",
+        "detail", "aspect", "margin",
+    ),
     "View": (
         "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",
         "frames", "fps", "seconds", "captions", "backend",

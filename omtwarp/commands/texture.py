@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,6 +27,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
 
+if TYPE_CHECKING:
+    from omtwarp.materials import PaintedMesh
+
 
 class PatternName(StrEnum):
     CIRCLES = "circles"
@@ -37,6 +41,16 @@ class PatternName(StrEnum):
 class ProjectionName(StrEnum):
     EQUIRECTANGULAR = "equirectangular"
     SINUSOIDAL = "sinusoidal"
+
+
+class Coordinates(StrEnum):
+    ATLAS = "atlas"
+    OWN = "own"
+
+
+class Keep(StrEnum):
+    OVER = "over"
+    UNDER = "under"
 
 
 class AtlasName(StrEnum):
@@ -66,6 +80,26 @@ def texture_mesh(
     atlas: Annotated[
         AtlasName, typer.Option(help="Layout of the texture; equirectangular for tools that expect one.")
     ] = AtlasName.CUBE,
+    uv: Annotated[
+        Coordinates,
+        typer.Option("--uv", help="own bakes into the mesh's own texture coordinates, a picture for each material."),
+    ] = Coordinates.ATLAS,
+    keep_materials: Annotated[
+        Keep | None, typer.Option(help="Lay the pattern over the mesh's materials, or under them.")
+    ] = None,
+    opacity: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Of the upper layer, with --keep-materials; times its own.")
+    ] = 0.5,
+    bake: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="normal|ao|curvature|area|FILE",
+            help="Bake this: ao into the occlusion, normals of --detail into the normal map, others as the colour.",
+        ),
+    ] = None,
+    detail: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="A finer mesh of the surface, for --bake normal.")
+    ] = None,
     rotate: Annotated[
         str, typer.Option(metavar="YAW[,PITCH,ROLL]|auto", help="Turn the texture on the sphere, in degrees.")
     ] = "",
@@ -94,6 +128,33 @@ def texture_mesh(
     check_output(output, SUFFIXES, mesh, finished, image)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
+    if uv is Coordinates.OWN or keep_materials is not None or bake:
+        check_output(output, (".glb", ".obj"), mesh, finished, image, detail)
+        if seam != "180":
+            raise OmtwarpError("--seam is of an equirectangular atlas alone, without --keep-materials and --bake")
+        _paint(
+            mesh,
+            finished,
+            output,
+            detail,
+            bool(repair),
+            quiet,
+            {"method": method, "until": until, "cost": cost, "scheme": scheme, "refine": refine, "solver": solver},
+            image=image,
+            pattern=pattern.value if pattern else None,
+            uv=uv.value,
+            keep=keep_materials.value if keep_materials else None,
+            opacity=opacity,
+            bake=bake or (),
+            projection=projection.value,
+            atlas=atlas.value,
+            rotate=rotation(rotate),
+            size=size,
+            device=device,
+        )
+        return
+    if detail is not None:
+        raise OmtwarpError("--detail is for --bake normal: add that")
     turn = rotation(rotate)
     cut = seam if seam == "auto" else one_number(seam, "--seam")
     start_device(device)
@@ -129,6 +190,67 @@ def texture_mesh(
         print(f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured")
         if beside:
             print(f"with {' and '.join(str(file) for file in beside)}")
+
+
+def _paint(
+    mesh: Path | None,
+    finished: Path | None,
+    output: Path,
+    detail: Path | None,
+    repair: bool,
+    quiet: bool,
+    mapping: dict[str, Any],
+    *,
+    image: Path | None,
+    device: str,
+    **options: Any,
+) -> None:
+    """Texture a mesh in its own coordinates, with its own materials, or with bakes."""
+    from omtwarp.commands._painted import painted_map
+    from omtwarp.commands._work import map_from, require_bijective, say, start_device
+    from omtwarp.errors import OmtwarpWarning
+    from omtwarp.mesh.read import read_mesh
+    from omtwarp.painting import paint
+    from omtwarp.texturing import read_image
+
+    start_device(device)
+    picture = read_image(image) if image is not None else None
+    fine = None
+    if detail is not None:
+        finer = read_mesh(detail, triangulate=True)
+        fine = (finer.vertices, finer.faces)
+    painted = None
+    if options["uv"] == "own" or options["keep"] is not None:
+        if mesh is None or mesh.suffix.lower() == ".npz":
+            raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it beside the map")
+        painted, result = painted_map(mesh, finished, repair=repair, quiet=quiet, device=device, **mapping)
+        if options["uv"] == "own":
+            painted.require_uv(str(mesh))
+    else:
+        result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, **mapping)
+        require_bijective(result, finished)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", OmtwarpWarning)
+        made = paint(result, painted, picture, detail=fine, device=device, **options)
+    for warning in caught:
+        say(f"warning: {warning.message}")
+    *beside, _ = made.export(output, keep=(mesh, finished, image, detail))
+    if not quiet:
+        print(f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {_looks(made)}")
+        if beside:
+            print(f"with {' and '.join(str(file) for file in beside)}")
+
+
+def _looks(made: PaintedMesh) -> str:
+    """The pictures that a mesh's materials have, in words."""
+    sizes = []
+    for material in made.materials:
+        for slot in ("picture", "occlusion_picture", "normal_picture"):
+            picture = getattr(material, slot)
+            if picture is not None:
+                name = {"picture": "colour", "occlusion_picture": "occlusion", "normal_picture": "normals"}[slot]
+                sizes.append(f"{material.name} {name} {picture.shape[1]} x {picture.shape[0]}")
+    return ", ".join(dict.fromkeys(sizes)) or "no picture"
 
 
 def rotation(text: str) -> str | list[float] | None:

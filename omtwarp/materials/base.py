@@ -132,6 +132,22 @@ class PaintedArrays:
         assert self.face_material is not None  # of __post_init__
         return self.face_material
 
+    def require_uv(self, name: str = "the mesh") -> Floats:
+        """Texture coordinates of every corner, shape [F, 3, 2].
+
+        Raises:
+            OmtwarpError: some triangles have none, or all.
+        """
+        if self.uv is None:
+            raise OmtwarpError(f"{name}: no texture coordinates in it; leave out --uv own to lay out new ones")
+        missing = ~np.isfinite(self.uv).all(axis=(1, 2))
+        if missing.any():
+            raise OmtwarpError(
+                f"{name}: {missing.sum()} of {len(self.faces)} faces have no texture coordinates, first face "
+                f"{int(np.argmax(missing))}"
+            )
+        return self.uv
+
     def on(self, vertices: ArrayLike, faces: ArrayLike, face_origin: ArrayLike | None = None) -> Self:
         """Carry coordinates and materials over to a mended, welded or renumbered copy of the mesh.
 

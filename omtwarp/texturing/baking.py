@@ -290,7 +290,7 @@ def sample(
     """
     where = resolve_device(device)
     array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
-    source = _picture_source(array, atlas, where)
+    source = picture_source(array, atlas, where)
     d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
     out = wp.empty((len(d), source.channels), dtype=wp.float64, device=where)
     if len(d):
@@ -298,7 +298,7 @@ def sample(
     return out.numpy()
 
 
-def _picture_source(array: NDArray[Any], atlas: str | Atlas, where: Any) -> _PictureSource:
+def picture_source(array: NDArray[Any], atlas: str | Atlas, where: Any) -> _PictureSource:
     height, width = array.shape[:2]
     target = (
         atlas
@@ -325,7 +325,7 @@ def resample(
     """Carry a picture from one atlas to another; float32, shape [H, W, C]."""
     where = resolve_device(device)
     array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
-    return bake(_picture_source(array, atlas, where), to, size=size, supersample=supersample, device=device)
+    return bake(picture_source(array, atlas, where), to, size=size, supersample=supersample, device=device)
 
 
 class Layout:
@@ -555,7 +555,7 @@ def bake_vertex_values(
     cut = unwrap(
         np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
     )
-    layout, part = _sphere_layout(cut, target, sphere, rotation, where)
+    layout, part = sphere_layout(cut, target, sphere, rotation, where)
     return _bake_linear(layout, (cut.weights @ given.values)[cut.faces][part], supersample, -1)
 
 
@@ -593,8 +593,8 @@ def uv_to_sphere(
         np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
     )
     # A part of a face has the own coordinates of that face: linear, whatever seams the mesh's coordinates have.
-    corner_own = _own_at_parts(cut, faces, own)
-    layout, part = _sphere_layout(cut, target, sphere, rotation, where)
+    corner_own = own_at_parts(cut, faces, own)
+    layout, part = sphere_layout(cut, target, sphere, rotation, where)
     values: Any = wp.array(np.ascontiguousarray(corner_own[part]), dtype=wp.float64, device=where)
     source: Any = wp.array(np.ascontiguousarray(as_floats(array)), dtype=wp.float32, device=where)
     channels = array.shape[2]
@@ -612,7 +612,7 @@ def uv_to_sphere(
     return layout.dilate(out, -1).numpy().reshape(target.height, target.width, channels)
 
 
-def _sphere_layout(
+def sphere_layout(
     cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: Any
 ) -> tuple[Layout, NDArray[np.int64]]:
     """The parts of faces laid out on the picture of an atlas, and which part each triangle of the layout is, [K]."""
@@ -635,7 +635,7 @@ def _sphere_layout(
     return layout, part
 
 
-def _own_at_parts(cut: Unwrapped, faces: NDArray, own: Floats) -> Floats:
+def own_at_parts(cut: Unwrapped, faces: NDArray, own: Floats) -> Floats:
     """Own coordinates of the corners of the parts of faces, shape [M, 3, 2].
 
     Each corner is a combination of vertices of its source face; its coordinates are the same combination of that

@@ -1,0 +1,70 @@
+"""Meshes with texture coordinates and materials on the command line, together with their maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omtwarp.errors import OmtwarpError
+
+if TYPE_CHECKING:
+    from omtwarp.materials import PaintedMesh
+    from omtwarp.mesh.surface import Surface
+    from omtwarp.result import MapResult
+
+
+def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
+    """Read a mesh with its coordinates and materials, and make sure that it can be mapped.
+
+    Raises:
+        OmtwarpError: whatever is wrong with the file or the mesh, in one line.
+    """
+    from omtwarp.commands._work import say
+    from omtwarp.materials import read_painted_mesh
+    from omtwarp.mesh.surface import Surface
+    from omtwarp.mesh.validate import require_valid
+
+    mesh = read_painted_mesh(path, triangulate=repair)
+    notes = list(mesh.notes)
+    if repair:
+        from omtwarp.mesh.repair import repair as mend
+
+        mended = mend(mesh.vertices, mesh.faces)
+        if mended.actions:
+            mesh = mesh.on(mended.vertices, mended.faces, mended.face_origin)
+            notes += mended.actions
+    for note in notes:
+        say(f"{path}: {note}")
+    surface = Surface(*require_valid(mesh.vertices, mesh.faces, str(path)))
+    surface.checked = True
+    return mesh, surface
+
+
+def painted_map(
+    path: Path, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Any
+) -> tuple[PaintedMesh, MapResult]:
+    """A mesh with its materials, and its map: a finished one, or one made now.
+
+    Raises:
+        OmtwarpError: whatever is wrong with either, or a map of another mesh.
+    """
+    from omtwarp.commands._work import load_map, make_map, require_bijective, start_device
+
+    if finished is not None:
+        from omtwarp.materials import read_painted_mesh
+
+        result = load_map(finished)
+        require_bijective(result, finished)
+        mesh = read_painted_mesh(path, triangulate=repair)
+        if repair and len(mesh.faces) != len(result.faces):
+            mesh, _ = read_sound_painted(path, repair)
+        try:
+            mesh.on(result.vertices, result.faces)
+        except OmtwarpError as error:
+            raise OmtwarpError(f"{finished} and {path}: {error}") from None
+        return mesh, result
+    mesh, surface = read_sound_painted(path, repair)
+    start_device(device)
+    result = make_map(surface, quiet=quiet, device=device, **options)
+    require_bijective(result)
+    return mesh, result

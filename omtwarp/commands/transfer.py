@@ -1,0 +1,65 @@
+"""``omtwarp transfer``: the texture of one mesh on another, through their maps to the sphere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._options import DeviceOption, QuietOption, RepairOption
+from omtwarp.commands._streams import input_file, output_file
+from omtwarp.commands.texture import AtlasName, Coordinates
+from omtwarp.files import check_output
+from omtwarp.options import MapOptions
+
+
+def transfer(
+    source: Annotated[
+        Path, typer.Argument(metavar="FROM", callback=input_file, help="A mesh with a texture or colours.")
+    ],
+    target: Annotated[Path, typer.Argument(metavar="TO", callback=input_file, help="The mesh that gets the texture.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", callback=output_file(".glb"), help=".glb or .obj."),
+    ],
+    map_of_source: Annotated[
+        Path | None, typer.Option("--map-from", metavar="NPZ", help="A finished map of FROM.")
+    ] = None,
+    map_of_target: Annotated[Path | None, typer.Option("--map-to", metavar="NPZ", help="A finished map of TO.")] = None,
+    aligned: Annotated[
+        bool, typer.Option("--aligned", help="The maps are in one position already; turn nothing.")
+    ] = False,
+    mirror: Annotated[
+        bool, typer.Option("--mirror", help="Try TO's mirror image too, and take it where it fits better.")
+    ] = False,
+    uv: Annotated[
+        Coordinates, typer.Option("--uv", help="own bakes into TO's own texture coordinates.")
+    ] = Coordinates.ATLAS,
+    atlas: Annotated[AtlasName, typer.Option(help="Layout of the texture, where --uv is not own.")] = AtlasName.CUBE,
+    size: Annotated[int | None, typer.Option(min=16, help="Width of the texture in texels.")] = None,
+    repair: RepairOption = False,
+    device: DeviceOption = MapOptions.device,
+    quiet: QuietOption = False,
+) -> None:
+    """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned."""
+    from omtwarp.commands._painted import painted_map
+    from omtwarp.painting import transfer_texture
+
+    check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
+    painted, result = painted_map(source, map_of_source, repair=repair, quiet=quiet, device=device)
+    plain, other = painted_map(target, map_of_target, repair=repair, quiet=quiet, device=device)
+    made = transfer_texture(
+        painted,
+        result,
+        other,
+        onto=plain if uv is Coordinates.OWN else None,
+        aligned=aligned,
+        mirror=mirror,
+        atlas=atlas.value,
+        size=size,
+        device=device,
+    )
+    made.export(output, keep=(source, target, map_of_source, map_of_target))
+    if not quiet:
+        print(f"{output}: {len(other.vertices)} vertices, {len(other.faces)} faces, with the texture of {source}")

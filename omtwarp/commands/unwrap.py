@@ -1,0 +1,45 @@
+"""``omtwarp unwrap``: texture coordinates for a mesh's own triangles, without a texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from omtwarp.commands._options import DeviceOption, MapOption, OptionalMesh, QuietOption, RefineOption, RepairOption
+from omtwarp.commands._streams import output_file
+from omtwarp.files import check_output
+from omtwarp.options import MapOptions, Refinement
+
+
+def unwrap_mesh(
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", callback=output_file(".glb"), help=".glb or .obj."),
+    ],
+    mesh: OptionalMesh = None,
+    finished: MapOption = None,
+    aspect: Annotated[
+        float, typer.Option(min=0.1, max=10.0, help="Width of the picture over its height; 1.5 wastes no room.")
+    ] = 1.0,
+    margin: Annotated[
+        float, typer.Option(min=0.0, max=0.1, help="Free room around each chart, in heights of the picture.")
+    ] = 1.0 / 128.0,
+    refine: RefineOption = str(Refinement.NONE),
+    repair: RepairOption = False,
+    device: DeviceOption = MapOptions.device,
+    quiet: QuietOption = False,
+) -> None:
+    """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture."""
+    from omtwarp.commands._work import map_from, require_bijective, start_device
+    from omtwarp.painting import unwrap_uv
+
+    check_output(output, (".glb", ".obj"), mesh, finished)
+    start_device(device)
+    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, refine=refine)
+    require_bijective(result, finished)
+    made = unwrap_uv(result, aspect=aspect, margin=margin)
+    made.export(output, keep=(mesh, finished))
+    if not quiet:
+        print(f"{output}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts")

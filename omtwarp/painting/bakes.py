@@ -1,0 +1,265 @@
+"""Quantities of a surface as pictures: ambient occlusion, normals, curvature, area, and data of files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.start import wp
+from omtwarp.device.threads import launch_parts
+from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
+from omtwarp.materials.base import Bytes, Floats, Ints
+from omtwarp.mesh.data import read_data
+from omtwarp.mesh.surface import triangle_areas
+from omtwarp.painting import kernels
+from omtwarp.painting.texels import PADDING, bake_corners, covered
+from omtwarp.render.colors import colormap_table
+from omtwarp.texturing.textured import vertex_normals
+
+BAKES = ("normal", "ao", "curvature", "area")
+RAYS = 64
+MOST_RAYS = 6_000_000  # of one picture of ambient occlusion; a core casts about a million in a second
+SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours tell apart; few corners have far more
+
+
+@dataclass(frozen=True)
+class Target:
+    """Triangles on a picture, and where they lie in space.
+
+    Attributes:
+        uv: coordinates of the corners, shape [T, 3, 2].
+        points: positions of the corners, shape [T, 3, 3].
+        normals: unit normals at the corners, shape [T, 3, 3].
+        face: triangle of the surface that each is, or is a part of, shape [T].
+        weights: the corners as combinations of that triangle's corners, shape [T, 3, 3].
+        size: width and height of the picture in texels.
+        device: where to compute.
+    """
+
+    uv: Floats
+    points: Floats
+    normals: Floats
+    face: NDArray
+    weights: Floats
+    size: tuple[int, int]
+    device: Any
+
+    def spread(self, values: Floats, faces: Ints) -> Floats:
+        """Values at vertices, shape [V] or [V, C], as values at this target's corners, shape [T, 3, C]."""
+        at = values.reshape(len(values), -1)[faces[self.face]]
+        return np.einsum("tij,tjc->tic", self.weights, at)
+
+
+def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
+    """Ambient occlusion: the cosine-weighted part of the rays from a point that leave the surface behind.
+
+    Rays are cast from texels of a picture that is smaller by a whole factor where there would be more than
+    :data:`MOST_RAYS` in all.
+
+    Returns:
+        255 where nothing is in the way, uint8, shape [H, W, 3].
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    width, height = target.size
+    factor = max(1, int(np.ceil(np.sqrt(width * height * RAYS / MOST_RAYS))))
+    size = (max(width // factor, 1), max(height // factor, 1))
+    values = np.concatenate([target.points, target.normals], axis=2)
+    picture = bake_corners(target.uv, values, size, padding=-1, samples=1, device=target.device)
+    rows = picture.reshape(-1, 6).astype(np.float64)
+    # Not from the padding: beyond their triangles, positions leave the surface.
+    inside = covered(target.uv, size, padding=0, device=target.device)
+    known = np.flatnonzero(inside.ravel())
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    scale = float((high - low).max())
+    normal = rows[known, 3:]
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    # Single precision resolves 1e-7 of the extent: rays start a thousand times farther off the surface.
+    origins = ((rows[known, :3] - low) / scale + 1e-4 * normal).astype(np.float32)
+    where = wp.get_device(target.device)
+    mesh = wp.Mesh(
+        points=wp.array(((vertices - low) / scale).astype(np.float32), dtype=wp.vec3, device=where),
+        indices=wp.array(np.ascontiguousarray(faces.ravel(), dtype=np.int32), dtype=wp.int32, device=where),
+    )
+    start: Any = wp.array(origins, dtype=wp.vec3, device=where)
+    ways: Any = wp.array(normal.astype(np.float32), dtype=wp.vec3, device=where)
+    out: Any = wp.zeros(len(known), dtype=wp.float32, device=where)
+    numbers: Any = wp.array(known.astype(np.int32), dtype=wp.int32, device=where)
+    launch_parts(
+        kernels.cast_open_rays,
+        len(known),
+        lambda part: ([mesh.id, start[part], ways[part], numbers[part], RAYS], [out[part]]),
+        where,
+    )
+    open_part = np.ones(len(rows), dtype=np.float64)
+    open_part[known] = out.numpy()
+    grey = np.rint(255.0 * open_part).astype(np.uint8).reshape(size[1], size[0])
+    if len(known):
+        row, column = distance_transform_edt(~inside, return_distances=False, return_indices=True)
+        grey = grey[row, column]
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
+def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]) -> Bytes:
+    """Normals of a detailed surface in the frames of a coarser one, as glTF's ``normalTexture`` holds them.
+
+    Each texel takes the normal at the nearest point of the detailed surface.
+
+    Args:
+        target: the coarser surface.
+        tangents: at its corners, shape [T, 3, 4], as :func:`omtwarp.materials.tangents.corner_tangents` gives them.
+        detail: vertices and faces of the detailed surface, in the same place.
+
+    Returns:
+        uint8, shape [H, W, 3].
+    """
+    fine, triangles = detail
+    low, high = fine.min(axis=0), fine.max(axis=0)
+    scale = float((high - low).max())
+    values = np.concatenate([(target.points - low) / scale, target.normals, tangents], axis=2)
+    picture = bake_corners(target.uv, values, target.size, samples=1, device=target.device)
+    rows = picture.reshape(-1, 10).astype(np.float64)
+    known = np.flatnonzero(covered(target.uv, target.size, device=target.device).ravel())
+    rows = rows[known]
+    where = wp.get_device(target.device)
+    mesh = wp.Mesh(
+        points=wp.array(((fine - low) / scale).astype(np.float32), dtype=wp.vec3, device=where),
+        indices=wp.array(np.ascontiguousarray(triangles.ravel(), dtype=np.int32), dtype=wp.int32, device=where),
+    )
+    numbers: Any = wp.array(np.ascontiguousarray(triangles, dtype=np.int32), dtype=wp.int32, device=where)
+    normals: Any = wp.array(vertex_normals(fine, triangles), dtype=wp.vec3d, device=where)
+    columns: list[Any] = [
+        wp.array(np.ascontiguousarray(rows[:, :3]), dtype=wp.vec3d, device=where),
+        wp.array(np.ascontiguousarray(rows[:, 3:6]), dtype=wp.vec3d, device=where),
+        wp.array(np.ascontiguousarray(rows[:, 6:]), dtype=wp.vec4d, device=where),
+    ]
+    out: Any = wp.zeros(len(known), dtype=wp.vec3d, device=where)
+    launch_parts(
+        kernels.tangent_normals,
+        len(known),
+        lambda part: ([mesh.id, numbers, normals, *(column[part] for column in columns)], [out[part]]),
+        where,
+    )
+    local = np.zeros((target.size[0] * target.size[1], 3))
+    local[:, 2] = 1.0
+    local[known] = out.numpy()
+    return _as_picture(local, target.size)
+
+
+def object_normals(target: Target) -> Bytes:
+    """Normals in the mesh's own axes as colours: red, green and blue from -1 to 1 along x, y and z."""
+    picture = bake_corners(target.uv, target.normals, target.size, device=target.device).reshape(-1, 3)
+    length = np.linalg.norm(picture, axis=1, keepdims=True)
+    return _as_picture(np.where(length > 0, picture / np.maximum(length, 1e-30), 0.0), target.size)
+
+
+def _as_picture(vectors: NDArray[Any], size: tuple[int, int]) -> Bytes:
+    """Unit vectors as bytes: 0 is -1 and 255 is 1, as glTF decodes them."""
+    return np.rint((np.clip(vectors, -1.0, 1.0) * 0.5 + 0.5) * 255.0).astype(np.uint8).reshape(size[1], size[0], 3)
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A number at every vertex and how it is coloured.
+
+    Attributes:
+        name: of the quantity.
+        values: shape [V].
+        colormap: as :mod:`omtwarp.render.colors` calls it.
+        low, high: values at the ends of the colour map.
+    """
+
+    name: str
+    values: Floats
+    colormap: str
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name} from {self.values.min():.4g} to {self.values.max():.4g}, coloured from {self.low:.4g} to "
+            f"{self.high:.4g}"
+        )
+
+    def picture(self, target: Target, faces: Ints) -> Bytes:
+        """The picture of a target, uint8 sRGB, shape [H, W, 3]."""
+        baked = bake_corners(
+            target.uv, target.spread(self.values, faces), target.size, padding=PADDING, device=target.device
+        )[..., 0]
+        span = self.high - self.low
+        part = np.clip((baked - self.low) / span, 0.0, 1.0) if span > 0 else np.full(baked.shape, 0.5)
+        table = colormap_table(self.colormap)
+        return table[np.rint(part * (len(table) - 1)).astype(np.int64)]
+
+
+def scalar(what: str | Path, vertices: Floats, faces: Ints, sphere: Floats) -> Scalar:
+    """Compute or read the number at every vertex that a name or a file stands for.
+
+    Args:
+        what: ``curvature``, ``area``, or a file of numbers at the vertices (see :mod:`omtwarp.mesh.data`).
+        vertices: shape [V, 3].
+        faces: shape [F, 3].
+        sphere: the map, shape [V, 3].
+
+    Raises:
+        OmtwarpError: an unknown name, a file that cannot be read, or one with another number of vertices.
+    """
+    if what == "curvature":
+        values = mean_curvature(vertices, faces)
+        most = float(np.percentile(np.abs(values), SPREAD))
+        return Scalar("curvature", values, "coolwarm", -most, most)
+    if what == "area":
+        values = np.log2(area_ratio(vertices, faces, sphere))
+        most = max(float(np.percentile(np.abs(values), SPREAD)), 1e-9)
+        return Scalar("area (binary logarithm)", values, "coolwarm", -most, most)
+    path = Path(what)
+    if not path.suffix:
+        raise OmtwarpError(f"cannot bake '{what}': use {', '.join(BAKES)}, or a file of data at the vertices")
+    data = read_data(path)
+    if len(data.values) != len(vertices):
+        raise OmtwarpError(f"{path}: {len(data.values)} values for {len(vertices)} vertices")
+    values = data.values[:, 0].astype(np.float64)
+    if not np.isfinite(values).all():
+        bad = np.flatnonzero(~np.isfinite(values))
+        raise OmtwarpError(f"{path}: {len(bad)} values are not finite, first vertex {bad[0]}")
+    return Scalar(data.names[0] or path.stem, values, "viridis", float(values.min()), float(values.max()))
+
+
+def mean_curvature(vertices: Floats, faces: Ints) -> Floats:
+    """Mean curvature at vertices, 1 / length unit, positive where the surface bulges outward, shape [V].
+
+    Half the length of the cotangent Laplacian of the positions over the mixed Voronoi area around a vertex [1]_.
+
+    .. [1] M. Meyer et al., "Discrete differential-geometry operators for triangulated 2-manifolds", VisMath III (2003).
+    """
+    flow = cotangent_laplacian(vertices, faces) @ vertices
+    cotangent = corner_cotangents(vertices, faces)
+    corner = vertices[faces]
+    # squares[:, k]: of the side opposite to corner k; its two ends share it by the cotangent there.
+    squares = ((np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1)) ** 2).sum(axis=2)
+    parts = squares * cotangent / 8.0
+    voronoi = parts.sum(axis=1, keepdims=True) - parts
+    whole = triangle_areas(vertices, faces)[:, None]
+    obtuse = cotangent < 0
+    share = np.where(obtuse.any(axis=1, keepdims=True), np.where(obtuse, 0.5, 0.25) * whole, voronoi)
+    area = np.bincount(faces.ravel(), share.ravel(), minlength=len(vertices))
+    outward = np.where((flow * vertex_normals(vertices, faces)).sum(axis=1) < 0, -1.0, 1.0)
+    return outward * np.linalg.norm(flow, axis=1) / (2.0 * np.maximum(area, 1e-300))
+
+
+def area_ratio(vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
+    """Area on the sphere over area of the surface around vertices, both of all set to 1, shape [V]."""
+    shares = []
+    for points in (sphere, vertices):
+        each = triangle_areas(points, faces)
+        around = np.bincount(faces.ravel(), np.repeat(each / each.sum(), 3), minlength=len(vertices))
+        shares.append(np.maximum(around, 1e-300))
+    return shares[0] / shares[1]
+
+
+__all__ = ["BAKES", "Scalar", "Target", "detail_normals", "object_normals", "occlusion", "scalar"]

@@ -1,0 +1,402 @@
+"""A surface's pattern, materials and bakes on the texture coordinates of its mesh, or on an atlas."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.device.policy import resolve_device
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.materials.base import WHITE, Bytes, Floats, Ints, Material
+from omtwarp.materials.painted import PaintedMesh
+from omtwarp.materials.tangents import corner_tangents
+from omtwarp.painting import bakes
+from omtwarp.painting.texels import PADDING, bake_materials, covered, over, overlap, tiled_copies, tinted
+from omtwarp.texturing.baking import Layout, bake_to_uv
+from omtwarp.texturing.image import as_bytes, as_floats, read_image
+from omtwarp.texturing.patterns import PATTERNS, Pattern
+from omtwarp.texturing.projection import rotation_matrix
+from omtwarp.texturing.textured import SphereMap, texture, vertex_normals
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+SIZE = 2048
+"""Texels of a side of a picture for own coordinates where the material has none whose size could be taken."""
+
+OPACITY = 0.5
+"""Of the upper layer where a pattern and a material are laid over one another: half of each shows."""
+
+OVERLAP = 0.002
+"""Part of the covered texels in more than one triangle above which a warning says so; rounding gives less."""
+
+NEUTRAL = (0.8, 0.8, 0.8, 1.0)
+
+
+def paint(
+    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
+    mesh: PaintedMesh | None = None,
+    image: str | os.PathLike[str] | Image | ArrayLike | None = None,
+    *,
+    pattern: str | Pattern | None = None,
+    uv: str = "own",
+    keep: str | None = None,
+    opacity: float = OPACITY,
+    bake: Sequence[str | os.PathLike[str]] = (),
+    detail: tuple[ArrayLike, ArrayLike] | None = None,
+    projection: str = "equirectangular",
+    atlas: str = "cube",
+    rotate: ArrayLike | str | None = None,
+    size: int | None = None,
+    device: str | None = "auto",
+) -> PaintedMesh:
+    """Texture a mesh through its map in its own texture coordinates, over or under its own materials, with bakes.
+
+    With own coordinates every material of the mesh keeps its name and properties and gets a picture of its own; with an
+    atlas, all materials share one picture. Coordinates outside [0, 1] repeat the picture. Where triangles overlap on
+    the picture, as mirrored halves do, the first one has the texel, and a warning says how much of it is so.
+
+    Args:
+        result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three as a
+            tuple.
+        mesh: the mesh that was mapped, with coordinates and materials (:func:`omtwarp.read_painted_mesh`); needed for
+            own coordinates and for ``keep``.
+        image: an equirectangular picture, as :func:`omtwarp.texture` takes it.
+        pattern: a pattern, as :func:`omtwarp.texture` takes it. With neither, and nothing to bake: circles.
+        uv: ``own`` or ``atlas``.
+        keep: ``over`` lays the pattern over the mesh's materials, ``under`` the materials over the pattern; None leaves
+            the materials' colours out. The layers are put together by Porter and Duff's "over" in linear light.
+        opacity: of the upper layer, from 0 to 1, times its own.
+        bake: ``normal``, ``ao``, ``curvature``, ``area``, or files of numbers at the vertices. Ambient occlusion goes
+            to the material's occlusion; normals of ``detail`` to its normal map, in tangent space; curvature (of the
+            mean, 1 / length unit), area (on the sphere over that on the surface) and data become the colour, through a
+            colour map, and so do normals without ``detail``, in the mesh's axes. At most one of them can.
+        detail: vertices and faces of a finer mesh of the same surface in the same place, for ``normal``.
+        projection: of the image, as in :func:`omtwarp.texture`.
+        atlas: which one, as in :func:`omtwarp.texture`.
+        rotate: turns the pattern on the sphere, as in :func:`omtwarp.texture`.
+        size: width of the pictures in texels; by default that of the material's own picture, or 2048.
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+
+    Returns:
+        The mesh with its materials; ``.export("name.glb")`` writes it.
+
+    Raises:
+        OmtwarpError: no texture coordinates, another mesh than the one that was mapped, an unknown option, or more than
+            one bake that would be the colour.
+
+    Example:
+        >>> import numpy as np, omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> result = omtwarp.map_to_sphere(surface, until="conformal", device="cpu")
+        >>> mesh = omtwarp.unwrap_uv(result)
+        >>> painted = omtwarp.paint(result, mesh, pattern="checker", bake=["ao"], size=128)
+        >>> painted.materials[0].picture.shape, painted.materials[0].occlusion_picture is None
+        ((128, 128, 3), False)
+    """
+    if uv not in ("own", "atlas"):
+        raise OmtwarpError(f"unknown texture coordinates '{uv}': use own or atlas")
+    if keep not in (None, "over", "under"):
+        raise OmtwarpError(f"unknown way to keep materials '{keep}': use over or under")
+    if not 0.0 <= opacity <= 1.0:
+        raise OmtwarpError(f"the opacity is {opacity}: give a number from 0 to 1")
+    if image is not None and pattern is not None:
+        raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
+    if mesh is None and (uv == "own" or keep is not None):
+        raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
+    vertices, faces, sphere = as_map(result)
+    wanted = _Wanted.of(bake, detail, image is not None or pattern is not None or keep is not None)
+    own = None if mesh is None else mesh.on(vertices, faces)
+    job = _Job(vertices, faces, sphere, own, wanted, keep, opacity, resolve_device(device))
+    source = image if image is not None else pattern
+    if source is None and (keep is not None or not wanted.names):
+        source = "circles"
+    if uv == "own":
+        assert own is not None  # checked above
+        return job.on_own_coordinates(source, projection, rotate, size)
+    return job.on_atlas(source, projection, atlas, rotate, size)
+
+
+def as_map(result: Any) -> tuple[Floats, Ints, Floats]:
+    """Vertices [V, 3], faces [F, 3] and sphere [V, 3] of a map in any of its forms.
+
+    Raises:
+        OmtwarpError: something else.
+    """
+    known = all(hasattr(result, name) for name in ("vertices", "faces", "sphere"))
+    if not known and not isinstance(result, tuple | list):
+        raise OmtwarpError(f"cannot use a {type(result).__name__}: give a result of map_to_sphere, or its arrays")
+    parts = result if isinstance(result, tuple | list) else (result.vertices, result.faces, result.sphere)
+    if len(parts) != 3:
+        raise OmtwarpError("give a result of map_to_sphere, or vertices, faces and sphere")
+    vertices, faces, sphere = parts
+    return (
+        np.ascontiguousarray(vertices, dtype=np.float64),
+        np.ascontiguousarray(faces, dtype=np.int32),
+        np.ascontiguousarray(sphere, dtype=np.float64),
+    )
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """The bakes that were asked for.
+
+    Attributes:
+        names: all of them.
+        color: the one that becomes the colour, if any.
+        detail: vertices and faces of the finer mesh.
+    """
+
+    names: tuple[str, ...]
+    color: str | None
+    detail: tuple[Floats, Ints] | None
+
+    @staticmethod
+    def of(bake: Iterable[str | os.PathLike[str]], detail: Any, colored: bool) -> _Wanted:
+        names = tuple(os.fspath(name) for name in bake)
+        fine = None
+        if detail is not None:
+            fine = (np.asarray(detail[0], dtype=np.float64), np.ascontiguousarray(detail[1], dtype=np.int32))
+        if fine is not None and "normal" not in names:
+            raise OmtwarpError("a detailed mesh is given, and no normals are baked: add --bake normal")
+        colors = [name for name in names if name != "ao" and not (name == "normal" and fine is not None)]
+        if len(colors) > 1:
+            raise OmtwarpError(f"{' and '.join(colors)} would both be the colour: bake one at a time")
+        if colors and colored:
+            raise OmtwarpError(f"{colors[0]} and the pattern or picture would both be the colour: leave one out")
+        return _Wanted(names, colors[0] if colors else None, fine)
+
+
+@dataclass
+class _Job:
+    """What is painted, and where to."""
+
+    vertices: Floats
+    faces: Ints
+    sphere: Floats
+    own: PaintedMesh | None
+    wanted: _Wanted
+    keep: str | None
+    opacity: float
+    where: Any
+
+    def on_own_coordinates(self, source: Any, projection: str, rotate: Any, size: int | None) -> PaintedMesh:
+        assert self.own is not None
+        mesh = self.own
+        uv = mesh.require_uv()
+        which, tiled = tiled_copies(uv)
+        if isinstance(rotate, str):
+            raise OmtwarpError(f"rotate '{rotate}': give degrees or a matrix for own texture coordinates")
+        turn = rotation_matrix(rotate)
+        tangents = self._tangents(mesh)
+        materials = []
+        doubled = 0.0
+        for number, material in enumerate(mesh.materials):
+            mine = np.flatnonzero(mesh.material_of[which] == number)
+            if not len(mine):
+                materials.append(material)
+                continue
+            extent = _extent(material, size)
+            layers = None
+            if source is not None:
+                baked = bake_to_uv(
+                    source, self.sphere, self.faces[which[mine]], tiled[mine], size=extent, rotation=turn,
+                    projection=projection, padding=PADDING, device=self.where,
+                )  # fmt: skip
+                layers = _with_opacity(baked)
+            doubled = max(doubled, overlap(tiled[mine], *extent, self.where))
+            target = self._target(tiled[mine], which[mine], extent)
+            at = None if tangents is None else tangents[which[mine]]
+            color = None
+            if layers is not None:
+                color = layers
+                if self.keep is not None:
+                    inside = covered(tiled[mine], extent, device=self.where)[..., None]
+                    base = self._base(layers, mesh, which[mine], tiled[mine], material, extent)
+                    color = np.where(inside, self._together(layers, base), base)
+            materials.append(self._finish(material, color, target, at))
+        if doubled > OVERLAP:
+            text = (
+                f"texture coordinates overlap: {100 * doubled:.1f} % of the texels lie in more than one triangle "
+                "(mirrored parts?), and show what the first one has there"
+            )
+            warnings.warn(text, OmtwarpWarning, stacklevel=3)
+        return replace(mesh, materials=tuple(materials))
+
+    def _base(
+        self, like: NDArray, mesh: PaintedMesh, which: NDArray, tiled: Floats, material: Material, size: tuple[int, int]
+    ) -> NDArray[np.float32]:
+        """A material's own colours on its own coordinates."""
+        if material.picture is None and mesh.vertex_colors is not None:
+            colors = mesh.vertex_colors[mesh.faces[which]] / 255.0
+            layout = Layout(tiled, *size, self.where, PADDING)
+            return bake_materials(layout, None, np.zeros(len(tiled), np.int32), (material,), colors, PADDING)
+        flat = np.broadcast_to(np.array(material.color, np.float32), like.shape)
+        if material.picture is None:
+            return flat
+        return tinted(_resized(material.picture, size), np.array(material.color, dtype=np.float32))
+
+    def _together(self, pattern: NDArray[np.float32], base: NDArray[np.float32]) -> NDArray[np.float32]:
+        if self.keep == "over":
+            return over(pattern, base, self.opacity)
+        return over(base, pattern, self.opacity)
+
+    def _target(self, uv: Floats, which: NDArray, size: tuple[int, int]) -> bakes.Target:
+        normals = vertex_normals(self.vertices, self.faces)
+        weights = np.broadcast_to(np.eye(3), (len(which), 3, 3))
+        return bakes.Target(
+            uv, self.vertices[self.faces[which]], normals[self.faces[which]], which, weights, size, self.where
+        )
+
+    def _tangents(self, mesh: PaintedMesh) -> Floats | None:
+        """Tangents at a mesh's corners where a normal map is asked for, shape [F, 3, 4]."""
+        if self.wanted.detail is None:
+            return None
+        assert mesh.uv is not None
+        return corner_tangents(mesh.vertices, mesh.faces, mesh.uv, vertex_normals(mesh.vertices, mesh.faces))
+
+    def _finish(
+        self, material: Material, color: NDArray[np.float32] | None, target: bakes.Target, tangents: Floats | None
+    ) -> Material:
+        """The material with its colour and the bakes that were asked for."""
+        wanted = self.wanted
+        if color is not None:
+            found = replace(material, picture=_opaque_if_it_is(as_bytes(color)), color=WHITE)
+        elif wanted.color == "normal":
+            found = replace(material, picture=bakes.object_normals(target), color=WHITE)
+        elif wanted.color is not None:
+            number = bakes.scalar(wanted.color, self.vertices, self.faces, self.sphere)
+            found = replace(material, picture=number.picture(target, self.faces), color=WHITE)
+        elif self.own is None:
+            found = replace(material, color=NEUTRAL)
+        else:
+            found = material
+        if "ao" in wanted.names:
+            found = replace(found, occlusion_picture=bakes.occlusion(target, self.vertices, self.faces))
+        if wanted.detail is not None and tangents is not None:
+            normals = bakes.detail_normals(target, tangents, wanted.detail)
+            found = replace(found, normal_picture=normals, own_tangents=True)
+        return found
+
+    def on_atlas(self, source: Any, projection: str, atlas: str, rotate: Any, size: int | None) -> PaintedMesh:
+        given: dict[str, Any] = {"pattern": source} if isinstance(source, str | Pattern) and _is_pattern(source) else {}
+        if source is not None and not given:
+            given = {"image": source}
+        # Without a source the atlas's coordinates alone are wanted: a picture of one colour is the quickest.
+        given = given or {"image": np.zeros((16, 32, 3), dtype=np.uint8)}
+        layout_size = SIZE if size is None and source is None else size
+        made = texture(
+            (self.vertices, self.faces, self.sphere), projection=projection, atlas=atlas, rotate=rotate,
+            size=layout_size, device=str(self.where), **given,
+        )  # fmt: skip
+        height, width = made.image.shape[:2]
+        count = int(made.welded.max()) + 1
+        first = np.zeros(count, dtype=np.int64)
+        first[made.welded[::-1]] = np.arange(len(made.welded))[::-1]
+        faces = made.welded[made.faces].astype(np.int32)
+        corner_uv = made.uv[made.faces]
+        weights = _weights(made.vertices[made.faces], self.vertices[self.faces[made.source_face]])
+        materials = (Material("texture"),) if self.own is None or self.keep is None else self.own.materials
+        numbers = None if len(materials) == 1 else np.asarray(self.own.material_of if self.own else 0)[made.source_face]
+        mesh = PaintedMesh(
+            made.vertices[first], faces, corner_uv, materials, numbers, wraps_rows=False,
+            source_files=() if self.own is None else self.own.source_files,
+        )  # fmt: skip
+        target = bakes.Target(
+            corner_uv,
+            made.vertices[made.faces],
+            made.normals[made.faces],
+            made.source_face,
+            weights,
+            (width, height),
+            self.where,
+        )
+        color = None if source is None else _with_opacity(as_floats(made.image))
+        if color is not None and self.keep is not None and self.own is not None:
+            own = self.own
+            layout = Layout(corner_uv, width, height, self.where)
+            at = None if own.uv is None else np.einsum("tij,tjc->tic", weights, own.uv[made.source_face])
+            colors = None if own.vertex_colors is None else target.spread(own.vertex_colors / 255.0, self.faces)
+            at = None if at is None else np.nan_to_num(at)
+            base = bake_materials(layout, at, mesh.material_of, own.materials, colors, -1)
+            color = self._together(color, base)
+        shared = self._finish(materials[0], color, target, self._tangents(mesh))
+        return replace(
+            mesh,
+            materials=tuple(
+                replace(
+                    material,
+                    color=shared.color,
+                    picture=shared.picture,
+                    occlusion_picture=shared.occlusion_picture,
+                    normal_picture=shared.normal_picture,
+                    own_tangents=shared.own_tangents,
+                    roughness_picture=None,
+                    emission_picture=None,
+                )
+                for material in materials
+            ),
+        )
+
+
+def _is_pattern(source: str | Pattern) -> bool:
+    return isinstance(source, Pattern) or source in PATTERNS
+
+
+def _extent(material: Material, size: int | None) -> tuple[int, int]:
+    """Width and height of a material's new picture."""
+    if material.picture is None:
+        return (size or SIZE, size or SIZE)
+    height, width = material.picture.shape[:2]
+    return (width, height) if size is None else (size, max(round(size * height / width), 1))
+
+
+def _with_opacity(picture: NDArray[Any]) -> NDArray[np.float32]:
+    """A picture of three or four channels as one of four."""
+    values = picture.astype(np.float32, copy=False)
+    if values.shape[2] == 4:
+        return values
+    return np.concatenate([values[..., :3], np.ones((*values.shape[:2], 1), np.float32)], axis=2)
+
+
+def _opaque_if_it_is(picture: Bytes) -> Bytes:
+    """A picture without its opacity where nothing shines through."""
+    return np.ascontiguousarray(picture[..., :3]) if picture[..., 3].min() == 255 else picture
+
+
+def _resized(picture: Bytes, size: tuple[int, int]) -> NDArray[np.float32]:
+    """A picture in another size, with opacity, from 0 to 1."""
+    from PIL import Image
+
+    if picture.shape[1::-1] != size:
+        picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
+    return _with_opacity(as_floats(read_image(picture)))
+
+
+def _weights(points: Floats, corners: Floats) -> Floats:
+    """Points in triangles as combinations of their corners.
+
+    Args:
+        points: shape [T, 3, 3], three points for each triangle.
+        corners: shape [T, 3, 3].
+
+    Returns:
+        Shape [T, 3, 3]: a row for each point, which sums to 1.
+    """
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(e1, e2)
+    square = np.maximum((normal * normal).sum(axis=1), 1e-300)[:, None]
+    to = points - corners[:, None, 0]
+    v = np.einsum("tij,tj->ti", np.cross(to, e2[:, None, :]), normal) / square
+    w = np.einsum("tij,tj->ti", np.cross(e1[:, None, :], to), normal) / square
+    v, w = np.clip(v, 0.0, 1.0), np.clip(w, 0.0, 1.0)
+    return np.stack([1.0 - v - w, v, w], axis=2)
+
+
+__all__ = ["SIZE", "as_map", "paint"]

@@ -1,0 +1,136 @@
+"""Texture transfer: what a surface wears, on another surface, place by place through their maps to the sphere."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from omtwarp.alignment import align
+from omtwarp.device.policy import resolve_device
+from omtwarp.errors import OmtwarpError
+from omtwarp.materials.base import Floats, Ints, Material
+from omtwarp.materials.painted import PaintedMesh
+from omtwarp.painting.painter import SIZE, as_map
+from omtwarp.painting.texels import PADDING, bake_materials
+from omtwarp.resampling import SpherePoints
+from omtwarp.spheres import mesh_grid
+from omtwarp.texturing.atlas import Atlas, make_atlas
+from omtwarp.texturing.baking import bake_to_uv, own_at_parts, picture_source, sphere_layout
+from omtwarp.texturing.image import as_bytes
+from omtwarp.texturing.seams import unwrap
+from omtwarp.texturing.textured import SphereMap
+
+Map = SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]
+
+
+def transfer_texture(
+    mesh: PaintedMesh,
+    result: Map,
+    other: Map,
+    *,
+    onto: PaintedMesh | None = None,
+    aligned: bool = False,
+    mirror: bool = False,
+    atlas: str = "cube",
+    size: int | None = None,
+    device: str | None = "auto",
+) -> PaintedMesh:
+    """Carry the texture of one surface over to another, each mapped to the sphere.
+
+    The other map is turned until the two surfaces' features agree best (:func:`omtwarp.align`); then each point of the
+    other surface takes the colour of the point that lies at the same place of the sphere. Colours come from all
+    materials of the mesh, or from its vertices where they have none.
+
+    Args:
+        mesh: the mesh with the texture (:func:`omtwarp.read_painted_mesh`).
+        result: its map: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the
+            three as a tuple.
+        other: the map of the surface that gets the texture, in the same forms.
+        onto: the other mesh with texture coordinates of its own, to get the texture in those; by default an atlas.
+        aligned: the two maps are in one position already: turn nothing.
+        mirror: try the mirror image of the other surface too, for a left and a right part.
+        atlas: as in :func:`omtwarp.texture`, where ``onto`` is not given.
+        size: width of the picture in texels; 2048 by default.
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+
+    Returns:
+        The other surface with the texture; ``.export("name.glb")`` writes it.
+
+    Raises:
+        OmtwarpError: a mesh without colours, a map of another mesh, or too little to align the two by.
+
+    Example:
+        >>> import omtwarp
+        >>> surface = omtwarp.shapes.blob(seed=3, sphere=320)
+        >>> result = omtwarp.map_to_sphere(surface, until="conformal", device="cpu")
+        >>> painted = omtwarp.paint(result, omtwarp.unwrap_uv(result), pattern="checker", size=96)
+        >>> same = omtwarp.transfer_texture(painted, result, result, size=96)
+        >>> same.materials[0].picture.shape
+        (64, 96, 3)
+    """
+    where = resolve_device(device)
+    vertices, faces, sphere = as_map(result)
+    there, triangles, points = as_map(other)
+    source = mesh.on(vertices, faces)
+    plain = all(material.picture is None for material in source.materials)
+    if plain and len(source.materials) == 1 and source.vertex_colors is None:
+        raise OmtwarpError("nothing to carry over: the mesh has neither a picture nor colours")
+    if not aligned:
+        moving, fixed = _points(points, triangles, there), _points(sphere, faces, vertices)
+        # Equal faces alone do not make vertices correspond: two subdivided spheres have them.
+        same = np.array_equal(triangles, faces) and np.allclose(there, vertices)
+        points = align(moving, fixed, by="vertices" if same else "features", mirror=mirror).sphere
+    layout = make_atlas(atlas, size if size is not None else SIZE)
+    picture = _on_sphere(source, sphere, layout, where)
+    if onto is not None:
+        own = onto.on(there, triangles)
+        uv = own.require_uv("the mesh that gets the texture")
+        baked = bake_to_uv(
+            picture_source(picture, layout, where), points, triangles, uv, size=size or SIZE, padding=PADDING,
+            device=where,
+        )  # fmt: skip
+        if picture[..., 3].min() == 1.0:
+            baked[..., 3] = 1.0  # also where nothing is
+        return PaintedMesh(there, triangles, uv, (_material(source, baked),), source_files=onto.source_files)
+    cut = unwrap(points, triangles, layout)
+    first = np.zeros(int(cut.welded.max()) + 1, dtype=np.int64)
+    first[cut.welded[::-1]] = np.arange(len(cut.welded))[::-1]
+    return PaintedMesh(
+        (cut.weights @ there)[first],
+        cut.welded[cut.faces],
+        cut.uv[cut.faces],
+        (_material(source, picture),),
+        wraps_rows=False,
+    )
+
+
+def _points(sphere: Floats, faces: Ints, vertices: Floats) -> SpherePoints:
+    return SpherePoints(mesh_grid(sphere, faces, "the map"), vertices)
+
+
+def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: Any) -> Any:
+    """A mesh's colours on the picture of an atlas, sRGB and opacity from 0 to 1, float32 [H, W, 4]."""
+    cut = unwrap(sphere, mesh.faces, atlas)
+    layout, part = sphere_layout(cut, atlas, sphere, None, where)
+    own = None
+    if mesh.uv is not None:
+        own = np.nan_to_num(own_at_parts(cut, mesh.faces, mesh.uv))[part]
+    colors = None
+    if mesh.vertex_colors is not None:
+        colors = (cut.weights @ (mesh.vertex_colors / 255.0))[cut.faces][part]
+    which = mesh.material_of[cut.source_face][part]
+    return bake_materials(layout, own, which, mesh.materials, colors, -1)
+
+
+def _material(mesh: PaintedMesh, picture: Any) -> Material:
+    """One material with the transferred picture, as rough and metallic as the mesh's most common one."""
+    common = mesh.materials[int(np.bincount(mesh.material_of).argmax())]
+    texels = as_bytes(picture)
+    if texels[..., 3].min() == 255:
+        texels = np.ascontiguousarray(texels[..., :3])
+    return Material("transferred", picture=texels, metallic=common.metallic, roughness=common.roughness)
+
+
+__all__ = ["transfer_texture"]

@@ -1,0 +1,81 @@
+"""The commands for meshes with texture coordinates and materials: their files, and one line for every mistake."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cli_commands import run
+
+import omtwarp
+from omtwarp.materials import read_painted_mesh
+from omtwarp.mesh.write import write_mesh
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "materials"))
+from two_materials import two_halves
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """A ball of two materials with its map, and a plain mesh without texture coordinates."""
+    path, *_ = two_halves(tmp_path, picture=True)
+    mesh = omtwarp.read_mesh(path)
+    result = omtwarp.map_to_sphere((mesh.vertices, mesh.faces), until="moser", device="cpu")
+    result.save(tmp_path / "two.npz")
+    write_mesh(tmp_path / "plain.ply", mesh.vertices, mesh.faces)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_own_coordinates_with_materials_and_occlusion(desk, capsys):
+    words = "texture two.obj --map two.npz -o painted.glb --uv own --keep-materials over --bake ao --size 128"
+    status, out, _ = run(capsys, *words.split())
+    assert status == 0 and "blue occlusion" in out and "red colour 128 x 128" in out
+    made, given = read_painted_mesh("painted.glb"), read_painted_mesh("two.obj")
+    np.testing.assert_allclose(made.uv, given.uv, atol=1e-6)
+    assert all(m.occlusion_picture is not None and m.picture is not None for m in made.materials)
+
+
+def test_obj_gets_a_library_and_its_pictures_and_leaves_the_input_alone(desk, capsys):
+    before = {name: (desk / name).read_bytes() for name in ("two.obj", "two.mtl", "stripes.png")}
+    status, out, _ = run(
+        capsys, *"texture two.obj --map two.npz -o new.obj --uv own --pattern checker --size 64".split()
+    )
+    assert status == 0 and "new.mtl" in out
+    assert len(read_painted_mesh("new.obj").materials) == 2
+    assert all((desk / name).read_bytes() == content for name, content in before.items())
+    status, _, err = run(capsys, *"texture two.obj --map two.npz -o two.obj --uv own".split())
+    assert status == 1 and "it is the input" in err
+
+
+def test_unwrap_then_transfer(desk, capsys):
+    status, out, _ = run(capsys, *"unwrap --map two.npz -o new.obj".split())
+    assert status == 0 and "6 charts" in out
+    status, out, _ = run(
+        capsys,
+        *"transfer two.obj new.obj --map-from two.npz --map-to two.npz --aligned --uv own -o t.glb --size 64".split(),
+    )
+    assert status == 0 and "with the texture of two.obj" in out
+    (material,) = read_painted_mesh("t.glb").materials
+    assert material.picture.shape == (64, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("texture plain.ply --map two.npz -o a.glb --uv own", "plain.ply: no texture coordinates in it"),
+        ("texture --map two.npz -o a.glb --uv own", "need the mesh itself"),
+        ("texture two.obj --map two.npz -o a.ply --uv own", "unknown suffix"),
+        ("texture two.obj --map two.npz -o a.glb --bake bumps", "give one"),
+        ("texture --map two.npz -o a.glb --bake bumps", "cannot bake 'bumps'"),
+        ("texture --map two.npz -o a.glb --detail plain.ply", "--detail is for --bake normal"),
+        ("texture --map two.npz -o a.glb --bake ao --seam 20", "--seam"),
+        ("transfer plain.ply two.obj --map-from two.npz --map-to two.npz -o a.glb", "nothing to carry over"),
+        ("transfer two.obj gone.ply -o a.glb", "gone.ply: no such file"),
+        ("unwrap plain.ply -o a.stl", "unknown suffix"),
+    ],
+)
+def test_mistakes_are_one_line(desk, capsys, words, message):
+    status, _, err = run(capsys, *words.split())
+    assert status == 1 and message in err and "Traceback" not in err
+    assert not list(desk.glob("a.*"))

@@ -1,0 +1,323 @@
+"""Patterns, materials and bakes on a mesh's own texture coordinates, held to closed forms."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import omtwarp
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.materials import Material, PaintedMesh, read_painted_mesh
+from omtwarp.materials.tangents import corner_tangents
+from omtwarp.painting import paint, unwrap_uv
+from omtwarp.painting.bakes import area_ratio, mean_curvature
+from omtwarp.painting.texels import over, tiled_copies
+from omtwarp.texturing.patterns import Checker
+from omtwarp.texturing.textured import vertex_normals
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "materials"))
+from two_materials import RED, two_halves
+
+
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory):
+    """A ball in two materials, one with a picture, and its map: itself."""
+    path, *_ = two_halves(tmp_path_factory.mktemp("halves"), picture=True)
+    mesh = read_painted_mesh(path)
+    return mesh, (mesh.vertices, mesh.faces, mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True))
+
+
+def places(mesh, seed=0):
+    """A random point in every triangle: its weights, its coordinates, and the texel of a picture there."""
+    weights = np.random.default_rng(seed).dirichlet((2, 2, 2), len(mesh.faces))
+    return weights, np.einsum("fk,fkj->fj", weights, mesh.uv)
+
+
+def looked_up(picture, uv):
+    """The texel that holds each point, pictures repeating."""
+    height, width = picture.shape[:2]
+    column = np.floor((uv[:, 0] % 1.0) * width).astype(int) % width
+    row = np.floor((1.0 - uv[:, 1] % 1.0) * height).astype(int) % height
+    return picture[row, column].astype(float)
+
+
+def shown(mesh, seed=0):
+    """The colour that a mesh shows at a random point of every triangle."""
+    _, uv = places(mesh, seed)
+    colors = np.zeros((len(mesh.faces), 3))
+    for number, material in enumerate(mesh.materials):
+        mine = mesh.face_material == number
+        colors[mine] = looked_up(material.picture, uv[mine])[:, :3]
+    return colors
+
+
+def test_a_pattern_in_own_coordinates_is_where_the_map_says(halves):
+    """At random points of all triangles, those across the border of the picture too, and in both materials."""
+    mesh, result = halves
+    assert mesh.uv[..., 0].max() > 1.0, "some triangles reach over the picture's border"
+    checker = Checker(10, 5)
+    made = paint(result, mesh, pattern=checker, size=512)
+    weights, _ = places(mesh)
+    directions = np.einsum("fk,fkj->fj", weights, result[2][mesh.faces])
+    wrong = np.abs(shown(made) - 255 * checker(directions)).max(axis=1) > 60
+    assert wrong.mean() < 0.06, "only next to the borders of fields, which are a texel wide"
+    assert [m.name for m in made.materials] == ["red", "blue"] and np.array_equal(made.uv, mesh.uv)
+    assert made.materials[0].picture.shape == (512, 512, 3) and made.materials[1].picture.shape == (256, 512, 3)
+
+
+def test_tiled_copies_cover_what_they_repeat():
+    """Copies lie over the unit square, and their parts in it add up to the triangle."""
+    uv = np.array([[[0.7, 0.2], [1.4, 0.3], [1.1, 0.9]], [[2.1, -0.6], [2.3, -0.5], [2.2, -0.1]]])
+    which, copies = tiled_copies(uv)
+    assert which.tolist() == [0, 0, 1]
+    assert (copies.min(axis=1) < 1).all() and (copies.max(axis=1) > 0).all()
+    np.testing.assert_allclose(np.modf(np.abs(copies - uv[which]))[0], 0, atol=1e-12)
+    with pytest.raises(OmtwarpError, match="face 0 reaches over 40 copies"):
+        tiled_copies(40.0 * np.array([[[0, 0], [1, 0], [0, 0.01]]]))
+
+
+def test_layers_are_put_together_in_linear_light(halves):
+    mesh, result = halves
+    kept = {
+        (way, opacity): paint(result, mesh, pattern="circles", keep=way, opacity=opacity, size=256)
+        for way, opacity in (("over", 0.0), ("over", 1.0), ("under", 1.0), ("over", 0.5))
+    }
+    plain = paint(result, mesh, pattern="circles", size=256)
+    red, weights = mesh.face_material == 0, 1e-9
+    np.testing.assert_allclose(shown(kept["over", 1.0]), shown(plain), atol=1 + weights)
+    for nothing in (kept["over", 0.0], kept["under", 1.0]):
+        np.testing.assert_allclose(shown(nothing)[red], np.broadcast_to(RED, (red.sum(), 3)), atol=1)
+        np.testing.assert_array_equal(nothing.materials[1].picture.shape, (128, 256, 3))
+
+    def light(color):
+        c = np.asarray(color) / 255.0
+        return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+    half = light(shown(kept["over", 0.5])[red])
+    np.testing.assert_allclose(half, 0.5 * (light(RED) + light(shown(plain)[red])), atol=0.012)
+
+
+def test_over_is_porter_and_duffs():
+    top = np.array([[[1.0, 0.0, 0.0, 0.5]]], dtype=np.float32)
+    bottom = np.array([[[0.0, 0.0, 1.0, 0.5]]], dtype=np.float32)
+    got = over(top, bottom, 0.5)[0, 0]
+    assert got[3] == pytest.approx(0.25 + 0.75 * 0.5)
+    assert ((got[0] + 0.055) / 1.055) ** 2.4 == pytest.approx(0.25 / got[3], rel=1e-4)
+
+
+def test_an_atlas_shows_the_materials_that_own_coordinates_show(halves, tmp_path):
+    """Materials laid out anew on the cube atlas: the same colours at the same places, each material by its name."""
+    mesh, result = halves
+    own = paint(result, mesh, pattern="checker", keep="under", opacity=1.0, size=512)
+    atlas = paint(result, mesh, pattern="checker", keep="under", opacity=1.0, uv="atlas", size=1536)
+    assert [m.name for m in atlas.materials] == ["red", "blue"]
+    assert atlas.materials[0].picture is atlas.materials[1].picture
+    colors = shown(atlas)
+    weights, _ = places(atlas)
+    points = np.einsum("fk,fkj->fj", weights, atlas.vertices[atlas.faces])
+    longitude = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) + 0.5
+    expected = np.where(
+        (atlas.face_material == 0)[:, None],
+        RED,
+        looked_up(own.materials[1].picture, np.stack([longitude, np.full(len(points), 0.25)], axis=1))[:, :3],
+    )
+    # Longitude is not linear in a triangle: a stripe's border may lie on its other side.
+    assert (np.abs(colors - expected).max(axis=1) > 60).mean() < 0.15
+    (path,) = atlas.export(tmp_path / "atlas.glb")
+    assert path.read_bytes().count(b"\x89PNG") == 1, "the picture that all share is embedded once"
+
+
+def test_overlapping_coordinates_are_warned_of(halves):
+    mesh, result = halves
+    flat = mesh.vertices[mesh.faces][..., [0, 2]] * 0.45 + 0.5  # front and back on the same texels
+    with pytest.warns(OmtwarpWarning, match=r"overlap: (9\d|100)\.\d % of the texels"):
+        paint(result, PaintedMesh(mesh.vertices, mesh.faces, flat), pattern="checker", size=128)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mesh": None}, "give the one that was mapped"),
+        ({"uv": "mine"}, "unknown texture coordinates"),
+        ({"keep": "beside"}, "unknown way"),
+        ({"opacity": 2}, "opacity"),
+        ({"bake": ["curvature"], "pattern": "checker"}, "would both be the colour"),
+        ({"bake": ["curvature", "area"]}, "curvature and area would both be the colour"),
+        ({"bake": ["roundness"]}, "cannot bake 'roundness'"),
+        ({"bake": ["gone.npy"]}, "no such file"),
+        ({"bake": ["ao"], "detail": (np.eye(3), [[0, 1, 2]])}, "no normals are baked"),
+        ({"image": np.zeros((4, 8, 3)), "pattern": "checker"}, "both an image and a pattern"),
+    ],
+)
+def test_mistakes_are_one_line(halves, options, message):
+    mesh, result = halves
+    with pytest.raises(OmtwarpError, match=message) as caught:
+        paint(result, **{"mesh": mesh, "size": 64, **options})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mesh_without_coordinates_is_refused(halves):
+    mesh, result = halves
+    with pytest.raises(OmtwarpError, match="no texture coordinates in it"):
+        paint(result, PaintedMesh(mesh.vertices, mesh.faces))
+
+
+# ------------------------------------------------------------------------------------------------ bakes
+
+
+def ball(radius=1.0, subdivisions=3):
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    points = np.asarray(mesh.vertices)
+    return points * radius, np.asarray(mesh.faces, dtype=np.int32), points
+
+
+def test_mean_curvature_of_a_ball_and_of_its_inside():
+    vertices, faces, _ = ball(2.0)
+    np.testing.assert_allclose(mean_curvature(vertices, faces), 0.5, rtol=0.01)
+    np.testing.assert_allclose(mean_curvature(vertices, faces[:, ::-1].copy()), -0.5, rtol=0.01)
+
+
+def test_area_ratio_of_a_map_that_stretches():
+    """For z -> z + s (1 - z²) / 2 the ratio of areas is 1 - s z, by Archimedes' theorem."""
+    vertices, faces, sphere = ball(subdivisions=5)
+    z = sphere[:, 2]
+    moved = z + 0.2 * (1 - z * z)
+    scale = np.sqrt((1 - moved**2) / np.maximum(1 - z * z, 1e-12))
+    image = np.column_stack([sphere[:, :2] * scale[:, None], moved])
+    poles = np.abs(z) > 1 - 1e-9
+    image[poles] = sphere[poles]
+    np.testing.assert_allclose(area_ratio(vertices, faces, image)[~poles], (1 - 0.4 * z)[~poles], rtol=0.02)
+
+
+def test_scalars_are_coloured_and_data_of_files_baked(tmp_path):
+    vertices, faces, sphere = ball()
+    mesh = unwrap_uv((vertices, faces, sphere))
+    np.save(tmp_path / "height.npy", vertices[:, 2])
+    made = paint((vertices, faces, sphere), mesh, bake=[tmp_path / "height.npy"], size=256)
+    from omtwarp.render.colors import colormap_table
+
+    weights, _ = places(made)
+    height = np.einsum("fk,fk->f", weights, vertices[faces][..., 2])
+    expected = colormap_table("viridis")[np.rint((height + 1) / 2 * 255).astype(int)]
+    assert np.percentile(np.abs(shown(made) - expected), 99) < 8
+    np.save(tmp_path / "short.npy", np.zeros(5))
+    with pytest.raises(OmtwarpError, match="5 values for 642 vertices"):
+        paint((vertices, faces, sphere), mesh, bake=[tmp_path / "short.npy"], size=64)
+
+
+def test_occlusion_of_a_ball_and_of_a_well():
+    """A convex surface is open; at the bottom of a well, r² / (r² + h²) of the light arrives (radius r, depth h)."""
+    vertices, faces, sphere = ball()
+    mesh = unwrap_uv((vertices, faces, sphere))
+    open_ball = paint((vertices, faces, sphere), mesh, bake=["ao"], size=128).materials[0]
+    assert open_ball.occlusion_picture.min() == 255 and open_ball.picture is None
+    # A block of 4 x 4 x 2 with a round well, as a surface of revolution: profile from the bottom's middle outwards.
+    radius, depth = 1.0, 1.5
+    profile = np.array([[0.0, -depth], [radius / 2, -depth], [radius, -depth], [radius, 0], [3, 0], [3, -3], [0, -3]])
+    block = trimesh.creation.revolve(profile, sections=96)
+    block.merge_vertices()
+    points, triangles = np.asarray(block.vertices), np.asarray(block.faces, dtype=np.int32)
+    if block.volume < 0:
+        triangles = triangles[:, ::-1].copy()
+    centre = np.linalg.norm(points - [0, 0, -depth], axis=1).argmin()
+    fans = np.flatnonzero((triangles == centre).any(axis=1))
+    uv = np.zeros((len(triangles), 3, 2))  # the whole picture is the well's bottom
+    uv[fans] = points[triangles[fans]][..., :2] + 0.5
+    painted = paint((points, triangles, points), PaintedMesh(points, triangles, uv), bake=["ao"], size=128)
+    middle = painted.materials[0].occlusion_picture[60:68, 60:68, 0].mean() / 255
+    assert middle == pytest.approx(radius**2 / (radius**2 + depth**2), abs=0.03)
+
+
+def test_a_normal_map_gives_the_detailed_normals_back():
+    """A coarse ball with the normal map of a fine one shows the ball's own normals, in glTF's tangent frame."""
+    vertices, faces, sphere = ball(subdivisions=2)
+    fine, triangles, _ = ball(subdivisions=5)
+    mesh = unwrap_uv((vertices, faces, sphere))
+    made = paint((vertices, faces, sphere), mesh, bake=["normal"], detail=(fine, triangles), size=512)
+    material = made.materials[0]
+    assert material.own_tangents and material.picture is None
+    normals = vertex_normals(vertices, faces)
+    tangents = corner_tangents(vertices, faces, made.uv, normals)
+    weights, uv = places(made)
+    n = np.einsum("fk,fkj->fj", weights, normals[faces])
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    t = np.einsum("fk,fkj->fj", weights, tangents[..., :3])
+    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    b = np.cross(n, t) * tangents[:, 0, 3:]
+    texel = looked_up(material.normal_picture, uv) / 255 * 2 - 1
+    seen = texel[:, :1] * t + texel[:, 1:2] * b + texel[:, 2:] * n
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    point = np.einsum("fk,fkj->fj", weights, vertices[faces])
+    point /= np.linalg.norm(point, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip((seen * point).sum(axis=1), -1, 1)))
+    assert np.median(angle) < 0.6 and np.percentile(angle, 99) < 1.5
+
+
+def test_tangents_follow_u_and_say_which_way_v_goes():
+    """On a plane with coordinates x and y, and on the same one with u mirrored."""
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    normals = np.tile([0.0, 0.0, 1.0], (4, 1))
+    uv = vertices[faces][..., :2]
+    np.testing.assert_allclose(corner_tangents(vertices, faces, uv, normals), np.tile([1, 0, 0, 1.0], (2, 3, 1)))
+    mirrored = uv * (-1.0, 1.0)
+    np.testing.assert_allclose(
+        corner_tangents(vertices, faces, mirrored, normals), np.tile([-1, 0, 0, -1.0], (2, 3, 1))
+    )
+
+
+def test_object_normals_are_the_axes_as_colours():
+    vertices, faces, sphere = ball(subdivisions=4)
+    made = paint((vertices, faces, sphere), unwrap_uv((vertices, faces, sphere)), bake=["normal"], size=512)
+    weights, _ = places(made)
+    directions = np.einsum("fk,fkj->fj", weights, sphere[faces])
+    assert np.percentile(np.abs(shown(made) / 255 * 2 - 1 - directions), 99) < 0.03
+
+
+# ------------------------------------------------------------------------------------------------ coordinates alone
+
+
+@pytest.mark.parametrize(("seed", "faces"), [(0, 320), (3, 1280), (5, 5120)])
+@pytest.mark.parametrize("aspect", [1.0, 1.5])
+def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces, aspect):
+    """Inside the picture, none turned over, none on another: their areas add up to the texels that they cover."""
+    from omtwarp.device.start import wp
+    from omtwarp.painting.texels import covered, overlap
+
+    surface = omtwarp.shapes.blob(seed=seed, sphere=faces)
+    result = omtwarp.map_to_sphere(surface, until="moser", device="cpu")
+    mesh = unwrap_uv(result, aspect=aspect)
+    assert np.array_equal(mesh.faces, result.faces) and np.array_equal(mesh.vertices, result.vertices)
+    assert mesh.uv.min() > 0 and mesh.uv.max() < 1
+    one, other = mesh.uv[:, 1] - mesh.uv[:, 0], mesh.uv[:, 2] - mesh.uv[:, 0]
+    area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    assert area.min() > 0
+    size = (1024, round(1024 / aspect))
+    assert overlap(mesh.uv, *size, wp.get_device("cpu")) == 0.0
+    part = covered(mesh.uv, size, padding=0, device="cpu").mean()
+    assert part == pytest.approx(area.sum() / 2, rel=0.01)
+    assert part > (0.38 if aspect == 1.0 else 0.55) * (0.75 if faces == 320 else 1.0)
+
+
+def test_texels_of_an_unwrapped_surface_are_nearly_even():
+    """Area on the picture over area on the surface, of a map that preserves area: the cube's own spread."""
+    vertices, faces, sphere = ball(subdivisions=4)
+    mesh = unwrap_uv((vertices, faces, sphere))
+    one, other = mesh.uv[:, 1] - mesh.uv[:, 0], mesh.uv[:, 2] - mesh.uv[:, 0]
+    corner = vertices[faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    ratio = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / area
+    assert ratio.max() / ratio.min() < 1.6  # an equiangular cube face alone has 1.41 (Ronchi et al.)
+
+
+def test_a_mesh_too_coarse_to_unwrap_is_refused():
+    tetrahedron = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
+    faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], dtype=np.int32)
+    with pytest.raises(OmtwarpError, match="4 of 4 faces reach more than 80 degrees"):
+        unwrap_uv((tetrahedron, faces, tetrahedron))
+
+
+def test_material_keeps_what_it_is_given():
+    assert Material(color=(1, 1, 1, 0.5)).opaque is False and Material().opaque is True

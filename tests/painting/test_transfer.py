@@ -1,0 +1,105 @@
+"""Texture transfer: on the same shape with other triangles, a texture comes back."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.materials import PaintedMesh
+from omtwarp.painting import paint, transfer_texture, unwrap_uv
+from omtwarp.texturing.patterns import Checker
+
+AXES = np.array([1.0, 0.7, 1.3])
+
+
+def turn(seed):
+    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q if np.linalg.det(q) > 0 else -q
+
+
+def pear(directions):
+    """A shape without symmetries, star-shaped about the origin, over unit vectors."""
+    x, y, z = directions.T
+    return directions * AXES * (1.0 + 0.25 * z * x + 0.2 * y + 0.15 * x * x * y)[:, None]
+
+
+def meshed(subdivisions, seed):
+    """The shape with one of many triangulations, and its exact map: (vertices, faces, sphere)."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions)
+    directions = np.asarray(ball.vertices) @ turn(seed)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return pear(directions), np.asarray(ball.faces, dtype=np.int32), directions
+
+
+CHECKER = Checker(10, 5)
+
+
+@pytest.fixture(scope="module")
+def painted():
+    """The shape with a checker in texture coordinates of its own, and its map."""
+    result = meshed(4, 1)
+    return paint(result, unwrap_uv(result), pattern=CHECKER, size=1024), result
+
+
+def wrong_places(made, sphere_of):
+    """Part of random places where the colour is not the checker's there."""
+    weights = np.random.default_rng(0).dirichlet((2, 2, 2), len(made.faces))
+    uv = np.einsum("fk,fkj->fj", weights, made.uv)
+    directions = sphere_of(np.einsum("fk,fkj->fj", weights, made.vertices[made.faces]))
+    picture = made.materials[0].picture
+    height, width = picture.shape[:2]
+    row, column = ((1 - uv[:, 1]) * height).astype(int), (uv[:, 0] * width).astype(int)
+    return (np.abs(picture[row, column, :3] - 255 * CHECKER(directions)).max(axis=1) > 60).mean()
+
+
+def back_to_the_sphere(points):
+    """Directions whose points on the shape these are, by fixed-point iteration."""
+    directions = points / AXES
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions  # the shape is star-shaped: its factor along a direction is a number
+
+
+@pytest.mark.parametrize("onto_own", [False, True])
+def test_a_texture_comes_back_on_other_triangles(painted, onto_own):
+    """Only places next to a field's border differ, as they do before the transfer."""
+    mesh, result = painted
+    other = meshed(4, 2)
+    before = wrong_places(mesh, back_to_the_sphere)
+    onto = unwrap_uv(other) if onto_own else None
+    made = transfer_texture(mesh, result, other, onto=onto, aligned=True, size=1024)
+    assert before < 0.05
+    assert wrong_places(made, back_to_the_sphere) < before + 0.02
+    if onto_own:
+        np.testing.assert_array_equal(made.uv, onto.uv)
+
+
+def test_maps_in_different_positions_are_aligned_first(painted):
+    """The other map's sphere is turned at random: features of the two shapes turn it back."""
+    mesh, result = painted
+    vertices, faces, sphere = meshed(4, 2)
+    other = (vertices, faces, sphere @ turn(9))
+    found = wrong_places(transfer_texture(mesh, result, other, size=1024), back_to_the_sphere)
+    lost = wrong_places(transfer_texture(mesh, result, other, aligned=True, size=1024), back_to_the_sphere)
+    assert found < 0.08 and lost > 0.3
+
+
+def test_colours_at_vertices_are_carried_too():
+    result, other = meshed(4, 1), meshed(3, 2)
+    colors = np.column_stack([np.rint(127.5 * (result[2] + 1)), np.full(len(result[2]), 255)]).astype(np.uint8)
+    mesh = PaintedMesh(result[0], result[1], vertex_colors=colors)
+    made = transfer_texture(mesh, result, other, aligned=True, size=384)
+    uv = made.uv.mean(axis=1)
+    picture = made.materials[0].picture
+    row, column = ((1 - uv[:, 1]) * len(picture)).astype(int), (uv[:, 0] * picture.shape[1]).astype(int)
+    there = back_to_the_sphere(made.vertices[made.faces].mean(axis=1))
+    assert np.abs(picture[row, column] / 127.5 - 1 - there).max() < 0.06
+
+
+def test_without_colours_there_is_nothing_to_carry():
+    result = meshed(2, 1)
+    with pytest.raises(OmtwarpError, match="nothing to carry over"):
+        transfer_texture(PaintedMesh(result[0], result[1]), result, result)
+    mesh = paint(result, unwrap_uv(result), pattern="checker", size=64)
+    with pytest.raises(OmtwarpError, match="another mesh"):
+        transfer_texture(mesh, (result[0] + 1, *result[1:]), result)
