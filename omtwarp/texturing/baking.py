@@ -185,7 +185,7 @@ class _Bend:
         self, atlas: Atlas, cut: Unwrapped, smooth: SmoothMap, faces: NDArray[np.int32], rotation: Floats, where: Any
     ):
         turned = smooth.sphere @ rotation
-        layout, part = _sphere_layout(cut, atlas, turned[: cut.weights.shape[1]], None, where)
+        layout, part = sphere_layout(cut, atlas, turned[: cut.weights.shape[1]], None, where)
         offset, gutter = atlas.parameters
         self._picture = [atlas.kind, atlas.width, atlas.height, wp.float64(offset), wp.float64(gutter)]
         self._owner = layout.owner
