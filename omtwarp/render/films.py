@@ -169,7 +169,7 @@ def film(
     target = output.check_target(path, film=True, transparent=False)
     pictorial = target.suffix.lower() != ".mp4"
     width, height = _checked_size(size or (SMALL if pictorial else HD))
-    rate = float(fps or (20.0 if pictorial else 30.0))
+    rate = float((20.0 if pictorial else 30.0) if fps is None else fps)
     slowest, fastest = FRAMES_PER_SECOND
     if not slowest <= rate <= fastest:
         raise OmtwarpError(f"{fps} frames per second asked for: use {slowest:g} to {fastest:g}")
