@@ -55,7 +55,7 @@ nitpick_ignore_regex = [("py:(class|obj|exc|data|type)", r".*")]  # annotations 
 templates_path = ["_templates"]
 
 html_theme = "furo"
-html_title = "omtwarp"
+html_title = f"omtwarp {release}"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
 html_math_renderer = "mathml"  # drawn by the browser itself: nothing to load, nothing to wait for

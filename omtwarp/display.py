@@ -15,7 +15,7 @@ def _viewers() -> Any:
 
 
 class Shown:
-    """What maps have in common that can be looked at; nothing is computed before one of these is called."""
+    """The ways in which every map can be looked at; nothing is computed before one of these is called."""
 
     def _repr_html_(self) -> str:
         """The view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""

@@ -78,7 +78,7 @@ class _Story:
         return not np.array_equal(self.first, self.last)
 
     def part(self, time: float) -> Part:
-        """What is drawn at a time between 0 and 2."""
+        """The surface as it is drawn at a time between 0 and 2."""
         places = self.surface + max(time - 1.0, 0.0) * (self.ball - self.surface)
         points = along_great_circles(self.first, self.last, min(time, 1.0))
         return Part(
@@ -223,7 +223,7 @@ def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
 def _story_of(
     result: Any, pattern: str, image: Any, width: int, view: Any, up: str | None, front: str | None, device: str
 ) -> tuple[_Story, Callable[[float], Shot]]:
-    """What happens, and the camera for a picture of a given width over height.
+    """The course of a film, and the camera for a picture of a given width over height.
 
     Raises:
         OmtwarpError: no map to a sphere, a map of several parts, or an unusable picture or view.
