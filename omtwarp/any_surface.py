@@ -12,6 +12,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.joined_maps import joined
 from omtwarp.measures.weights import face_weights
+from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
@@ -91,12 +92,12 @@ def map_surface(
     parts = parts_of(vertices, faces)
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
         return map_to_sphere(mesh, progress=progress, **options)
-    if options.pop("exact", False):
-        raise OmtwarpError("exact areas are for closed, connected surfaces of genus 0")
     if options.pop("target", None) is not None:
         raise OmtwarpError("a target density is for closed, connected surfaces of genus 0")
     weights = options.pop("weights", None)
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
+        if options.pop("exact", False):
+            raise OmtwarpError("exact areas are for the sphere: not for the torus")
         if weights is not None:
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
         return map_to_torus(Surface(parts[0].vertices, parts[0].faces), progress=progress)
@@ -165,14 +166,62 @@ def _map_part(
         raise OmtwarpError(f"the surface has {described(part)}: " + _or(options_for([part])))
     if domain != "sphere" and not part.loops:
         raise OmtwarpError(f"a closed surface has no boundary to put on the rim of a {domain}: map it to the sphere")
+    if domain != "sphere" and options.get("exact"):
+        raise OmtwarpError(f"exact areas are for the sphere, holes filled: not for a {domain}")
     opened = _opened(part, fill_area, to_rim=domain != "sphere")
     surface = _surface(opened, weights)
     if domain == "sphere":
         closed = map_to_sphere(surface, progress=progress, **options)
+        if options.get("exact"):
+            opened, closed = _quartered(opened, closed, surface)
         result = _restricted(part, opened, closed, closed.sphere, domain)
     else:
         result = _on_hemisphere(part, opened, surface, domain, progress, options)
-    return result if weights is None else replace(result, measure=surface.face_areas[: len(opened.faces)])
+    if weights is None:
+        return result
+    parts = PARTS if options.get("exact") else 1
+    return replace(result, measure=np.repeat(surface.face_areas / parts, parts)[: len(opened.faces)])
+
+
+def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:
+    """What was opened, its triangles cut into four as those of an exact map are, and the map in its order.
+
+    Args:
+        opened: the surface made ready.
+        closed: the exact map of the filled surface.
+        surface: the filled surface as it was mapped.
+    """
+    whole, own = surface.vertex_count, PARTS * len(opened.faces)
+    used = np.unique(closed.faces[:own])
+    middles = used[used >= whole]
+    order = np.concatenate([used, np.setdiff1d(np.arange(len(closed.vertices)), used)])
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    ends = surface.edges.astype(np.int64)
+    given = opened.filled.vertices
+    points = np.concatenate([given, 0.5 * given[ends[:, 0]] + 0.5 * given[ends[:, 1]]])[order]
+    faces = place[closed.faces].astype(np.int32)
+    keys = ends.min(axis=1) * whole + ends.max(axis=1)
+    sorted_keys = np.argsort(keys)
+    loops = []
+    for loop in opened.loops:
+        after = np.roll(loop, -1)
+        edge = np.searchsorted(keys, np.minimum(loop, after) * whole + np.maximum(loop, after), sorter=sorted_keys)
+        loops.append(np.stack([loop, place[whole + sorted_keys[edge]]], axis=1).ravel())
+    cut = replace(
+        opened,
+        vertices=points[: len(used)],
+        faces=faces[:own],
+        vertex_origin=np.concatenate([opened.vertex_origin, np.full(len(middles), -1)]),
+        face_origin=np.repeat(opened.face_origin, PARTS),
+        split_edges=np.concatenate([opened.split_edges, ends[middles - whole]]),
+        loops=loops,
+        filled=FilledSurface(points, faces, np.repeat(opened.filled.patch, PARTS)),
+    )
+    names = ("sphere", "conformal", "source", "moser", "transported")
+    arrays = {name: getattr(closed, name) for name in names}
+    turned: dict[str, Any] = {name: None if points is None else points[order] for name, points in arrays.items()}
+    return cut, replace(closed, density=closed.density[order], **turned)
 
 
 def _or(lines: list[str]) -> str:

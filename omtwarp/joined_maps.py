@@ -124,6 +124,7 @@ def _report(maps: list[SurfaceMap]) -> dict[str, Any]:
         "mesh": {name: sum(part.report["mesh"][name] for part in maps) for name in ("vertices", "faces")},
         "seconds": sum(part.report["seconds"] for part in maps),
         "stages": [{"name": "parts", "seconds": sum(part.report["seconds"] for part in maps), "iterations": 0}],
+        "warnings": [dict(finding, part=k) for k, part in enumerate(maps) for finding in part.report["warnings"]],
         "parts": [part.report for part in maps],
     }
 

@@ -1,4 +1,4 @@
-"""Triangles of maps to the plane and to caps: exact orientation, and repair of the few that a projection turns over."""
+"""Triangles of maps to the plane and to caps: exact orientation, and repair of those that a projection turns over."""
 
 from __future__ import annotations
 

@@ -187,3 +187,29 @@ def test_flipped_triangles_of_the_plane_are_mended():
 def test_mistakes_are_told_in_one_line(mesh, options, words):
     with pytest.raises(omtwarp.OmtwarpError, match=words):
         omtwarp.map_surface(mesh, **options)
+
+
+def test_exact_areas_of_a_surface_with_a_filled_hole():
+    """Every triangle keeps its share of the area, and the parts, splits and loops lead back to the input."""
+    ball = shapes.blob(seed=2, amplitude=0.2, degree=4, sphere=320)
+    vertices, faces = without(ball, ball.vertices[:, 2] > -0.5)
+    result = omtwarp.map_surface((vertices, faces), domain="sphere", exact=True, device="cpu")
+    assert len(result.faces) == 4 * len(faces) and result.certificate.bijective
+    assert np.array_equal(result.faces[::4, 0], faces[:, 0])
+    assert np.array_equal(result.vertices[: len(vertices)], vertices)
+    ends = result.vertices[result.split_edges]
+    assert np.allclose(result.vertices[result.vertex_origin < 0], ends.mean(axis=1))
+    loop = boundary_loops(result.faces, len(result.vertices))[0]
+    assert set(loop.tolist()) == set(result.loops.tolist())
+    own = result.vertices[result.loops]
+    assert np.allclose(own[1::2], 0.5 * (own[::2] + np.roll(own[::2], -1, axis=0)))
+    areas = spherical_areas(result.sphere, result.faces)
+    images = np.bincount(result.face_origin, areas)
+    shares = triangle_areas(vertices, faces) / triangle_areas(result.filled_vertices, result.filled_faces).sum()
+    assert np.abs(images / (4.0 * np.pi * shares) - 1.0).max() < 2e-6
+
+
+def spherical_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = points[faces].transpose(1, 0, 2)
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    return 2.0 * np.arctan2(volume, 1.0 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
