@@ -9,8 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.alignment.features import checked_features, feature_coefficients, own_features, sphere_weights
-from omtwarp.alignment.rotation_search import best_rotation, complex_coefficients
+from omtwarp.alignment.features import (
+    checked_features,
+    coefficient_errors,
+    feature_coefficients,
+    own_features,
+    sphere_weights,
+)
+from omtwarp.alignment.rotation_search import best_rotation, complex_coefficients, improved
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
 from omtwarp.mesh.arrays import TINY
@@ -114,8 +120,9 @@ def align(
 
     Two maps are brought together where the features of their surfaces agree best: distance from the surface's centre,
     area over area on the sphere where a map does not preserve it; or what is given. Their spherical harmonics are
-    correlated over all rotations at once, and Newton's method ends at the maximum. Where both have the same faces, and
-    no features are given, each vertex is brought to the vertex of the same number by least squares instead [1]_.
+    correlated over all rotations at once, and Newton's method ends at the maximum, for which features count the less the
+    more their values differ from neighbour to neighbour. Where both have the same faces, and no features are given, each
+    vertex is brought to the vertex of the same number by least squares instead [1]_.
 
     Args:
         given: a map, with its surface where that is needed (:func:`omtwarp.resampling.as_points` lists the forms).
@@ -213,6 +220,9 @@ def _by_features(
     a = complex_coefficients(feature_coefficients(ours, moving, degree))
     b = complex_coefficients(feature_coefficients(theirs, fixed, degree))
     best = best_rotation(a, b)
+    if len(ours) > 1:  # all features find the place; the exact position is for those that are known best
+        errors = np.hypot(coefficient_errors(ours, moving), coefficient_errors(theirs, fixed))
+        best = improved(a, b, best, errors.min() / np.maximum(errors, np.finfo(float).tiny))
     return Alignment(best.rotation, moving.grid.points @ best.rotation.T, "features", best.score, best.runner_up, False)
 
 

@@ -94,4 +94,21 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
     return total
 
 
-__all__ = ["checked_features", "feature_coefficients", "own_features", "sphere_weights", "spread"]
+def coefficient_errors(features: Mapping[str, Floats], points: SpherePoints) -> Floats:
+    """How uncertain each feature's coefficients are, by how far its values lie from those of their neighbours; [K].
+
+    What is independent from vertex to vertex enters a coefficient with the vertex's area on the sphere.
+    """
+    weights = sphere_weights(points)
+    faces = points.grid.triangles
+    count = len(points.grid.points)
+    around = np.bincount(faces.ravel(), minlength=count) * 2.0
+    errors = []
+    for values in features.values():
+        others = values[faces[:, [1, 2, 0]]] + values[faces[:, [2, 0, 1]]]
+        apart = values - np.bincount(faces.ravel(), others.ravel(), minlength=count) / np.maximum(around, 1.0)
+        errors.append(np.linalg.norm(weights * apart) / spread(values, weights))
+    return np.array(errors)
+
+
+__all__ = ["checked_features", "coefficient_errors", "feature_coefficients", "own_features", "sphere_weights", "spread"]

@@ -143,6 +143,24 @@ def best_rotation(a: Complex, b: Complex) -> Best:
     return Best(rotation, value / norm, max(others) / norm if others else -1.0, steps)
 
 
+def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
+    """Climb on from a rotation with features that count by other weights.
+
+    Args:
+        a, b: as for :func:`best_rotation`.
+        best: what that found.
+        weights: of the features, shape [K].
+    """
+    a, b = a.copy(), b.copy()
+    a[0] = b[0] = 0.0
+    norm = float(np.linalg.norm(a) * np.linalg.norm(b))
+    if norm == 0.0:
+        return best
+    rotation, _, steps = _climb(a * weights, b * weights, best.rotation)
+    score = float(np.vdot(b, rotated(a, rotation)).real) / norm
+    return Best(rotation, score, best.runner_up, best.steps + steps)
+
+
 def _starts(grid: Floats, size: int) -> list[Floats]:
     """The highest of the grid's local maxima."""
     around = maximum_filter(grid, size=3, mode=("wrap", "nearest", "wrap"))
@@ -205,4 +223,4 @@ def _apart(one: Floats, other: Floats) -> float:
     return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))
 
 
-__all__ = ["Best", "best_rotation", "complex_coefficients", "correlation_grid", "derivatives", "rotated"]
+__all__ = ["Best", "best_rotation", "complex_coefficients", "correlation_grid", "derivatives", "improved", "rotated"]
