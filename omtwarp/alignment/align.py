@@ -120,9 +120,9 @@ def align(
 
     Two maps are brought together where the features of their surfaces agree best: distance from the surface's centre,
     area over area on the sphere where a map does not preserve it; or what is given. Their spherical harmonics are
-    correlated over all rotations at once, and Newton's method ends at the maximum, for which features count the less the
-    more their values differ from neighbour to neighbour. Where both have the same faces, and no features are given, each
-    vertex is brought to the vertex of the same number by least squares instead [1]_.
+    correlated over all rotations at once, and Newton's method ends at the maximum, for which features count the less
+    the more their values differ from neighbour to neighbour. Where both have the same faces, and no features are given,
+    each vertex is brought to the vertex of the same number by least squares instead [1]_.
 
     Args:
         given: a map, with its surface where that is needed (:func:`omtwarp.resampling.as_points` lists the forms).
