@@ -13,7 +13,7 @@ Our maps are the default one, which is the optimal map, and refinements of it, e
 weight is nearest. A row is won if one of these maps, judged as it is, without a flipped triangle, has area and angle no
 higher than the row's. The default map and the refinements that have names come first; where a row falls between two of
 our maps nothing is interpolated: further maps are made there, by bisection of the weight, until one wins or the row's
-area is met.
+area is met; last of all the one that ``match:AREA`` finds.
 
 Writes ``comparison.md``, ``peers.csv`` (the rows), ``smoothness.csv``, ``curve.csv`` (all our maps) and ``default.csv``
 (what the default gives). Meshes are done from the smallest to the largest, and the files written anew after each.
@@ -151,7 +151,19 @@ class Curve:
             if not LEAST <= weight <= MOST:
                 break
             self.at(weight)
-        return self.best(area, angle)
+        best = self.best(area, angle)
+        if won(best, area, angle):
+            return best
+        matched = self.matched(area)
+        return matched if won(matched, area, angle) else best
+
+    def matched(self, area: float) -> Point:
+        """The map that ``match:AREA`` finds, from the map with the least area distortion."""
+        least = min((p for p in self.points if p.flips == 0), key=lambda p: p.area, default=self.points[0])
+        name, begun = f"match:{area:.5f}", time.perf_counter()
+        refined = omtwarp.refine_map(self.surface, least.sphere, weight=name, iterations=ITERATIONS, device=self.device)
+        seconds, steps = time.perf_counter() - begun, len(refined.history) - 1
+        return self._judge(name, refined.weight, refined.sphere, seconds, steps, refined.converged)
 
     def best(self, area: float, angle: float) -> Point:
         """The best map made so far; where one with a name is good enough, that."""

@@ -70,8 +70,9 @@ def refine_map(
     Args:
         surface: the original surface in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
         sphere: images of its vertices, unit vectors, shape [V, 3], no triangle flipped.
-        weight: λ; ``area``, ``balanced`` or ``angle`` for 1000, 10 or 2; or ``match:AREA``, the largest λ whose map has
-            at least this mean area distortion of triangles, such as ``match:2.02``.
+        weight: λ; ``area``, ``balanced`` or ``angle`` for 1000, 10 or 2; or ``match:AREA``, the least λ whose map has at
+            most this mean area distortion of triangles, such as ``match:2.02``. An area that is out of reach with areas
+            kept around vertices is matched by a λ of the areas of triangles alone, for which the map may buckle.
         iterations: most steps taken.
         tolerance: stop when the expected decrease falls below this and below a hundredth of what the energy is above
             its least possible value.
@@ -122,9 +123,7 @@ class _Refinement:
     def run(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
         """The map of least distortion at a weight, from a flip-free map, shape [V, 3]."""
         if weight <= TRIANGLE_WEIGHT:
-            return self.refiner.minimise(
-                sphere, weight, iterations=self.iterations, tolerance=self.tolerance, progress=self.progress
-            )
+            return self.by_triangles(sphere, weight)
         energy = TransportEnergy(
             self.surface, vectors(sphere, self.device), self.device, 1.0, cost_weight=0.0, area_weight=TRIANGLE_WEIGHT
         )
@@ -140,16 +139,26 @@ class _Refinement:
         )
         return RefineResult(found.sphere, weight, list(found.history), found.converged, found.factorisations)
 
+    def by_triangles(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
+        """The same with the whole weight on the areas of triangles."""
+        return self.refiner.minimise(
+            sphere, weight, iterations=self.iterations, tolerance=self.tolerance, progress=self.progress
+        )
+
     def match(self, sphere: NDArray[np.float64], area: float) -> RefineResult:
         """The refined map whose area distortion is the one asked for, or the nearest that there is above it."""
-        low, high = np.log(LEAST_WEIGHT), np.log(MOST_WEIGHT)
-        best = self.run(sphere, MOST_WEIGHT)
-        if self.area(best) >= area:
-            return best
+        refine, least = self.run, LEAST_WEIGHT
+        best = refine(sphere, MOST_WEIGHT)
+        if self.area(best) > area:
+            refine, least = self.by_triangles, TRIANGLE_WEIGHT
+            best = refine(best.sphere, MOST_WEIGHT)
+            if self.area(best) > area:
+                return best
         found = best
+        low, high = np.log(least), np.log(MOST_WEIGHT)
         for _ in range(MATCH_TRIALS):
             middle = 0.5 * (low + high)
-            found = self.run(found.sphere, float(np.exp(middle)))
+            found = refine(found.sphere, float(np.exp(middle)))
             reached = self.area(found)
             if reached <= area:
                 best, high = found, middle

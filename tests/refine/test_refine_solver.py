@@ -68,6 +68,19 @@ def test_an_area_distortion_is_matched(area):
     assert area - 2e-3 <= judged.area["surface"] <= area
 
 
+def test_an_area_beyond_what_rings_reach_is_matched_by_triangles():
+    surface = blob(7, amplitude=0.5, sphere=800)
+
+    def area(sphere):
+        return measure_triangles(surface.vertices, surface.faces, sphere).area["surface"]
+
+    rings = refine_map(surface, start_map(surface), weight="area", device="cpu").sphere
+    wanted = 2.0 + 0.5 * (area(rings) - 2.0)
+    result = refine_map(surface, rings, weight=f"match:{wanted}", device="cpu")
+    assert not flipped_faces(result.sphere, surface.faces).any()
+    assert wanted - 2e-3 <= area(result.sphere) <= wanted
+
+
 def test_weights_trade_area_for_angle():
     """Along decreasing λ the angle distortion falls and the area distortion grows: the curve of best pairs."""
     surface = blob(7, amplitude=0.5, sphere=800)
