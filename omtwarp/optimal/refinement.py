@@ -70,9 +70,9 @@ def refine_map(
     Args:
         surface: the original surface in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
         sphere: images of its vertices, unit vectors, shape [V, 3], no triangle flipped.
-        weight: λ; ``area``, ``balanced`` or ``angle`` for 1000, 10 or 2; or ``match:AREA``, the least λ whose map has at
-            most this mean area distortion of triangles, such as ``match:2.02``. An area that is out of reach with areas
-            kept around vertices is matched by a λ of the areas of triangles alone, for which the map may buckle.
+        weight: λ; ``area``, ``balanced`` or ``angle`` for 1000, 10 or 2; or ``match:AREA``, the least λ whose map has
+            at most this mean area distortion of triangles, such as ``match:2.02``. An area that is out of reach with
+            areas kept around vertices is matched by a λ of the areas of triangles alone, for which the map may buckle.
         iterations: most steps taken.
         tolerance: stop when the expected decrease falls below this and below a hundredth of what the energy is above
             its least possible value.
