@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sparse
@@ -190,8 +190,8 @@ def barycentric_weights(
         per_edge = np.full((len(faces), 3), 0.5)
     else:
         where = resolve_device(device)
-        vertices: Any = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=where)
-        triangles: Any = wp.array(faces, dtype=wp.int32, device=where)
+        vertices = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=where)
+        triangles = wp.array(faces, dtype=wp.int32, device=where)
         out = wp.empty((len(faces), 3), dtype=wp.float64, device=where)
         wp.launch(mean_value_edge_weights, dim=len(faces), inputs=[vertices, triangles, out], device=where)
         per_edge = out.numpy()
@@ -228,10 +228,10 @@ class _Springs:
         self.count: int = self.matrix.shape[0]
         self.device = resolve_device(device)
         rows = np.repeat(np.arange(self.count), np.diff(self.matrix.indptr))
-        self._offsets: Any = wp.array(self.matrix.indptr.astype(np.int32), dtype=wp.int32, device=self.device)
-        self._columns: Any = wp.array(self.matrix.indices.astype(np.int32), dtype=wp.int32, device=self.device)
-        self._rows: Any = wp.array(rows.astype(np.int32), dtype=wp.int32, device=self.device)
-        self._weights: Any = wp.array(self.matrix.data, dtype=wp.float64, device=self.device)
+        self._offsets = wp.array(self.matrix.indptr.astype(np.int32), dtype=wp.int32, device=self.device)
+        self._columns = wp.array(self.matrix.indices.astype(np.int32), dtype=wp.int32, device=self.device)
+        self._rows = wp.array(rows.astype(np.int32), dtype=wp.int32, device=self.device)
+        self._weights = wp.array(self.matrix.data, dtype=wp.float64, device=self.device)
 
     def _upload(self, points: Array):
         return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device=self.device)

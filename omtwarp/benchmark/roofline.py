@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,7 +57,7 @@ class LaunchRecorder:
         self.device = wp.get_device(device)
         self.kernels: dict[str, KernelRecord] = {}
         self._lock = threading.Lock()
-        self._events: list[tuple[KernelRecord, Any, Any]] = []
+        self._events: list[tuple[KernelRecord, wp.Event, wp.Event]] = []
         self._steps = step_by_step()
 
     def __enter__(self) -> LaunchRecorder:
@@ -65,7 +66,7 @@ class LaunchRecorder:
         wp.launch = self._timed
         return self
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, *_: object) -> None:
         wp.launch = self._launch
         self._steps.__exit__(None, None, None)
         if self._events:
@@ -74,7 +75,15 @@ class LaunchRecorder:
                 record.seconds += wp.get_event_elapsed_time(begin, end, synchronize=False) / 1e3
             self._events.clear()
 
-    def _timed(self, kernel: Any, dim: Any, inputs: Any = (), outputs: Any = (), *rest: Any, **options: Any) -> Any:
+    def _timed(
+        self,
+        kernel: wp.Kernel,
+        dim: int | tuple[int, ...],
+        inputs: Any = (),
+        outputs: Any = (),
+        *rest: Any,
+        **options: Any,
+    ) -> Any:
         if options.get("record_cmd") or wp.get_device(options.get("device")) != self.device:
             return self._launch(kernel, dim, inputs, outputs, *rest, **options)
         threads = int(np.prod(dim))
@@ -100,7 +109,7 @@ class LaunchRecorder:
         return result
 
 
-def moved_bytes(threads: int, arguments: list[Any]) -> int:
+def moved_bytes(threads: int, arguments: Sequence[object]) -> int:
     """Bytes that a launch over so many threads has to move: every array once, sixteen elements a thread at most."""
     total, seen = 0, set()
     for argument in arguments:

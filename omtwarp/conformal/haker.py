@@ -8,7 +8,6 @@ transformation then centres the map.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import principal_axes
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.options import Progress
+from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
@@ -48,7 +47,7 @@ class ConformalMap:
     removed_face: int
     centring_steps: int
     solver: SurfaceLaplacianSolver
-    history: tuple[dict[str, Any], ...] = ()
+    history: tuple[Record, ...] = ()
     converged: bool = True
 
 

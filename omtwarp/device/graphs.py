@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
 
 from omtwarp.device.policy import records_graphs
 from omtwarp.device.start import wp
@@ -35,11 +34,11 @@ class Graph:
         recorded: whether it will be, or is, recorded.
     """
 
-    def __init__(self, work: Callable[[], None], device: Any, record: bool | None = None):
+    def __init__(self, work: Callable[[], None], device: wp.Device, record: bool | None = None):
         self._work = work
         self._device = wp.get_device(device)
         self.recorded = records_graphs(self._device) if record is None else record
-        self._graph: Any = None
+        self._graph: wp.Graph | None = None
 
     def __call__(self) -> None:
         """Do the work; if another graph is being recorded, add it to that graph."""
@@ -62,12 +61,12 @@ class GraphsByArray:
         record: as in :class:`Graph`.
     """
 
-    def __init__(self, device: Any, record: bool | None = None):
+    def __init__(self, device: wp.Device, record: bool | None = None):
         self._device = wp.get_device(device)
         self._record = records_graphs(self._device) if record is None else record
         self._graphs: dict[tuple[str, int], Graph] = {}
 
-    def __call__(self, work: Callable[[Any], None], array: Any) -> None:
+    def __call__(self, work: Callable[[wp.array], None], array: wp.array) -> None:
         """work(array), recorded when the array comes for the first time; what is recorded keeps it alive."""
         if not (self._record and _recording) or self._device.is_capturing:
             work(array)

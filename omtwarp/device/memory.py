@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import sys
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +41,12 @@ def give_back() -> None:
 
 
 @lru_cache(maxsize=1)
-def _trim() -> Any:
+def _trim() -> Callable[[int], int] | None:
     """``malloc_trim`` of the GNU C library, or None."""
     if sys.platform.startswith("linux"):
         with contextlib.suppress(OSError, AttributeError):
-            return ctypes.CDLL("libc.so.6").malloc_trim
+            trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim
+            return trim
     return None
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from omtwarp.device.policy import adds_on_device
 from omtwarp.device.start import wp
 from omtwarp.device.sum_kernels import GROUP, LANES, finish_sum, remove_mean, sum_products, sum_rows
@@ -25,14 +23,14 @@ class RowSums:
         device: a Warp device.
     """
 
-    def __init__(self, rows: int, columns: int, device: Any):
+    def __init__(self, rows: int, columns: int, device: wp.Device):
         self._device = device
-        self._levels: list[Any] = []
+        self._levels: list[wp.array] = []
         while rows > MAX_PARTIAL_ROWS:
             rows = partial_count(rows)
             self._levels.append(wp.empty((rows, columns), dtype=wp.float64, device=device))
 
-    def __call__(self, values: Any) -> Any:
+    def __call__(self, values: wp.array) -> wp.array:
         """Return partial sums of an array [rows, columns]: MAX_PARTIAL_ROWS at most, valid until the next call."""
         for level in self._levels:
             wp.launch(sum_rows, dim=level.shape, inputs=[values], outputs=[level], device=self._device)
@@ -48,34 +46,34 @@ class DeviceSum:
         length: of arrays that will be summed while a graph is recorded: memory cannot be allocated then.
     """
 
-    def __init__(self, device: Any, length: int | None = None):
+    def __init__(self, device: wp.Device, length: int | None = None):
         self.device = device
-        self._workspace: dict[int, tuple[Any, RowSums, RowSums]] = {}
+        self._workspace: dict[int, tuple[wp.array, RowSums, RowSums]] = {}
         if length is not None:
             self._workspace_for(length)
 
-    def products(self, a: Any, b: Any) -> Any:
+    def products(self, a: wp.array, b: wp.array) -> wp.array:
         """Return partial sums of a · b, at most MAX_PARTIAL_ROWS; the kernels that need the total add them."""
         partial, _, sums = self._workspace_for(a.size)
         wp.launch(sum_products, dim=len(partial), inputs=[a, b], outputs=[partial], device=self.device)
         return sums(partial)
 
-    def dot(self, a: Any, b: Any, out: Any) -> None:
+    def dot(self, a: wp.array, b: wp.array, out: wp.array) -> None:
         """Write a · b to the first element of ``out``."""
         wp.launch(finish_sum, dim=1, inputs=[self.products(a, b)], outputs=[out], device=self.device)
 
-    def total(self, a: Any, out: Any) -> None:
+    def total(self, a: wp.array, out: wp.array) -> None:
         """Write the sum of all elements to the first element of ``out``."""
         _, sums, _ = self._workspace_for(a.size)
         inputs = [sums(a.reshape((a.size, 1)))]
         wp.launch(finish_sum, dim=1, inputs=inputs, outputs=[out], device=self.device)
 
-    def remove_mean(self, a: Any, total: Any) -> None:
+    def remove_mean(self, a: wp.array, total: wp.array) -> None:
         """Subtract the mean from every element of ``a``; ``total`` is a workspace of one element."""
         self.total(a, total)
         wp.launch(remove_mean, dim=a.size, inputs=[total], outputs=[a], device=self.device)
 
-    def _workspace_for(self, length: int) -> tuple[Any, RowSums, RowSums]:
+    def _workspace_for(self, length: int) -> tuple[wp.array, RowSums, RowSums]:
         """Return the array of partial products, and the sums of values and of those partial products."""
         if length not in self._workspace:
             rows = partial_count(length)
@@ -87,11 +85,11 @@ class DeviceSum:
 class HostSum:
     """Sums by NumPy, in its order, for arrays that the host can read."""
 
-    def dot(self, a: Any, b: Any, out: Any) -> None:
+    def dot(self, a: wp.array, b: wp.array, out: wp.array) -> None:
         """Write a · b to the first element of ``out``."""
         out[:1].fill_(float(a.numpy() @ b.numpy()))
 
-    def total(self, a: Any, out: Any) -> None:
+    def total(self, a: wp.array, out: wp.array) -> None:
         """Write the sum of all elements to the first element of ``out``."""
         out[:1].fill_(float(a.numpy().sum()))
 

@@ -8,16 +8,22 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from omtwarp.device.cores import core_count
 from omtwarp.device.policy import SMALLEST_SHARED_LAUNCH, launch_parts_of
 from omtwarp.device.start import wp
 
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
 Result = TypeVar("Result")
+Job = TypeVar("Job")
+Arguments: TypeAlias = tuple[Sequence[object], Sequence[object]]
+"""Inputs and outputs of a launch: arrays, numbers and vectors, in the order of the kernel's parameters."""
 
 _pool: tuple[int, ThreadPoolExecutor] | None = None
-_loaded: set[tuple[Any, str]] = set()
+_loaded: set[tuple[wp.Kernel, str]] = set()
 
 
 def pool() -> ThreadPoolExecutor:
@@ -28,14 +34,14 @@ def pool() -> ThreadPoolExecutor:
     return _pool[1]
 
 
-def run_all(work: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
+def run_all(work: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
     """``work`` of every job, side by side; not to be used inside of such work."""
     if len(jobs) < 2 or core_count() < 2:
         return [work(job) for job in jobs]
     return list(pool().map(work, jobs))
 
 
-def load(kernel: Any, device: Any) -> None:
+def load(kernel: wp.Kernel, device: wp.Device) -> None:
     """Load a kernel here, compiled where it never was, before several threads launch it.
 
     Each of them would compile it for itself, and the header before it once more.
@@ -47,10 +53,10 @@ def load(kernel: Any, device: Any) -> None:
 
 
 def launch_parts(
-    kernel: Any,
+    kernel: wp.Kernel,
     count: int,
-    arguments: Callable[[slice], tuple[list[Any], list[Any]]],
-    device: Any,
+    arguments: Callable[[slice], Arguments],
+    device: wp.Device,
     least: int = SMALLEST_SHARED_LAUNCH,
 ) -> None:
     """Launch a kernel whose threads are independent, in one part for every core of a CPU.
@@ -90,11 +96,11 @@ def blas_threads(count: int) -> Iterator[None]:
 
 
 @lru_cache(maxsize=1)
-def _controller() -> Any:
+def _controller() -> ThreadpoolController:
     import scipy.linalg  # noqa: F401 (its library has to be loaded to be found)
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
-__all__ = ["blas_threads", "core_count", "launch_parts", "load", "pool", "run_all"]
+__all__ = ["Arguments", "blas_threads", "core_count", "launch_parts", "load", "pool", "run_all"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,7 +39,7 @@ class StepGuard:
         held: how many vertices the last step was shortened for, Warp int32 [1] on the device.
     """
 
-    def __init__(self, surface: Surface, device: Any, smallest: float = MIN_PART):
+    def __init__(self, surface: Surface, device: wp.Device, smallest: float = MIN_PART):
         self.device = device
         self.vertex_count = surface.vertex_count
         self.face_count = surface.face_count
@@ -59,9 +57,9 @@ class StepGuard:
             wp.empty(self.vertex_count, dtype=wp.int32, device=device) for _ in range(3)
         )
         self._wanted = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
-        self._ready: dict[tuple[int, int, int], tuple[Any, ...]] = {}
+        self._ready: dict[tuple[int, int, int], tuple[wp.Launch, ...]] = {}
 
-    def count(self, points: Any) -> int:
+    def count(self, points: wp.array) -> int:
         """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]; as exact as floating point is.
 
         :func:`omtwarp.flips.predicates.count_flips` decides exactly.
@@ -76,7 +74,7 @@ class StepGuard:
         )
         return int(self._counters.numpy()[0])
 
-    def hold(self, old: Any, new: Any, rounds: int = MAX_ROUNDS) -> None:
+    def hold(self, old: wp.array, new: wp.array, rounds: int = MAX_ROUNDS) -> None:
         """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips or shrinks too far.
 
         Where so many rounds of it do not suffice, everything stays at ``old``. All happens on the device and can be
@@ -95,7 +93,7 @@ class StepGuard:
         end.launch()
         wp.capture_while(self._again, again)
 
-    def _launches(self, old: Any, new: Any, rounds: int) -> tuple[Any, ...]:
+    def _launches(self, old: wp.array, new: wp.array, rounds: int) -> tuple[wp.Launch, ...]:
         """Prepare the launches of a step from one array to another, once for its dozens of short rounds.
 
         Only addresses and lengths are kept, so that arrays that come to lie where others were are served as well.
@@ -105,7 +103,7 @@ class StepGuard:
             threads = list_threads(wp.get_device(self.device))
             mesh = [self._faces, self._floors]
 
-            def prepare(kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> Any:
+            def prepare(kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> wp.Launch:
                 return wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True)
 
             end = prepare(end_round, 1, [rounds], [self._counters, self._again])
@@ -118,7 +116,7 @@ class StepGuard:
             self._ready[key] = find, shorten, around, end
         return self._ready[key]
 
-    def limit(self, old: Any, new: Any) -> int:
+    def limit(self, old: wp.array, new: wp.array) -> int:
         """:meth:`hold`, and the number of vertices whose step was shortened."""
         self.hold(old, new)
         return int(self.held.numpy()[0])

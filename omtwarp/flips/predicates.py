@@ -7,15 +7,13 @@ fast robust geometric predicates", 1997) certifies the sign of all but the small
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.flips.guard_kernels import UNCERTAIN, certain_signs
 
 # Six triple products, each rounded at most four times, and their sum: 7 units of roundoff would do; 8 leaves the
@@ -46,7 +44,7 @@ def orientation_signs(
     corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
     out = wp.empty(len(corners), dtype=wp.int8, device=where)
 
-    def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+    def arguments(part: slice) -> Arguments:
         return [given, corners[part], wp.float64(_RELATIVE_BOUND), wp.float64(_UNDERFLOW_BOUND)], [out[part]]
 
     launch_parts(certain_signs, len(corners), arguments, where)

@@ -15,8 +15,6 @@ Misprints of the paper's appendix B, none of which affects its result:
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
@@ -216,14 +214,21 @@ class DifferentialOperators:
         self.device = resolve_device(device)
         self.vertex_count, self.face_count = surface.vertex_count, surface.face_count
         offsets, corners = surface.vertex_corners
-        self.vertices: Any = wp.array(surface.vertices, dtype=wp.vec3d, device=self.device)
-        self.faces: Any = wp.array(surface.faces, dtype=wp.int32, device=self.device)
-        self.corner_offsets: Any = wp.array(offsets, dtype=wp.int32, device=self.device)
-        self.corners: Any = wp.array(corners, dtype=wp.int32, device=self.device)
+        self.vertices = wp.array(surface.vertices, dtype=wp.vec3d, device=self.device)
+        self.faces = wp.array(surface.faces, dtype=wp.int32, device=self.device)
+        self.corner_offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
+        self.corners = wp.array(corners, dtype=wp.int32, device=self.device)
 
     def _run(
-        self, kernel: Any, at_faces: bool, value: Any, in_dtype: Any, out_dtype: Any, out: Any, gather: bool
-    ) -> Any:
+        self,
+        kernel: wp.Kernel,
+        at_faces: bool,
+        value: ArrayLike | wp.array | None,
+        in_dtype: type | None,
+        out_dtype: type,
+        out: wp.array | None,
+        gather: bool,
+    ) -> wp.array:
         from_numpy = value is not None and not isinstance(value, wp.array)
         source = (
             wp.array(np.asarray(value, dtype=np.float64), dtype=in_dtype, device=self.device) if from_numpy else value
@@ -236,23 +241,23 @@ class DifferentialOperators:
         wp.launch(kernel, dim=size, inputs=inputs, outputs=[out], device=self.device)
         return out.numpy() if from_numpy else out
 
-    def gradient(self, values: Any, out: Any = None) -> Any:
+    def gradient(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Gradient in each triangle, [V] -> [F, 3]: :func:`gradient_matrix` (appendix A.1)."""
         return self._run(kernels.face_gradients, True, values, wp.float64, wp.vec3d, out, False)
 
-    def rotate(self, field: Any, out: Any = None) -> Any:
+    def rotate(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """J in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
         return self._run(kernels.rotate_in_faces, True, field, wp.vec3d, wp.vec3d, out, False)
 
-    def divergence(self, field: Any, out: Any = None) -> Any:
+    def divergence(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Outflow of each vertex' cell, [F, 3] -> [V]: :func:`divergence_matrix`, integrated (appendix A.2)."""
         return self._run(kernels.vertex_divergence, False, field, wp.vec3d, wp.float64, out, True)
 
-    def laplacian(self, values: Any, out: Any = None) -> Any:
+    def laplacian(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """:func:`cotangent_laplacian` applied, [V] -> [V] (section 4.1's D; positive semi-definite)."""
         return self._run(kernels.vertex_laplacian, False, values, wp.float64, wp.float64, out, True)
 
-    def interpolate_dual(self, field: Any, out: Any = None) -> Any:
+    def interpolate_dual(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Vectors at dual vertices interpolated linearly at the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
 
         The vertex lies in the polygon of the circumcentres around it, whose sides bisect the edges. Its Wachspress
@@ -262,6 +267,6 @@ class DifferentialOperators:
         """
         return self._run(kernels.interpolate_at_vertices, False, field, wp.vec3d, wp.vec3d, out, True)
 
-    def voronoi_areas(self) -> Any:
+    def voronoi_areas(self) -> wp.array:
         """:func:`voronoi_areas` by kernel, as a Warp array [V]."""
         return self._run(kernels.vertex_voronoi_areas, False, None, None, wp.float64, None, True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +11,7 @@ from scipy import sparse
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.location.kernels import box_triangles, find_closest, find_faces
 
@@ -103,7 +102,7 @@ class Locator:
         coordinates = wp.empty(count, dtype=wp.vec3d, device=self.device)
         mesh = [self._boxes.id, self._points, self._faces]
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             return [queries[part], *mesh], [found[part], coordinates[part]]
 
         if count:

@@ -18,7 +18,7 @@ TINY = 1e-300
 Shape = tuple[int | None, ...]
 
 
-def real_numbers(values: Any, name: str, shape: Shape, *, finite: bool = True) -> NDArray[np.float64]:
+def real_numbers(values: object, name: str, shape: Shape, *, finite: bool = True) -> NDArray[np.float64]:
     """Take an array of real numbers as float64, without changing a number.
 
     Args:
@@ -52,7 +52,7 @@ def real_numbers(values: Any, name: str, shape: Shape, *, finite: bool = True) -
     return out
 
 
-def whole_numbers(values: Any, name: str, shape: Shape, *, below: int | None = None) -> NDArray[np.int64]:
+def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None = None) -> NDArray[np.int64]:
     """Take an array of whole numbers as int64; floating point numbers will do where they are whole.
 
     Args:
@@ -104,7 +104,7 @@ def in_range(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.ldexp(points, -int(np.frexp(largest)[1]))
 
 
-def _of_kind(values: Any, name: str, kinds: str, shape: Shape) -> NDArray[Any]:
+def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[Any]:
     """The values as an array of a kind of numbers."""
     if isinstance(values, np.ma.MaskedArray):
         if np.ma.is_masked(values):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,11 +18,11 @@ class HasTriangles(Protocol):
     """An object with vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""
 
     @property
-    def vertices(self) -> Any:
+    def vertices(self) -> ArrayLike:
         """Positions, shape [V, 3]."""
 
     @property
-    def faces(self) -> Any:
+    def faces(self) -> ArrayLike:
         """Vertex indices of the triangles, shape [F, 3]."""
 
 

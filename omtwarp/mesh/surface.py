@@ -275,7 +275,7 @@ class SurfaceArrays:
     def __init__(self, surface: Surface, device: wp.Device, sent: dict[str, wp.array]):
         self._surface, self._device, self._sent = surface, device, sent
 
-    def _array(self, name: str, dtype: Any, part: int | None = None) -> wp.array:
+    def _array(self, name: str, dtype: type, part: int | None = None) -> wp.array:
         key = name if part is None else f"{name} {part}"
         if key not in self._sent:
             values = getattr(self._surface, name)

@@ -139,7 +139,9 @@ def measure(
     return aggregates(triangle_quantities(vertices, faces, points, where), points)
 
 
-def triangle_quantities(vertices: Any, faces: Any, sphere: Any, where: wp.Device) -> list[wp.array]:
+def triangle_quantities(
+    vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike | wp.array, where: wp.Device
+) -> list[wp.array]:
     """Areas on surface and sphere, determinant, angle distortion, det[s0, s1, s2] and solid angle of every triangle."""
     inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
     count = len(inputs[2])

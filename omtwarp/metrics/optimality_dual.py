@@ -6,7 +6,6 @@ See :mod:`omtwarp.metrics.optimality` for what the bound says.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
@@ -122,7 +121,7 @@ class TransportDual:
         minimum = (wp.float64, wp.int32, wp.vec3d, wp.int32)
         found = [wp.empty(len(own), dtype=kind, device=self.device) for kind in minimum]
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             inputs = [self._x[part], seeds[part], *mesh, places, values, self._leaves, self.tolerance, *tree]
             return inputs, [array[part] for array in found]
 
@@ -157,7 +156,7 @@ class TransportDual:
         nodal = potential[self.surface.faces[self.order]].mean(axis=1)
         return float(solid @ (nodal + self.edge_terms.sum(axis=1) / 12.0))
 
-    def _launch(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
+    def _launch(self, kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,12 +11,12 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import sums_for
-from omtwarp.device.threads import blas_threads, launch_parts
+from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, target_masses, vertex_field
-from omtwarp.options import Progress
+from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve_arrays
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
@@ -42,7 +41,7 @@ class MoserMap:
     sphere: NDArray[np.float64]
     potential: NDArray[np.float64]
     steps: int
-    history: tuple[dict[str, Any], ...] = ()
+    history: tuple[Record, ...] = ()
     converged: bool = True
 
 
@@ -120,7 +119,7 @@ def moser_map(
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
 
-    def field_arguments(part: slice) -> tuple[list[Any], list[Any]]:
+    def field_arguments(part: slice) -> Arguments:
         return [points, faces, potential, *rows, part.start], [field]
 
     launch_parts(vertex_field, vertices, field_arguments, where)
@@ -128,7 +127,7 @@ def moser_map(
     steps = wp.empty(vertices, dtype=wp.int32, device=where)
     limits = [wp.float64(LARGEST_STEP), wp.float64(COURANT), wp.float64(FINAL_TIME)]
 
-    def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+    def arguments(part: slice) -> Arguments:
         own = [points[part], rows[0][part]]
         shared = [points, faces, mesh.face_neighbours, field, mu, excess, rows[1]]
         return [*own, *shared, *limits], [moved[part], steps[part]]

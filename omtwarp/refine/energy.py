@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
 from omtwarp.refine.sums import DistortionSums
@@ -38,8 +37,8 @@ class Terms:
     area: float
     scale: float
     inverse_sum: float
-    d_ratio: Any
-    d_volume: Any
+    d_ratio: wp.array
+    d_volume: wp.array
     needle: float
 
     @property
@@ -101,7 +100,7 @@ class TriangleKernels:
         """Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
         outputs = [wp.empty(self.count, dtype=wp.float64, device=self.device) for _ in range(4)]
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             return [points, self.faces[part], self.frames[part]], [array[part] for array in outputs]
 
         launch_parts(triangle_terms, self.count, arguments, self.device)
@@ -116,14 +115,14 @@ class TriangleKernels:
         """
         corners = self._scratch(3 * self.count, 3)
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             inputs = [points, self.faces[part], self.frames[part], self.areas[part], *pressures]
             return inputs, [corners[3 * part.start : 3 * part.stop]]
 
         launch_parts(triangle_gradient, self.count, arguments, self.device)
         gradient = wp.empty(self.rows[0].size - 1, dtype=wp.vec3d, device=self.device)
 
-        def gathered(part: slice) -> tuple[list[Any], list[Any]]:
+        def gathered(part: slice) -> Arguments:
             return [points, *self.rows, corners, wp.float64(SPHERE_AREA), part.start], [gradient]
 
         launch_parts(gather_tangent, gradient.size, gathered, self.device)
@@ -137,7 +136,7 @@ class TriangleKernels:
         blocks = self._scratch(self.count, 21)
         numbers = [*pressures, wp.float64(curvature_share), wp.float64(SPHERE_AREA)]
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             return [points, self.faces[part], self.frames[part], self.areas[part], *numbers], [blocks[part]]
 
         launch_parts(triangle_hessian, self.count, arguments, self.device)

@@ -6,8 +6,6 @@ the whole map bent too far. Their own matrix is small, so that several steps of 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -98,7 +96,7 @@ class Relaxation:
         wp.launch(put_vectors, dim=self._patches.free, inputs=inputs, outputs=[out], device=self._device)
         return out
 
-    def _sent(self, values: NDArray[Any], dtype: Any) -> wp.array:
+    def _sent(self, values: NDArray[np.generic], dtype: type) -> wp.array:
         """An array on the device."""
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ class Direction:
         slope_of: the slope where every vertex goes its own share of the way, float64, shape [V], on the device.
     """
 
-    vectors: Any
+    vectors: wp.array
     slope: float
     reach: float
     slope_of: Callable[[wp.array], float]
@@ -157,11 +157,11 @@ class DeviceSteps:
         self._coordinates = wp.empty((count, 2), dtype=wp.float64, device=self._device)
         # First the slope or the three products of a pair, then the largest reaches.
         self._numbers = wp.empty(3 + self.REACHES, dtype=wp.float64, device=self._device)
-        self._places: list[Any] = [self._numbers[k : k + 1] for k in range(3)]
-        self._reaches: Any = self._numbers[3:]
+        self._places: list[wp.array] = [self._numbers[k : k + 1] for k in range(3)]
+        self._reaches = self._numbers[3:]
         self._factors = [wp.empty(1, dtype=wp.float64, device=self._device) for _ in range(MAX_PAIRS)]
-        self._pairs: list[tuple[Any, Any, Any]] = []
-        self._spare_pair: tuple[Any, Any, Any] | None = None
+        self._pairs: list[tuple[wp.array, wp.array, wp.array]] = []
+        self._spare_pair: tuple[wp.array, wp.array, wp.array] | None = None
 
     def assemble(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> None:
         self._pairs.clear()  # before the Hessians, which take as much memory
@@ -199,7 +199,7 @@ class DeviceSteps:
             self._pairs.append(self._spare_pair)
             self._spare_pair = self._pairs.pop(0) if len(self._pairs) > MAX_PAIRS else None
 
-    def _new_pair(self) -> tuple[Any, Any, Any]:
+    def _new_pair(self) -> tuple[wp.array, wp.array, wp.array]:
         count, device = self._count, self._device
         s, y = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
         return s, y, wp.empty(1, dtype=wp.float64, device=device)
@@ -222,7 +222,7 @@ class DeviceSteps:
             self._sum.dot(flat(y), flat(self._step), self._places[0])
             self._launch(add_share, [factor, self._places[0], product, s], [self._step])
 
-    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
+    def _launch(self, kernel: wp.Kernel, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=self._count, inputs=inputs, outputs=outputs, device=self._device)
 
 

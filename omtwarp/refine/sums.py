@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
 from omtwarp.refine.step_kernels import distortion_summands
@@ -22,7 +20,7 @@ class DistortionSums:
         self._sum = DeviceSum(device)
         self._excess, self._inverse = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
         self._totals = wp.empty(5, dtype=wp.float64, device=device)
-        self._places: list[Any] = [self._totals[k : k + 1] for k in range(5)]
+        self._places: list[wp.array] = [self._totals[k : k + 1] for k in range(5)]
 
     def __call__(
         self, areas: wp.array, angle: wp.array, ratio: wp.array, _volume: wp.array, steepness: wp.array

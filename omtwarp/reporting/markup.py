@@ -10,12 +10,11 @@ from base64 import b64encode
 from collections.abc import Iterable
 from hashlib import sha256
 from importlib.resources import files
-from typing import Any
 
 from markupsafe import Markup
 
 
-def html(template: str, /, *values: Any, **named: Any) -> Markup:
+def html(template: str, /, *values: object, **named: object) -> Markup:
     """Fill a literal template as :meth:`str.format` does, with every value escaped that is no HTML.
 
     >>> html("<b>{}</b>", "1 < 2")
@@ -24,7 +23,7 @@ def html(template: str, /, *values: Any, **named: Any) -> Markup:
     return Markup(template).format(*values, **named)  # noqa: S704 (callers give literals, which the linter checks)
 
 
-def element(name: str, *content: Any, **attributes: Any) -> Markup:
+def element(name: str, *content: str | float, **attributes: object) -> Markup:
     """One element with attributes and content, both escaped where they are no HTML.
 
     Args:
@@ -39,9 +38,9 @@ def element(name: str, *content: Any, **attributes: Any) -> Markup:
     return html("<{}{}>{}</{}>", name, given, join(content), name)
 
 
-def join(pieces: Iterable[Any], between: str = "") -> Markup:
+def join(pieces: Iterable[str | float], between: str = "") -> Markup:
     """One piece of HTML from several; those that are plain text are escaped."""
-    return Markup(between).join(pieces)  # noqa: S704
+    return Markup(between).join(html("{}", piece) for piece in pieces)  # noqa: S704
 
 
 def asset(name: str) -> Markup:
@@ -66,7 +65,7 @@ def source_hash(text: str) -> Markup:
     return html("'sha256-{}'", b64encode(sha256(text.encode()).digest()).decode())
 
 
-def fill_page(template: str, **values: Any) -> str:
+def fill_page(template: str, **values: object) -> str:
     """Put values in place of {{name}}, once and not within values; those that are plain text are escaped."""
     pieces = template.split("{{")
     text = [pieces[0]]

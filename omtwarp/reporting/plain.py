@@ -19,7 +19,7 @@ figure { margin: 0 } figure img { width: 100% } figcaption { font-size: .9rem }
 """)
 
 
-def write_plain_page(path: Path, title: str, body: Sequence[Any]) -> Path:
+def write_plain_page(path: Path, title: str, body: Sequence[str]) -> Path:
     """Write a page that loads nothing and runs nothing.
 
     Args:
@@ -40,13 +40,13 @@ def write_plain_page(path: Path, title: str, body: Sequence[Any]) -> Path:
     return path
 
 
-def table(names: Sequence[str], lines: Sequence[Sequence[Any]]) -> Markup:
+def table(names: Sequence[str], lines: Sequence[Sequence[str | float]]) -> Markup:
     """A table with a line of names above it."""
     head = element("tr", *(element("th", name) for name in names))
     return element("table", head, *(element("tr", *(element("td", cell) for cell in line)) for line in lines))
 
 
-def figure(picture: Any, name: str, *words: Any) -> Markup:
+def figure(picture: Any, name: str, *words: str) -> Markup:
     """A PIL image in the page, with its name and words below it."""
     image = html('<img alt="{}" src="{}">', name, data_uri(picture, "webp"))
     return element("figure", image, element("figcaption", element("b", name), *words))

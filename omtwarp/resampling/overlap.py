@@ -10,7 +10,7 @@ from scipy import sparse
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.resampling.overlap_kernels import box_polygons, count_overlaps, list_overlaps
 from omtwarp.spheres import SphereGrid
 
@@ -49,7 +49,7 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     smallest = wp.float64(SMALLEST_SHARE * 4.0 * np.pi / max(len(target_corners), len(source_corners)))
     counts = wp.empty(len(target_corners), dtype=wp.int32, device=where)
 
-    def counting(part: slice) -> tuple[list[Any], list[Any]]:
+    def counting(part: slice) -> Arguments:
         return [lower[part], upper[part], targets[part], boxes.id, sources, smallest], [counts[part]]
 
     launch_parts(count_overlaps, len(target_corners), counting, where)
@@ -58,7 +58,7 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     partners = wp.empty(int(offsets[-1]), dtype=wp.int32, device=where)
     areas = wp.empty(int(offsets[-1]), dtype=wp.float64, device=where)
 
-    def listing(part: slice) -> tuple[list[Any], list[Any]]:
+    def listing(part: slice) -> Arguments:
         own = [lower[part], upper[part], targets[part], first[part]]
         return [*own, boxes.id, sources, smallest], [partners, areas]
 

@@ -7,12 +7,12 @@ way: it takes the same blocks, makes an ordinary sparse matrix of them and hands
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import solves_with_scipy
@@ -61,7 +61,7 @@ class SparseFactor:
 
     def __init__(self, count: int, edges: NDArray[np.int32], block: int = 1):
         self._count, self._edges, self._block = count, edges, block
-        self._lu: Any = None
+        self._lu: SuperLU | None = None
 
     def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
         """Factorise a matrix; see :meth:`omtwarp.solvers.cholesky.MultifrontalCholesky.factorise`.
@@ -83,6 +83,7 @@ class SparseFactor:
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for right-hand sides, shape [V, b] or [V, b, K]; [V] or [V, K] for one unknown per vertex."""
         flat = np.ascontiguousarray(right, dtype=np.float64).reshape(self._count * self._block, -1)
+        assert self._lu is not None, "factorise first"
         solved: NDArray[np.float64] = self._lu.solve(flat)
         return solved.reshape(np.shape(right))
 
@@ -101,13 +102,13 @@ class SparseSaddleFactor:
         self,
         count: int,
         edges: NDArray[np.int32],
-        multipliers: NDArray[np.integer[Any]],
-        vertices: NDArray[np.integer[Any]],
+        multipliers: NDArray[np.int64] | NDArray[np.int32],
+        vertices: NDArray[np.int64] | NDArray[np.int32],
     ):
         self._count, self._edges = count, edges
         self._rows = np.repeat(multipliers, 2)
         self._columns = (2 * np.asarray(vertices, dtype=np.int64)[:, None] + np.arange(2)).ravel()
-        self._lu: Any = None
+        self._lu: SuperLU | None = None
 
     def factorise(
         self,
@@ -134,6 +135,7 @@ class SparseSaddleFactor:
         self, first: NDArray[np.float64], second: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Solve [A, Bᵀ; B, -C] [u; q] = [first; second]: coordinates u, shape [V, 2], and multipliers q, shape [N]."""
+        assert self._lu is not None, "factorise first"
         solved = self._lu.solve(np.concatenate([np.ravel(first), np.ravel(second)]))
         return solved[: 2 * self._count].reshape(-1, 2), solved[2 * self._count :]
 

@@ -44,7 +44,7 @@ class Pattern(ABC):
 
     name: str
 
-    def __call__(self, directions: ArrayLike, device: Any = "cpu") -> Floats:
+    def __call__(self, directions: ArrayLike, device: str | wp.Device = "cpu") -> Floats:
         """Colours, float64 in 0..1, shape [N, 3], of directions of any length, shape [N, 3]."""
         d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
         where = resolve_device(device)
@@ -59,11 +59,11 @@ class Pattern(ABC):
         inputs = self._inputs(device)
         launch_parts(self._kernel, len(directions), lambda part: ([directions[part], *inputs, out[part]], []), device)
 
-    _kernel: Any
+    _kernel: wp.Kernel
 
-    def _inputs(self, device: Any) -> list[Any]:
+    def _inputs(self, device: wp.Device) -> list[object]:
         if not hasattr(self, "_uploaded"):
-            self._uploaded: dict[str, list[Any]] = {}
+            self._uploaded: dict[str, list[object]] = {}
         if device.alias not in self._uploaded:
             self._uploaded[device.alias] = [
                 wp.array(np.ascontiguousarray(x[0]), dtype=x[1], device=device) if isinstance(x, tuple) else x
@@ -72,7 +72,7 @@ class Pattern(ABC):
         return self._uploaded[device.alias]
 
     @abstractmethod
-    def _tables(self) -> list[Any]:
+    def _tables(self) -> list[object]:
         """Kernel inputs between the directions and the output; (array, Warp dtype) is uploaded once per device."""
 
 
@@ -105,7 +105,7 @@ class Checker(Pattern):
         row = np.clip(np.floor((0.5 - lat / np.pi) * self.rows), 0, self.rows - 1)
         return (row * self.columns + column).astype(np.int64)
 
-    def _tables(self) -> list[Any]:
+    def _tables(self) -> list[object]:
         return [self.columns, self.rows, (self.colours, wp.vec3d)]
 
 
@@ -154,7 +154,7 @@ class Circles(Pattern):
         distance, index = cKDTree(self.centres).query(normalised(np.asarray(directions, dtype=np.float64)))
         return np.where(distance <= 2.0 * np.sin(0.5 * self.radius), index, -1).astype(np.int64)
 
-    def _tables(self) -> list[Any]:
+    def _tables(self) -> list[object]:
         rows, columns = 48, 96
         lat, lon = (
             ((np.arange(rows) + 0.5) / rows - 0.5) * np.pi,
@@ -247,7 +247,7 @@ class Puzzle(Pattern):
         shift = np.where((own > other) & ~same_way, -shift, shift)
         return (other // 4).reshape(-1, 4).astype(np.int32), tab.reshape(-1, 4), shift.reshape(-1, 4)
 
-    def _tables(self) -> list[Any]:
+    def _tables(self) -> list[object]:
         neighbours, tabs, shifts = self._edges
         pairs = np.stack([np.repeat(np.arange(self.count), 4), neighbours.ravel()], axis=1)
         return [
@@ -279,7 +279,7 @@ class Globe(Pattern):
         self.step = float(step)
         self.palette = _colours("#1d5376", "#3b7894", "#5f9fae", "#c3b585", "#eef1ee", "#4b4a3c", "#f2f0e6")
 
-    def _tables(self) -> list[Any]:
+    def _tables(self) -> list[object]:
         columns, rows = 720, 360
         pieces, real, offsets, members, land = _coast_table(columns, rows, self.shelf_width)
         return [

@@ -21,7 +21,7 @@ def rasterize(
     projection: str = "equirectangular",
     *,
     supersample: int = 3,
-    device: Any = "auto",
+    device: str | None = "auto",
 ) -> NDArray[np.uint8]:
     """A pattern as a picture of the whole sphere, supersampled.
 

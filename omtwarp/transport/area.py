@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -20,14 +18,14 @@ class AreaMonitor:
     below what any mass-preserving map can reach. A cost that falls proves nothing unless this stays where it was.
     """
 
-    def __init__(self, surface: Surface, device: Any):
+    def __init__(self, surface: Surface, device: wp.Device):
         self.device = device
         mesh = surface.on(device)
         self._faces, self._areas = mesh.faces, mesh.face_areas
         self._errors = wp.empty((surface.face_count, 1), dtype=wp.float64, device=device)
         self._sums = RowSums(surface.face_count, 1, device)
 
-    def error(self, points: Any, largest: float = LARGEST_ERROR) -> float:
+    def error(self, points: wp.array, largest: float = LARGEST_ERROR) -> float:
         """Mean of D + 1/D - 2 weighted by original area, each triangle counting at most ``largest``."""
         wp.launch(
             capped_area_error,

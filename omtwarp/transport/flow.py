@@ -10,7 +10,6 @@ own wavelet basis.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +19,7 @@ from omtwarp.device.graphs import Graph
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
-from omtwarp.device.threads import blas_threads, launch_parts
+from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
@@ -326,10 +325,12 @@ class _Flow:
         self.launch(face_centres, self.face_count, [points, self.faces], [centres])
         return centres
 
-    def launch(self, kernel: Any, dim: Any, inputs: list[Any], outputs: list[Any]) -> None:
+    def launch(
+        self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list[object], outputs: list[object]
+    ) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
-    def measure(self, points: Any) -> Any:
+    def measure(self, points: wp.array) -> wp.array:
         """Partial sums of cost and area error; also sets what :meth:`set_gradient` needs."""
         if self.targeted:
             self.launch(
@@ -340,7 +341,7 @@ class _Flow:
             )
         options = [self.shares, int(self.geodesic), wp.float64(self.grid.spacing), wp.float64(LARGEST_ERROR)]
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             inputs = [self.start_centres[part], points, self.faces[part], self.masses[part], *options]
             return inputs, [self.measured[part], self.turned[part], self.centres[part]]
 
@@ -383,10 +384,10 @@ class _Flow:
         wp.capture_while(self.searching, self.search, velocity=velocity)
         self.launch(keep_accepted, self.count, [self.trial, self.state], [self.points])
 
-    def search(self, velocity: Any) -> None:
+    def search(self, velocity: wp.array) -> None:
         """Try a step."""
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             return [self.points[part], self.state, *self.grid.triangles, velocity], [self.hints[part], self.trial[part]]
 
         launch_parts(advect_points, self.count, arguments, self.device)

@@ -37,7 +37,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -165,10 +164,10 @@ class PaperFlow:
         relative = 0.0 if self.squared else SMALLEST_DISPLACEMENT * self.mean_displacement
         self._smallest = max(relative, RESOLVED_DISPLACEMENT)
 
-    def _send(self, array: NDArray[np.float64], dtype: type[Any] = wp.float64) -> wp.array:
+    def _send(self, array: NDArray[np.float64], dtype: type = wp.float64) -> wp.array:
         return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self.device)
 
-    def _empty(self, size: int, dtype: type[Any]) -> wp.array:
+    def _empty(self, size: int, dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device)
 
     def _at_dual(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
@@ -178,22 +177,22 @@ class PaperFlow:
         self._launch(kernels.average_to_dual, len(dual), inputs, [dual])
         return dual
 
-    def _launch(self, kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
+    def _launch(self, kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
-    def cost_of(self, dual_map: Any) -> float:
+    def cost_of(self, dual_map: wp.array) -> float:
         """M(g), equation (6): the sum over triangles of surface area times Phi at the dual vertex."""
         inputs = [self._points, dual_map, self._masses, self.squared]
         self._launch(kernels.dual_costs, len(dual_map), inputs, [self._per_face])
         return float(self._per_face.numpy().sum())
 
-    def area_of(self, image: Any) -> float:
+    def area_of(self, image: wp.array) -> float:
         """Mean of r + 1/r over the image of the mesh, r = image area / surface area of a triangle."""
         inputs = [self.operators.faces, image, self._masses]
         self._launch(kernels.area_distortions, len(self.dual_map), inputs, [self._per_face, self._image_areas])
         return float(self._per_face.numpy().sum() / self._image_areas.numpy().sum())
 
-    def _to_vertices(self, dual_map: Any, out: Any) -> None:
+    def _to_vertices(self, dual_map: wp.array, out: wp.array) -> None:
         """g at the mesh vertices from the dual ones (Algorithm 1, lines 7 and 8)."""
         self.operators.interpolate_dual(dual_map, out=out)
         self._launch(kernels.correct_and_normalise, len(out), [self._correction, out], [])

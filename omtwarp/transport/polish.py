@@ -13,8 +13,6 @@ next to it: on Max Planck the gap then stuck at 0.6 % of the cost, or fell at th
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,7 +20,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, sums_for
-from omtwarp.device.threads import blas_threads, launch_parts
+from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
@@ -101,17 +99,17 @@ def polish_transport(
     def measure() -> tuple[float, float, float]:
         limits = [wp.float64(LARGEST_ERROR), wp.float64(MAX_COUNTED_ERROR)]
 
-        def of_triangles(part: slice) -> tuple[list[Any], list[Any]]:
+        def of_triangles(part: slice) -> Arguments:
             return [origin, points, faces[part], areas[part], *limits], [measured[part]]
 
         launch_parts(cost_and_area_errors, len(measured), of_triangles, where)
         cost, usual, worst = (float(x) for x in face_sums(measured).numpy().sum(axis=0))
         return cost, usual / SPHERE_AREA, worst / SPHERE_AREA
 
-    def around_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+    def around_vertices(part: slice) -> Arguments:
         return [points, pull, faces, *rows, part.start], [curl, energy, area]
 
-    def along_potentials(part: slice) -> tuple[list[Any], list[Any]]:
+    def along_potentials(part: slice) -> Arguments:
         lengths = [wp.float64(step), wp.float64(min(1.0, 2.0 * step))]
         return [best, faces, *potentials, *rows, *lengths, part.start], [moved]
 
@@ -121,7 +119,7 @@ def polish_transport(
     history: list[Record] = []
     best = wp.clone(points)
     first_cost, *largest = measure()
-    potentials: list[Any] = []
+    potentials: list[wp.array] = []
     kept: dict[str, float] = {}
     least, held, step, last, ended = np.inf, 0, STEP, False, ""
     for number in range(rounds + 1):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
@@ -86,7 +84,7 @@ class NewtonMatrix:
         edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
         edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
 
-        def shared(values: NDArray[np.int32], dtype: Any) -> wp.array:
+        def shared(values: NDArray[np.int32], dtype: type) -> wp.array:
             return wp.array(values, dtype=dtype, device="cpu", copy=False)
 
         sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
@@ -99,10 +97,10 @@ class NewtonMatrix:
         source = wp.array(np.ascontiguousarray(blocks), dtype=wp.float64, device="cpu", copy=False)
         (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
 
-        def of_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+        def of_vertices(part: slice) -> Arguments:
             return [offsets[part.start : part.stop + 1], corners, source], [self._diagonal[part]]
 
-        def of_edges(part: slice) -> tuple[list[Any], list[Any]]:
+        def of_edges(part: slice) -> Arguments:
             return [edges[part], faces, edge_corners[part], source], [self._off_diagonal[part]]
 
         launch_parts(gather_vertex_blocks, self._diagonal.shape[0], of_vertices, "cpu")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,21 +37,21 @@ class WaveletFilter:
         self.device = self.wavelets.device
         kept = np.array(factors, dtype=np.float64)
         kept[: hierarchy.node_counts[0]] = 1.0
-        self._factors: Any = wp.array(kept, device=self.device)
+        self._factors = wp.array(kept, device=self.device)
 
-    def apply(self, values: Any) -> None:
+    def apply(self, values: wp.array) -> None:
         """F, in place, on a Warp array of one value per node."""
         self.wavelets.analyse(values)
         self._scale(values)
         self.wavelets.synthesise(values)
 
-    def apply_adjoint(self, values: Any) -> None:
+    def apply_adjoint(self, values: wp.array) -> None:
         """The transpose of F, in place."""
         self.wavelets.synthesise_adjoint(values)
         self._scale(values)
         self.wavelets.analyse_adjoint(values)
 
-    def _scale(self, values: Any) -> None:
+    def _scale(self, values: wp.array) -> None:
         wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
 
 

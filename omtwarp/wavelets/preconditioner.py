@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -87,18 +86,18 @@ class WaveletPreconditioner:
         if damping is not None:
             factors[solid:] *= damping[solid:]
         coarse = cotangent_laplacian(hierarchy.vertices[:solid], hierarchy.level_faces[0]).toarray()
-        self._factors: Any = wp.array(factors, device=self.device)
-        self._coarse_inverse: Any = wp.array(np.linalg.pinv(coarse, rcond=1e-10, hermitian=True), device=self.device)
+        self._factors = wp.array(factors, device=self.device)
+        self._coarse_inverse = wp.array(np.linalg.pinv(coarse, rcond=1e-10, hermitian=True), device=self.device)
         self._coarse = wp.empty(solid, dtype=wp.float64, device=self.device)
 
-    def apply(self, right_hand_side: Any, out: Any = None) -> Any:
+    def apply(self, right_hand_side: wp.array, out: wp.array | None = None) -> wp.array:
         """Right-hand side (weak form, one value per node) to H, shape [N] -> [N], NumPy or Warp as given.
 
         The constant part of the right-hand side is ignored, and H is defined up to a constant. With Warp arrays, H can
         be written to ``out``.
         """
         from_numpy = not isinstance(right_hand_side, wp.array)
-        values: Any
+        values: wp.array
         if from_numpy:
             values = wp.array(np.array(right_hand_side, dtype=np.float64), device=self.device)
         else:

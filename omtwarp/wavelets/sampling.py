@@ -7,15 +7,13 @@ at points, and its adjoint, which divided by the mass each node receives is a me
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.wavelets import sampling_kernels as kernels
 from omtwarp.wavelets.hierarchy import SphereHierarchy
@@ -51,7 +49,7 @@ class SphereSampler:
     def __init__(
         self,
         hierarchy: SphereHierarchy,
-        points: Any,
+        points: NDArray[np.float64] | wp.array,
         *,
         level: int | None = None,
         device: str = "auto",
@@ -67,7 +65,7 @@ class SphereSampler:
         levels = hierarchy.level_faces[: self.level + 1]
         starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
 
-        def send(array: NDArray[Any], dtype: Any = None) -> Any:
+        def send(array: NDArray[np.generic], dtype: type | None = None) -> wp.array:
             given = {} if dtype is None else {"dtype": dtype}
             return wp.array(np.ascontiguousarray(array), device=self.device, **given)
 
@@ -81,13 +79,12 @@ class SphereSampler:
         weights = np.linalg.norm(np.cross(second - first, third - first), axis=1)
         at_nodes = np.bincount(levels[-1].ravel(), np.repeat(weights, 3), minlength=self.node_count)
         self._weights = send(at_nodes if density is None else at_nodes * density)
-        self._edge_rows: list[list[Any]] | None = None
-        self._level_sums: list[Any] = []
-        self._level_masses: list[Any] = []
-        self._parents: list[Any] = []
+        self._edge_rows: list[list[wp.array]] | None = None
+        self._level_sums: list[wp.array] = []
+        self._level_masses: list[wp.array] = []
+        self._parents: list[wp.array] = []
 
         self.point_count = len(points)
-        self.points: Any = None
         self.point_faces = wp.zeros(self.point_count, dtype=wp.int32, device=self.device)
         self.coordinates = wp.empty(self.point_count, dtype=wp.vec3d, device=self.device)
         # The radix sort of Warp needs a workspace of twice the keys.
@@ -99,29 +96,35 @@ class SphereSampler:
         self._node_vectors = wp.empty(self.node_count, dtype=wp.vec3d, device=self.device)
         self.locate(points)
 
-    def _launch(self, kernel: Any, size: int, inputs: list[Any], outputs: list[Any]) -> None:
+    def _launch(self, kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
     def _launch_parts(
-        self, kernel: Any, size: int, rows: list[Any], sliced: list[Any], whole: list[Any], out: Any
+        self,
+        kernel: wp.Kernel,
+        size: int,
+        rows: list[wp.array],
+        sliced: list[wp.array],
+        whole: list[object],
+        out: wp.array,
     ) -> None:
         """Launch on all cores a kernel of compressed rows (or none), arrays with an element per thread, and others."""
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             own = [rows[0][part.start : part.stop + 1], rows[1]] if rows else []
             return [*own, *(array[part] for array in sliced), *whole], [out[part]]
 
         launch_parts(kernel, size, arguments, self.device)
 
-    def _take(self, array: Any, dtype: Any) -> tuple[Any, bool]:
+    def _take(self, array: ArrayLike | wp.array, dtype: type) -> tuple[wp.array, bool]:
         if isinstance(array, wp.array):
             return array, False
         return wp.array(np.asarray(array, dtype=np.float64), dtype=dtype, device=self.device), True
 
-    def _output(self, out: Any, size: int, dtype: Any) -> Any:
+    def _output(self, out: wp.array | None, size: int, dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device) if out is None else out
 
-    def locate(self, points: Any) -> None:
+    def locate(self, points: NDArray[np.float64] | wp.array) -> None:
         """Find the triangle and barycentric coordinates of every point, shape [P, 3], and the points of every triangle.
 
         A Warp array is kept by reference, not copied.
@@ -132,7 +135,7 @@ class SphereSampler:
         count = self.point_count
         grid = [self._nodes, self._all_faces, self._starts]
 
-        def arguments(part: slice) -> tuple[list[Any], list[Any]]:
+        def arguments(part: slice) -> Arguments:
             return [self.points[part], *grid], [self.point_faces[part], self.coordinates[part]]
 
         launch_parts(kernels.locate_points, count, arguments, self.device)
@@ -140,7 +143,7 @@ class SphereSampler:
         bits = int(self.face_count - 1).bit_length()
         wp.utils.radix_sort_pairs(self._keys, self._order, count, end_bit=bits)
 
-        def rows(part: slice) -> tuple[list[Any], list[Any]]:
+        def rows(part: slice) -> Arguments:
             return [self._keys, count, part.start], [self._point_rows]
 
         launch_parts(kernels.face_rows, self.face_count + 1, rows, self.device)
@@ -153,7 +156,7 @@ class SphereSampler:
         data = self.coordinates.numpy().ravel()
         return sparse.csr_matrix((data, (rows, faces.ravel())), shape=(self.point_count, self.node_count))
 
-    def interpolate(self, values: Any, out: Any = None) -> Any:
+    def interpolate(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """A function of the nodes, [N], at the points, [P]: linear in each triangle, constants exact."""
         source, from_numpy = self._take(values, wp.float64)
         out = self._output(out, self.point_count, wp.float64)
@@ -161,7 +164,7 @@ class SphereSampler:
         self._launch(kernels.interpolate_at_points, self.point_count, inputs, [out])
         return out.numpy() if from_numpy else out
 
-    def adjoint(self, at_points: Any, out: Any = None) -> Any:
+    def adjoint(self, at_points: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """The transpose of :meth:`interpolate`, [P] -> [N]; the sum is kept."""
         source, from_numpy = self._take(at_points, wp.float64)
         out = self._output(out, self.node_count, wp.float64)
@@ -170,13 +173,13 @@ class SphereSampler:
         self._gather_corners(out)
         return out.numpy() if from_numpy else out
 
-    def set_masses(self, masses: Any) -> None:
+    def set_masses(self, masses: ArrayLike | wp.array) -> None:
         """Give the (positive) masses of the points, shape [P], that :meth:`restrict` divides by."""
         source, _ = self._take(masses, wp.float64)
         self._prepare_levels()
         self._level_masses = self._coarsen(self.adjoint(source), [wp.empty_like(a) for a in self._level_sums])
 
-    def restrict(self, sums: Any, out: Any = None) -> Any:
+    def restrict(self, sums: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Means at the nodes of a density given by its sums at the points, [P] -> [N], such as mass times value.
 
         Each node gets the adjoint's sum over its mass. A node that no point reaches takes the mean of the ends of its
@@ -211,7 +214,7 @@ class SphereSampler:
         counts = self.hierarchy.node_counts[: self.level + 1]
         self._level_sums = [wp.empty(count, dtype=wp.float64, device=self.device) for count in counts]
 
-    def _coarsen(self, finest: Any, workspace: list[Any]) -> list[Any]:
+    def _coarsen(self, finest: wp.array, workspace: list[wp.array]) -> list[wp.array]:
         assert self._edge_rows is not None
         workspace[self.level] = finest
         for j in reversed(range(self.level)):
@@ -219,7 +222,7 @@ class SphereSampler:
             self._launch(kernels.coarsen_sums, count, [count, *self._edge_rows[j], workspace[j + 1]], [workspace[j]])
         return workspace
 
-    def gradient(self, values: Any, out: Any = None, *, smooth: bool = False) -> Any:
+    def gradient(self, values: ArrayLike | wp.array, out: wp.array | None = None, *, smooth: bool = False) -> wp.array:
         """Gradient at the points of a function of the nodes, [N] -> [P, 3], in the sphere's tangent plane.
 
         Args:
@@ -240,16 +243,16 @@ class SphereSampler:
             self._launch(kernels.face_gradients_at_points, self.point_count, inputs, [out])
         return out.numpy() if from_numpy else out
 
-    def _face_gradients(self, values: Any, weighted: bool) -> None:
+    def _face_gradients(self, values: wp.array, weighted: bool) -> None:
         whole = [self._nodes, values, weighted]
         self._launch_parts(level_face_gradients, self.face_count, [], [self._faces], whole, self._face_vectors)
 
-    def _gather_corners(self, out: Any) -> None:
+    def _gather_corners(self, out: wp.array) -> None:
         """Sum at every node what the three numbers of every triangle have for it."""
         rows, whole = self._corner_rows, [self._face_vectors]
         self._launch_parts(gather_corners_to_nodes, self.node_count, rows, [], whole, out)
 
-    def node_gradient(self, values: Any) -> Any:
+    def node_gradient(self, values: ArrayLike | wp.array) -> wp.array:
         """Area-weighted means of the gradients around each node, Warp vec3d [N]: what ``smooth`` interpolates.
 
         The array is the sampler's own and holds until the next call.
@@ -261,7 +264,9 @@ class SphereSampler:
         self._launch_parts(kernels.mean_node_gradients, self.node_count, rows, sliced, gathered, out)
         return self._node_vectors
 
-    def gradient_adjoint(self, field: Any, out: Any = None, *, smooth: bool = False) -> Any:
+    def gradient_adjoint(
+        self, field: ArrayLike | wp.array, out: wp.array | None = None, *, smooth: bool = False
+    ) -> wp.array:
         """The transpose of :meth:`gradient`, [P, 3] -> [N]: entry k is the sum of field · grad phi(k) over the points.
 
         With field = c × y (c the derivative of a cost with respect to the point y) it is that cost's derivative with

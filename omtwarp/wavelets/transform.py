@@ -17,7 +17,8 @@ I(j, k) = I(j + 1, k) + sum over m of h(k, m) I(j + 1, m).
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +38,33 @@ def transposed_rows(stencil: NDArray[np.int32], count: int) -> tuple[NDArray[np.
     offsets = np.zeros(count + 1, dtype=np.int32)
     np.cumsum(np.bincount(flat, minlength=count), out=offsets[1:])
     return offsets, entries
+
+
+@dataclass(frozen=True)
+class _Level:
+    """The nodes that a level adds, one in the middle of each edge, and what they are predicted from, on the device.
+
+    Attributes:
+        coarse: number of nodes of the level.
+        added: number of nodes that the next one adds.
+        stencil: nodes that each added one is predicted from, int32 [added, width].
+        width: how many those are.
+        weights: of the prediction.
+        parents: ends of the edge of each added node, int32 [added, 2].
+        edges: the transpose of ``parents`` in compressed rows.
+        stencil_rows: the transpose of ``stencil`` in compressed rows.
+        integrals: of the scaling functions of the next level, and of this one.
+    """
+
+    coarse: int
+    added: int
+    stencil: wp.array
+    width: int
+    weights: wp.array
+    parents: wp.array
+    edges: tuple[wp.array, wp.array]
+    stencil_rows: tuple[wp.array, wp.array]
+    integrals: tuple[wp.array, wp.array]
 
 
 class SphericalWavelets:
@@ -68,88 +96,87 @@ class SphericalWavelets:
             integrals.insert(0, hierarchy.refinement_matrix(j, butterfly=butterfly).T @ integrals[0])
         self.level_integrals = tuple(integrals)
 
-        def send(array: NDArray[Any]) -> Any:
+        def send(array: NDArray[np.generic]) -> wp.array:
             return wp.array(np.ascontiguousarray(array), device=self.device)
 
-        on_device: list[Any] = [send(array) for array in integrals]
-        self._levels: list[dict[str, Any]] = []
+        on_device = [send(array) for array in integrals]
+        self._levels: list[_Level] = []
         for j in range(hierarchy.level):
             stencil, weights = predict_stencil(hierarchy, j, butterfly=butterfly)
-            rows = transposed_rows(hierarchy.level_parents[j], hierarchy.node_counts[j])
-            wide_rows = transposed_rows(stencil, hierarchy.node_counts[j]) if butterfly else rows
-            parents = send(hierarchy.level_parents[j])
-            edge_offsets, edge_entries = send(rows[0]), send(rows[1])
-            self._levels.append(
-                {
-                    "coarse": hierarchy.node_counts[j],
-                    "added": hierarchy.node_counts[j + 1] - hierarchy.node_counts[j],
-                    "stencil": send(stencil) if butterfly else parents,
-                    "width": stencil.shape[1],
-                    "weights": send(weights),
-                    "parents": parents,
-                    "edges": [edge_offsets, edge_entries],
-                    "stencil_rows": [send(wide_rows[0]), send(wide_rows[1])]
-                    if butterfly
-                    else [edge_offsets, edge_entries],
-                    "integrals": [on_device[j + 1], on_device[j]],
-                }
+            offsets, entries = transposed_rows(hierarchy.level_parents[j], hierarchy.node_counts[j])
+            parents, edges = send(hierarchy.level_parents[j]), (send(offsets), send(entries))
+            wide, wide_rows = parents, edges
+            if butterfly:
+                offsets, entries = transposed_rows(stencil, hierarchy.node_counts[j])
+                wide, wide_rows = send(stencil), (send(offsets), send(entries))
+            level = _Level(
+                coarse=hierarchy.node_counts[j],
+                added=hierarchy.node_counts[j + 1] - hierarchy.node_counts[j],
+                stencil=wide,
+                width=stencil.shape[1],
+                weights=send(weights),
+                parents=parents,
+                edges=edges,
+                stencil_rows=wide_rows,
+                integrals=(on_device[j + 1], on_device[j]),
             )
+            self._levels.append(level)
 
-    def _predict(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        inputs = [level["coarse"], level["stencil"], level["weights"], sign, values]
-        wp.launch(kernels.predict_nodes, dim=level["added"], inputs=inputs, device=self.device)
+    def _predict(self, level: _Level, values: wp.array, sign: float) -> None:
+        inputs = [level.coarse, level.stencil, level.weights, sign, values]
+        wp.launch(kernels.predict_nodes, dim=level.added, inputs=inputs, device=self.device)
 
-    def _update(self, level: dict[str, Any], values: Any, sign: float) -> None:
+    def _update(self, level: _Level, values: wp.array, sign: float) -> None:
         if self.lifted:
-            inputs = [level["coarse"], *level["edges"], *level["integrals"], sign, values]
-            wp.launch(kernels.update_nodes, dim=level["coarse"], inputs=inputs, device=self.device)
+            inputs = [level.coarse, *level.edges, *level.integrals, sign, values]
+            wp.launch(kernels.update_nodes, dim=level.coarse, inputs=inputs, device=self.device)
 
-    def _predict_adjoint(self, level: dict[str, Any], values: Any, sign: float) -> None:
-        inputs = [level["coarse"], *level["stencil_rows"], level["width"], level["weights"], sign, values]
-        wp.launch(kernels.predict_adjoint, dim=level["coarse"], inputs=inputs, device=self.device)
+    def _predict_adjoint(self, level: _Level, values: wp.array, sign: float) -> None:
+        inputs = [level.coarse, *level.stencil_rows, level.width, level.weights, sign, values]
+        wp.launch(kernels.predict_adjoint, dim=level.coarse, inputs=inputs, device=self.device)
 
-    def _update_adjoint(self, level: dict[str, Any], values: Any, sign: float) -> None:
+    def _update_adjoint(self, level: _Level, values: wp.array, sign: float) -> None:
         if self.lifted:
-            inputs = [level["coarse"], level["parents"], *level["integrals"], sign, values]
-            wp.launch(kernels.update_adjoint, dim=level["added"], inputs=inputs, device=self.device)
+            inputs = [level.coarse, level.parents, *level.integrals, sign, values]
+            wp.launch(kernels.update_adjoint, dim=level.added, inputs=inputs, device=self.device)
 
-    def analyse(self, values: Any) -> None:
+    def analyse(self, values: wp.array) -> None:
         """Values at nodes to coefficients, in place: SWfwd of Algorithm 1."""
         self._run(self._analyse, values)
 
-    def _analyse(self, values: Any) -> None:
+    def _analyse(self, values: wp.array) -> None:
         for level in reversed(self._levels):
             self._predict(level, values, -1.0)
             self._update(level, values, 1.0)
 
-    def synthesise(self, values: Any) -> None:
+    def synthesise(self, values: wp.array) -> None:
         """Coefficients to values at nodes, in place: SWbak of Algorithm 1."""
         self._run(self._synthesise, values)
 
-    def _synthesise(self, values: Any) -> None:
+    def _synthesise(self, values: wp.array) -> None:
         for level in self._levels:
             self._update(level, values, -1.0)
             self._predict(level, values, 1.0)
 
-    def synthesise_adjoint(self, values: Any) -> None:
+    def synthesise_adjoint(self, values: wp.array) -> None:
         """The transpose of :meth:`synthesise`, in place: entry (j, m) becomes the sum of values times psi(j, m)."""
         self._run(self._synthesise_adjoint, values)
 
-    def _synthesise_adjoint(self, values: Any) -> None:
+    def _synthesise_adjoint(self, values: wp.array) -> None:
         for level in reversed(self._levels):
             self._predict_adjoint(level, values, 1.0)
             self._update_adjoint(level, values, -1.0)
 
-    def analyse_adjoint(self, values: Any) -> None:
+    def analyse_adjoint(self, values: wp.array) -> None:
         """The transpose of :meth:`analyse`, in place."""
         self._run(self._analyse_adjoint, values)
 
-    def _analyse_adjoint(self, values: Any) -> None:
+    def _analyse_adjoint(self, values: wp.array) -> None:
         for level in self._levels:
             self._update_adjoint(level, values, 1.0)
             self._predict_adjoint(level, values, -1.0)
 
-    def truncate(self, coefficients: Any, resolution: int) -> None:
+    def truncate(self, coefficients: wp.array, resolution: int) -> None:
         """Clear the coefficients of levels j > ``resolution``, in place (Algorithm 1, lines 11 to 13).
 
         What is left is a function of the nodes K(resolution + 1); -1 leaves the solid's scaling functions alone.
@@ -159,11 +186,11 @@ class SphericalWavelets:
             count = self.hierarchy.node_count - first
             wp.launch(kernels.clear_from, dim=count, inputs=[first, coefficients], device=self.device)
 
-    def _on_copy(self, values: ArrayLike, transform: Any) -> NDArray[np.float64]:
+    def _on_copy(self, values: ArrayLike, transform: Callable[[wp.array], None]) -> NDArray[np.float64]:
         array = np.array(values, dtype=np.float64)
         if array.shape != (self.hierarchy.node_count,):
             raise OmtwarpError(f"expected one value per node, shape ({self.hierarchy.node_count},), got {array.shape}")
-        on_device: Any = wp.array(array, device=self.device)
+        on_device = wp.array(array, device=self.device)
         transform(on_device)
         return np.asarray(on_device.numpy())
 

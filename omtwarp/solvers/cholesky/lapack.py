@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ def routine(name: str) -> int:
 
 
 @lru_cache
-def _callable(name: str, arguments: int) -> Any:
+def _callable(name: str, arguments: int) -> Callable[..., None]:
     """A routine to be called from Python; other threads run meanwhile."""
     return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(routine(name))
 

@@ -8,8 +8,8 @@ independent fronts run on as many threads as there are cores.
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,7 +147,7 @@ class MultifrontalCholesky:
     def _upload(self) -> None:
         d = self.dissection
 
-        def keep(values: Any, dtype: type) -> wp.array:
+        def keep(values: wp.array, dtype: type) -> wp.array:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
         self._first, self._owned = keep(d.first, wp.int32), keep(d.owned, wp.int32)
@@ -211,7 +211,7 @@ class MultifrontalCholesky:
         if failed >= 0:
             raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
 
-    def _share(self, front: int, run: Any, workspace: NDArray[np.float64]) -> int:
+    def _share(self, front: int, run: Callable[..., int], workspace: NDArray[np.float64]) -> int:
         """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
         run(np.array([front], dtype=np.int32), eliminate=0)
         own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])

@@ -8,7 +8,6 @@ matrix (:mod:`omtwarp.device.graphs`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from omtwarp.device.graphs import Graph
 from omtwarp.device.start import wp
@@ -65,7 +64,7 @@ class MultigridSolver:
         self._cycle = VCycle(hierarchy.levels, device, block, coarse, damping)
         self.matrix = self._cycle.matrices[0]
         count = hierarchy.levels[0].size
-        self._ones: Any = wp.full(count, 1.0, dtype=wp.float64, device=device) if block == 1 else None
+        self._ones = wp.full(count, 1.0, dtype=wp.float64, device=device) if block == 1 else None
         self._x, self._residual, self._direction, self._image = (
             wp.empty(count * block, dtype=wp.float64, device=device) for _ in range(4)
         )

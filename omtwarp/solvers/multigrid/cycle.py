@@ -6,8 +6,6 @@ colours in reverse after it: the cycle is symmetric and positive definite, whate
 
 from __future__ import annotations
 
-from typing import Any
-
 from omtwarp.device.start import wp
 from omtwarp.solvers.multigrid import kernels
 from omtwarp.solvers.multigrid.levels import Level
@@ -32,9 +30,9 @@ class LevelMatrix:
 
     def __init__(self, level: Level, block: int, device: wp.Device):
         self.level, self.block, self.device = level, block, device
-        self.values: Any = wp.empty(level.pattern.entries * block**2, dtype=wp.float64, device=device)
-        self.inverse: Any = wp.empty(level.size * block**2, dtype=wp.float64, device=device)
-        self.prolongation: Any = None
+        self.values = wp.empty(level.pattern.entries * block**2, dtype=wp.float64, device=device)
+        self.inverse = wp.empty(level.size * block**2, dtype=wp.float64, device=device)
+        self.prolongation: wp.array | None = None
         self._rows = [level.pattern.offsets, level.pattern.columns, self.values]
 
     def fill(self, source: wp.array, diagonal: wp.array, off_diagonal: wp.array) -> None:
@@ -137,11 +135,11 @@ class VCycle:
             wp.launch(kernels.identity_blocks, dim=one.size, inputs=[coarse_block], outputs=[one], device=device)
             self._tentative.append(one)
         sizes = [matrix.level.size * matrix.block for matrix in self.matrices]
-        self._residual: list[Any] = [wp.empty(size, dtype=wp.float64, device=device) for size in sizes[:-1]]
+        self._residual: list[wp.array] = [wp.empty(size, dtype=wp.float64, device=device) for size in sizes[:-1]]
         # Of all levels but the first.
         self._right, self._x = ([wp.empty(n, dtype=wp.float64, device=device) for n in sizes[1:]] for _ in range(2))
         self._dense, self._other = (wp.zeros((sizes[-1], sizes[-1]), dtype=wp.float64, device=device) for _ in range(2))
-        self._scale: Any = wp.empty(sizes[-1], dtype=wp.float64, device=device)
+        self._scale = wp.empty(sizes[-1], dtype=wp.float64, device=device)
 
     def refresh(self, tentative: wp.array) -> None:
         """Make the coarse levels anew after the finest matrix has changed.

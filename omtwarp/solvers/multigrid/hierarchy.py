@@ -7,8 +7,6 @@ edges, see :mod:`omtwarp.solvers.multigrid.cycle`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
@@ -62,7 +60,7 @@ class MeshHierarchy:
         codes = np.concatenate([3 * vertices, 3 * numbers + 1, 3 * numbers + 2]) + 1
         coded = sparse.coo_matrix((codes, (rows, columns)), shape=(count, count)).tocsr()
         coded.sort_indices()
-        self.source: Any = on_device_indices(coded.data - 1, device)
+        self.source = on_device_indices(coded.data - 1, device)
         matrix = _pattern(coded)
         self.levels: list[Level] = []
         level = _first_half(matrix, device)

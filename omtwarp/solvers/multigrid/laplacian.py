@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -74,7 +72,7 @@ class DeviceLaplacian:
         self.surface, self.points, self._record = surface, points, record
         self._sum = DeviceSum(self.device, surface.vertex_count)
         self._total = wp.empty(1, dtype=wp.float64, device=self.device)
-        self._centred: Any = wp.empty(surface.vertex_count, dtype=wp.float64, device=self.device)
+        self._centred = wp.empty(surface.vertex_count, dtype=wp.float64, device=self.device)
         self._own_levels = False
         self._solver = self._solver_on(surface_hierarchy(surface, self.device))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -23,9 +22,9 @@ class Rows:
         entries: how many.
     """
 
-    offsets: Any
-    columns: Any
-    rows: Any
+    offsets: wp.array
+    columns: wp.array
+    rows: wp.array
     entries: int
 
     @classmethod
@@ -52,11 +51,11 @@ class Level:
 
     size: int
     pattern: Rows
-    diagonal: Any
-    colours: list[Any]
-    aggregates: Any = None
+    diagonal: wp.array
+    colours: list[wp.array]
+    aggregates: wp.array | None = None
     prolongation: Rows | None = None
-    restriction: tuple[Any, Any, Any] | None = None
+    restriction: tuple[wp.array, wp.array, wp.array] | None = None
     product: Rows | None = None
 
 
