@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.policy import solving_with
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.joined_maps import joined
@@ -19,7 +20,7 @@ from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
 from omtwarp.open_surfaces.planar import mend_in_plane, mend_on_sphere
-from omtwarp.options import Domain, FillArea, MapOptions, Progress, choose
+from omtwarp.options import Domain, FillArea, MapOptions, Progress, Solver, choose, parse_refinement
 from omtwarp.pipeline import map_double, map_to_sphere
 from omtwarp.result import MapResult
 from omtwarp.surface_map import SurfaceMap
@@ -28,7 +29,8 @@ from omtwarp.topology.doubling import double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
 from omtwarp.topology.handles import cut_handles
 from omtwarp.topology.kind import Part, described, options_for, parts_of
-from omtwarp.torus.torus_map import TorusMap, map_to_torus
+from omtwarp.torus.mapping import map_to_torus
+from omtwarp.torus.torus_map import TorusMap
 
 # Of the surface's area, all fillings together, where they are to be small. With a tenth of that, triangles on both
 # sides of the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.
@@ -94,13 +96,9 @@ def map_surface(
         return map_to_sphere(mesh, progress=progress, **options)
     if options.pop("target", None) is not None:
         raise OmtwarpError("a target density is for closed, connected surfaces of genus 0")
-    weights = options.pop("weights", None)
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
-        if options.pop("exact", False):
-            raise OmtwarpError("exact areas are for the sphere: not for the torus")
-        if weights is not None:
-            raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
-        return map_to_torus(Surface(parts[0].vertices, parts[0].faces), progress=progress)
+        return _on_torus(parts[0], progress, options)
+    weights = options.pop("weights", None)
     shares = None if weights is None else face_weights(weights, np.asarray(faces), len(vertices))
     if domain == Domain.TORUS:
         raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
@@ -115,6 +113,28 @@ def map_surface(
         if not each.certificate.bijective:
             raise OmtwarpError(f"no map to the {each.domain} that is one to one was found: {each.certificate}")
     return maps[0] if len(maps) == 1 else joined(maps, len(vertices))
+
+
+def _on_torus(part: Part, progress: Progress | None, options: dict[str, Any]) -> TorusMap:
+    """The map to a flat torus.
+
+    Raises:
+        OmtwarpError: options that only maps to the sphere have.
+    """
+    if options.get("weights") is not None:
+        raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
+    standard = MapOptions()
+    for name in ("method", "until", "cost", "scheme"):
+        if options.get(name, getattr(standard, name)) != getattr(standard, name):
+            raise OmtwarpError(f"'{name}' is an option of maps to the sphere: a map to a torus has none")
+    with solving_with(choose(Solver, options.get("solver", standard.solver))):
+        return map_to_torus(
+            Surface(part.vertices, part.faces),
+            refine=parse_refinement(options.get("refine")),
+            exact=bool(options.get("exact", False)),
+            optimality=bool(options.get("optimality", True)),
+            progress=progress,
+        )
 
 
 def _arrays(mesh: Any) -> tuple[Any, Any]:

@@ -23,7 +23,7 @@ from scipy.sparse import csgraph
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.solvers.cholesky import dissect
+from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
 from omtwarp.topology.handles import cut_handles
 from omtwarp.torus.intrinsic import WeightedEdges, delaunay_edges
@@ -33,6 +33,7 @@ Floats = NDArray[np.float64]
 # Coordinates are whole multiples of 2^-40, so that adding whole numbers to them is exact.
 QUANTUM = 2.0**-40
 LEAST_WEIGHT, MOST_WEIGHT = 0.05, 20.0  # of edges of the mesh itself, so that slivers neither let go nor clamp
+STIFFER = (0.0, 1e-14, 1e-12, 1e-10)  # what the diagonal grows by where rounding leaves a pivot of the wrong sign
 RELAXATIONS = 60  # of weights towards equal areas
 RELAXATION = 0.8  # what of a vertex's wrong area, as a logarithm, its weights change by in a step
 EVEN_AREAS = 0.02  # logarithms of areas around vertices, rms: near enough to begin with
@@ -163,11 +164,16 @@ def _solved(factor: MeshFactor, ends: NDArray[np.int64], weights: Floats, steps:
     diagonal: Floats = (np.bincount(i, weights, count) + np.bincount(j, weights, count)).astype(np.float64)
     flow = weights[:, None] * steps
     right = np.stack([np.bincount(i, flow[:, k], count) - np.bincount(j, flow[:, k], count) for k in (0, 1)], axis=1)
-    held = diagonal.copy()
-    held[0] *= 2.0  # one vertex is tied to its place; what pulls at all of them adds up to nothing
-    factor.factorise(held, -weights)
-    values = factor.solve(right)
-    return values - values[0]
+    for stiffer in STIFFER:
+        held = diagonal * (1.0 + stiffer) + stiffer * diagonal.mean()
+        held[0] *= 2.0  # one vertex is tied to its place; what pulls at all of them adds up to nothing
+        try:
+            factor.factorise(held, -weights)
+        except NotPositiveDefinite:
+            continue
+        values = factor.solve(right)
+        return values - values[0]
+    raise OmtwarpError("triangles of the surface are too thin for a map to the torus: use evenly shaped ones")
 
 
 def _reduced(values: Floats, jumps: NDArray[np.int64], lattice: Floats) -> FlatTorus:

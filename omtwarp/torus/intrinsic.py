@@ -19,6 +19,7 @@ from omtwarp.device.start import wp
 from omtwarp.mesh.surface import Surface
 from omtwarp.torus.intrinsic_kernels import flip_to_delaunay
 
+LEAST, MOST = 1e-9, 1e6  # of cotangents; those of triangles without area are not finite
 FLIPS_PER_EDGE = 50  # most flips; scans need 0.1 to 1 an edge
 
 
@@ -75,7 +76,7 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
     cotangents = _opposite_cotangents(long, long[after], long[after[after]])
     return WeightedEdges(
         ends=np.stack([own[first], own[twins[first]]], axis=1).astype(np.int64),
-        weights=0.5 * np.maximum(cotangents[first] + cotangents[twins[first]], 0.0),
+        weights=0.5 * np.clip(cotangents[first] + cotangents[twins[first]], LEAST, MOST),
         steps=steps.numpy()[first].astype(np.int64),
         flips=int(flips.numpy()[0]),
     )

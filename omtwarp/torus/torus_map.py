@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,13 +18,11 @@ from omtwarp.files import staged
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.texturing.image import as_bytes, read_image
 from omtwarp.texturing.textured import unit_normals, vertex_normals
-from omtwarp.torus.harmonic import QUANTUM, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.pictures import TexturedTorus, ring_torus, textured_torus, torus_pattern
-from omtwarp.torus.transport import transport_on_torus
 
 if TYPE_CHECKING:
     import trimesh
@@ -244,69 +241,10 @@ _LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
 }
 
 
-def map_to_torus(surface: Surface, *, progress: Any = None) -> TorusMap:
-    """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
-
-    Args:
-        surface: closed, connected, of genus 1.
-        progress: called as ``progress(stage, done, total, details)``.
-
-    Raises:
-        OmtwarpError: the mesh is too coarse, or no map without flips was found.
-    """
-    if progress is not None:
-        progress("conformal", 0, 1, {})
-    clock = time.perf_counter()
-    conformal = conformal_torus(surface)
-    start = embedded_torus(surface, conformal)
-    seconds = [time.perf_counter() - clock]
-
-    def notify(done: int, total: int, details: dict[str, Any]) -> None:
-        if progress is not None:
-            progress("omt", done, total, details)
-
-    moved = transport_on_torus(surface, conformal, start, progress=notify)
-    seconds.append(time.perf_counter() - clock - seconds[0])
-    coordinates = quantised(moved.points @ np.linalg.inv(conformal.lattice))
-    area = float(triangle_areas(surface.vertices, surface.faces).sum())
-    result = TorusMap(
-        vertices=surface.vertices,
-        faces=surface.faces,
-        coordinates=coordinates,
-        wraps=conformal.wraps,
-        lattice=conformal.lattice * np.sqrt(area / SPHERE_AREA),
-        conformal=conformal.coordinates,
-        history=moved.history,
-    )
-    last = moved.history[-1]
-    found = {"iterations": len(moved.history) - 1, "converged": moved.converged, "ended": moved.ended}
-    found |= {
-        "transport_cost": last["cost"],
-        "area_error": last["ring_rms"],
-        "largest_ring_error": last["ring_largest"],
-    }
-    result.report.update(
-        {
-            "domain": "torus",
-            "mesh": {"vertices": surface.vertex_count, "faces": surface.face_count},
-            "quantum": QUANTUM,
-            "seconds": sum(seconds),
-            "stages": [
-                {"name": "conformal", "seconds": seconds[0]} | result.distortion("conformal").to_dict(),
-                {"name": "omt", "seconds": seconds[1]} | found | result.distortion().to_dict(),
-            ],
-            "certificate": result.certificate.to_dict(),
-        }
-    )
-    if not result.bijective:
-        raise OmtwarpError(f"the map to the torus is not one to one: {result.certificate}")
-    return result
-
-
 def _areas(corner: Floats) -> Floats:
     """Signed areas of plane triangles, shape [F], from corners [F, 3, 2]."""
     one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
 
 
-__all__ = ["TorusCertificate", "TorusMap", "map_to_torus"]
+__all__ = ["TorusCertificate", "TorusMap"]

@@ -17,6 +17,14 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.refinement import (
+    LEAST_WEIGHT,
+    MATCH_TOLERANCE,
+    MATCH_TRIALS,
+    MOST_WEIGHT,
+    TRIANGLE_WEIGHT,
+    refinement_weight,
+)
 from omtwarp.optimal.solver import (
     DAMPING_DECAY,
     DAMPING_GROWTH,
@@ -30,7 +38,9 @@ from omtwarp.optimal.solver import (
     SHAPE_WEIGHT,
     STIFFER,
 )
+from omtwarp.options import AreaMatch, parse_refinement
 from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.torus.cells import TorusCellEnergy
 from omtwarp.torus.energy import PlaneTerms, TorusEnergy
 from omtwarp.torus.harmonic import FlatTorus
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
@@ -48,8 +58,11 @@ HALVINGS_OLD = 1  # of a step with an older matrix
 HOLDS = 30  # halvings of the shares of single vertices
 LEAST_AREA = 0.1  # of a triangle's area, that a step has to leave
 MOST_HELD = 0.002  # of the vertices: with so few held back the matrix still serves
-RESTORATIONS = 10  # steps that make areas right after a minimum was found
+RESTORATIONS, EXACT_RESTORATIONS = 10, 30  # most steps that make areas right after a minimum was found
 STIFFNESS = 1e7  # of the areas beside cost and shape there, which only choose among the steps
+REFINED = 1e-4  # what a step of a refinement is expected to gain at least
+REFINEMENTS = 100  # its most steps
+NO_PENALTY = 1e-9  # in place of none: the matrix keeps its form
 EXACT = 1e-6  # largest relative error of the areas, with which they count as right
 
 
@@ -66,6 +79,7 @@ class TorusTransport:
             (vertices held back).
         converged: whether gain and areas reached their tolerances.
         ended: how it ended, in words.
+        shape_weight: weight of the triangles' distortion.
     """
 
     points: Floats
@@ -73,6 +87,7 @@ class TorusTransport:
     history: list[dict[str, Any]]
     converged: bool
     ended: str
+    shape_weight: float
 
 
 def transport_on_torus(
@@ -106,10 +121,72 @@ def transport_on_torus(
         shape_weight = min(SHAPE_WEIGHT, SHAPE_BY_DISTANCE * float(np.sqrt(masses @ ((y - x) ** 2).sum(axis=1))))
     energy = TorusEnergy(surface, torus, x, max(shape_weight, LEAST_SHAPE_WEIGHT))
     found = minimise(energy, y, gain=GAIN, iterations=iterations, progress=progress)
-    points, terms = restore_areas(energy, found.points)
+    return _with_right_areas(energy, found, RESTORATIONS)
+
+
+def exact_on_torus(energy: TorusCellEnergy, points: Floats, *, progress: Any = None) -> TorusTransport:
+    """Find the optimal map of a quartered surface, in which every triangle of the mesh keeps its area.
+
+    Args:
+        energy: of the quartered surface.
+        points: a map without flips to begin with, shape [V, 2].
+        progress: called as ``progress(done, most, record)``.
+    """
+    found = minimise(energy, points, gain=GAIN, progress=progress)
+    found = _with_right_areas(energy, found, EXACT_RESTORATIONS)
+    if found.history[-1]["ring_largest"] <= EXACT:
+        return found
+    return replace(found, converged=False, ended=f"{found.ended}; areas are not right to {EXACT:g}")
+
+
+def refine_on_torus(
+    surface: Surface, torus: FlatTorus, points: Floats, weight: AreaMatch | str | float, *, progress: Any = None
+) -> tuple[TorusTransport, float]:
+    """Move a map to a minimum of angle plus λ times area distortion: see :mod:`omtwarp.optimal.refinement`.
+
+    Args:
+        surface: of genus 1.
+        torus: the conformal map, whose distances are shown.
+        points: a map without flips, shape [V, 2].
+        weight: λ, a name of one, or an area distortion to match.
+        progress: called as ``progress(done, most, record)``.
+
+    Returns:
+        The minimum, and λ.
+    """
+
+    def run(at: Floats, value: float) -> TorusTransport:
+        start = torus.coordinates @ torus.lattice
+        energy = TorusEnergy(surface, torus, start, 1.0, cost_weight=0.0, area_weight=min(value, TRIANGLE_WEIGHT))
+        penalty = 2.0 * max(value - TRIANGLE_WEIGHT, NO_PENALTY)
+        return minimise(energy, at, gain=REFINED, iterations=REFINEMENTS, penalty=penalty, progress=progress)
+
+    parsed = parse_refinement(weight)
+    if not isinstance(parsed, AreaMatch):
+        value = refinement_weight(weight)
+        return run(points, value), value
+    low, high = np.log(LEAST_WEIGHT), np.log(MOST_WEIGHT)
+    best, used = run(points, MOST_WEIGHT), MOST_WEIGHT
+    found = best
+    for _ in range(MATCH_TRIALS):
+        if best.history[-1]["area"] >= parsed.area - MATCH_TOLERANCE:
+            break
+        middle = 0.5 * (low + high)
+        found = run(found.points, float(np.exp(middle)))
+        if found.history[-1]["area"] <= parsed.area:
+            best, used, high = found, float(np.exp(middle)), middle
+        else:
+            low = middle
+    return best, used
+
+
+def _with_right_areas(energy: TorusEnergy, found: TorusTransport, rounds: int) -> TorusTransport:
+    """A minimum with its areas made right, as one more record of its history."""
+    points, terms = restore_areas(energy, found.points, rounds)
     rms, largest = energy.area_errors(terms)
     last = found.history[-1] | {"cost": energy.cost(terms), "ring_rms": rms, "ring_largest": largest}
-    return replace(found, points=points, history=[*found.history, last | {"area": terms.area, "angle": terms.angle}])
+    last |= {"area": terms.area, "angle": terms.angle}
+    return replace(found, points=points, history=[*found.history, last])
 
 
 @blas_threads(1)
@@ -198,7 +275,7 @@ class _Newton:
                 change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
                 self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
             renew = bool(length < 1.0 or held > MOST_HELD * len(points) or gained < 0.3 * length * decrement)
-        return TorusTransport(points, self.multipliers, history, converged, ended)
+        return TorusTransport(points, self.multipliers, history, converged, ended, self.energy.shape_weight)
 
     def _reached(self, terms: PlaneTerms, decrement: float) -> bool:
         if not self.constrained:
@@ -323,4 +400,4 @@ def _held_back(
     return None
 
 
-__all__ = ["TorusTransport", "minimise", "restore_areas", "transport_on_torus"]
+__all__ = ["TorusTransport", "exact_on_torus", "minimise", "refine_on_torus", "restore_areas", "transport_on_torus"]

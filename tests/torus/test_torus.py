@@ -10,6 +10,8 @@ import omtwarp
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
+from omtwarp.torus.intrinsic import delaunay_edges
+from omtwarp.torus.optimality import torus_optimality
 from omtwarp.torus.pictures import ring_torus as on_ring_torus
 from omtwarp.torus.pictures import torus_pattern
 from omtwarp.torus.transport import transport_on_torus
@@ -147,3 +149,80 @@ def test_ring_torus_keeps_areas_in_proportion_and_faces_outwards():
     volume = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() / 6.0
     share = 2.0 / np.linalg.norm(lattice[1])
     assert volume == pytest.approx(2.0 * np.pi**2 * share**2, rel=0.01)
+
+
+def test_ring_torus_goes_to_its_closed_form():
+    """Areas of a ring torus depend on the tube's angle alone: it goes to where as much area lies before it."""
+    columns, rows = 48, 32
+    result = omtwarp.map_surface(ring_torus(2.0, columns, rows))
+    tilt = 2.0 * np.pi * np.tile(np.arange(rows) / rows, columns)
+    goal = (tilt + 0.5 * np.sin(tilt)) / (2.0 * np.pi)
+    found = result.coordinates[:, 0]  # the ring is longer than the tube
+    spread = [np.abs(np.exp(2.0j * np.pi * (sign * found - goal)).mean()) for sign in (1.0, -1.0)]
+    assert max(spread) > 1.0 - 2e-4
+    assert result.report["optimality"]["gap"] < 1e-3 and result.report["optimality"]["relative_curl"] < 0.02
+    assert result.report["optimality"]["wrapped"] == 0
+
+
+def test_map_does_not_depend_on_the_loops_that_it_starts_from():
+    """Another numbering gives other loops, and the same triangles up to a motion of the torus."""
+    surface = shapes.rings(1, cell=0.3)
+    order = np.random.default_rng(4).permutation(len(surface.vertices))
+    place = np.argsort(order)
+    again = omtwarp.map_surface((surface.vertices[order], place[surface.faces]))
+    first = omtwarp.map_surface(surface)
+    lengths = []
+    for result in (first, again):
+        corner = result.corners @ result.lattice
+        lengths.append(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2))
+    assert np.abs(lengths[0] - lengths[1]).max() < 5e-3 * lengths[0].mean()
+
+
+def test_bound_sees_a_map_that_is_not_optimal():
+    """A shear keeps areas; its curl is a half of its displacement, and the bound lies far below its cost."""
+    columns, rows = 24, 24
+    places, faces, wraps = grid_torus(columns, rows)
+    side = np.sqrt(SPHERE_AREA)
+    surface = Surface(ring_torus(3.0, columns, rows).vertices, faces, np.ones(len(faces)))
+    x = places * side
+    sheared = x + 0.2 * np.stack([np.sin(2.0 * np.pi * places[:, 1]), np.zeros(len(x))], axis=1)
+    measured = torus_optimality(surface, x, sheared, wraps * side, side * np.eye(2))
+    assert measured.cost == pytest.approx(SPHERE_AREA * 0.02) and measured.lower_bound < 0.1 * measured.cost
+    assert measured.relative_curl > 0.99
+    moved = x + 0.2 * np.stack([np.sin(2.0 * np.pi * places[:, 0]), np.zeros(len(x))], axis=1)
+    gradient = torus_optimality(surface, x, moved, wraps * side, side * np.eye(2))
+    assert gradient.gap < 1e-2 and gradient.relative_curl < 1e-3
+
+
+def test_exact_and_refined_maps():
+    surface = shapes.rings(1, cell=0.35)
+    plain = omtwarp.map_surface(surface)
+    exact = omtwarp.map_surface(surface, exact=True)
+    assert exact.bijective and len(exact.faces) == 4 * surface.face_count
+    corner = exact.corners @ exact.lattice
+    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    own = triangle_areas(surface.vertices, surface.faces)
+    assert np.abs(np.bincount(exact.face_origin, areas) / own - 1.0).max() < 2e-6
+    refined = omtwarp.map_surface(surface, refine="balanced")
+    assert refined.bijective
+    assert refined.distortion().angle["surface"] < plain.distortion().angle["surface"]
+    matched = omtwarp.map_surface(surface, refine="match:2.05")
+    assert matched.distortion().area["surface"] == pytest.approx(2.05, abs=5e-3)
+    with pytest.raises(omtwarp.OmtwarpError, match="exclude"):
+        omtwarp.map_surface(surface, exact=True, refine="area")
+    with pytest.raises(omtwarp.OmtwarpError, match="has none"):
+        omtwarp.map_surface(surface, until="conformal")
+
+
+def test_intrinsic_delaunay_weights_of_a_twisted_grid():
+    """Edges are flipped until no weight is negative, and their steps say where they lead to."""
+    places, faces, wraps = grid_torus(20, 12)
+    turn, tilt = 2.0 * np.pi * places[:, 0], 2.0 * np.pi * (places[:, 1] + 3.0 * places[:, 0])
+    reach = 2.0 + np.cos(tilt)
+    surface = Surface(np.stack([reach * np.cos(turn), reach * np.sin(turn), np.sin(tilt)], axis=1), faces)
+    edges = delaunay_edges(surface, wraps)
+    assert len(edges.ends) == len(surface.edges) and edges.flips > 0 and edges.weights.min() > 0.0
+    along = places[edges.ends[:, 1]] - places[edges.ends[:, 0]] + edges.steps
+    # Without the twist, edges are short: none leads around the tube or the ring.
+    assert np.abs(along[:, 0]).max() < 0.2 and np.abs(along[:, 1] + 3.0 * along[:, 0]).max() < 0.3

@@ -1,0 +1,169 @@
+"""The stages of a map to a flat torus: conformal, optimal, then exact areas or refinement where they are asked for."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.quarter import quarter
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.options import AreaMatch
+from omtwarp.torus.cells import TorusCellEnergy, quartered_torus
+from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
+from omtwarp.torus.optimality import torus_optimality
+from omtwarp.torus.torus_map import TorusMap
+from omtwarp.torus.transport import TorusTransport, exact_on_torus, refine_on_torus, transport_on_torus
+
+Floats = NDArray[np.float64]
+
+
+def map_to_torus(
+    surface: Surface,
+    *,
+    refine: AreaMatch | str | float | None = None,
+    exact: bool = False,
+    optimality: bool = True,
+    progress: Any = None,
+) -> TorusMap:
+    """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
+
+    Args:
+        surface: closed, connected, of genus 1.
+        refine: a refinement as of :func:`omtwarp.refine_map`, less distortion of shape at more cost.
+        exact: keep the area of every triangle to 1e-6, by the map of the mesh with its triangles cut into four.
+        optimality: whether the distance from the optimum is measured.
+        progress: called as ``progress(stage, done, total, details)``.
+
+    Raises:
+        OmtwarpError: the mesh is too coarse, no map without flips was found, or both exact areas and a refinement.
+    """
+    if exact and refine is not None:
+        raise OmtwarpError("exact areas and refinement exclude each other: leave one out")
+    run = _Run(surface, progress)
+    run.optimal(optimality)
+    if exact:
+        run.keep_every_area()
+    if refine is not None:
+        run.refine(refine)
+    return run.result()
+
+
+class _Run:
+    """The maps of one surface, stage by stage."""
+
+    def __init__(self, surface: Surface, progress: Any):
+        self.surface, self.progress = surface, progress
+        self.clock = self.begin = time.perf_counter()
+        self.origins: dict[str, Any] = {}
+        self.history: list[dict[str, Any]] = []
+        self.stages: list[dict[str, Any]] = []
+        self.measured: dict[str, Any] | None = None
+        self.notify("conformal")(0, 1, {})
+        self.conformal = conformal_torus(surface)
+        self.torus = embedded_torus(surface, self.conformal)
+        self.finish("conformal", {}, self.conformal)
+
+    def notify(self, stage: str) -> Any:
+        """What tells of the progress of a stage."""
+
+        def tell(done: int, total: int, details: dict[str, Any]) -> None:
+            if self.progress is not None:
+                self.progress(stage, done, total, details)
+
+        return tell
+
+    def optimal(self, measure: bool) -> None:
+        """The discrete optimal map."""
+        found = transport_on_torus(self.surface, self.conformal, self.torus, progress=self.notify("omt"))
+        self.take("omt", found, largest_ring_error=found.history[-1]["ring_largest"])
+        if measure:
+            lattice = self.conformal.lattice
+            x, shift = self.conformal.coordinates @ lattice, self.conformal.wraps @ lattice
+            self.measured = torus_optimality(self.surface, x, found.points, shift, lattice).to_dict()
+
+    def keep_every_area(self) -> None:
+        """The optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
+        quartered = quarter(self.surface)
+        maps = self.conformal.coordinates, self.torus.coordinates
+        wraps, (x, y) = quartered_torus(quartered, self.surface.faces, self.conformal.wraps, *maps)
+        lattice = self.conformal.lattice
+        self.surface = quartered.surface
+        self.origins = {
+            "vertex_origin": quartered.vertex_origin,
+            "face_origin": quartered.parents.astype(np.int64),
+        }
+        self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
+        weight = float(self.stages[-1]["shape_weight"])
+        energy = TorusCellEnergy(quartered, self.conformal, x @ lattice, weight)
+        found = exact_on_torus(energy, y @ lattice, progress=self.notify("exact"))
+        self.measured = None  # that was of the map before
+        self.take("exact", found, largest_area_error=found.history[-1]["ring_largest"])
+
+    def refine(self, weight: AreaMatch | str | float) -> None:
+        """Less distortion of shape, at more cost."""
+        points = self.torus.coordinates @ self.torus.lattice
+        found, used = refine_on_torus(self.surface, self.conformal, points, weight, progress=self.notify("refine"))
+        self.measured = None
+        self.take("refine", found, weight=used)
+
+    def take(self, name: str, found: TorusTransport, **details: Any) -> None:
+        """Go on with a map that was found."""
+        known = len(self.history)
+        self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
+        lattice = self.conformal.lattice
+        self.torus = FlatTorus(quantised(found.points @ np.linalg.inv(lattice)), self.conformal.wraps, lattice)
+        last = found.history[-1]
+        details |= {"iterations": len(found.history) - 1, "converged": found.converged, "ended": found.ended}
+        details |= {"transport_cost": last["cost"], "area_error": last["ring_rms"], "shape_weight": found.shape_weight}
+        self.finish(name, details, self.torus)
+
+    def finish(self, name: str, details: dict[str, Any], torus: FlatTorus) -> None:
+        """Record a stage."""
+        now = time.perf_counter()
+        shown = self.made(torus).distortion().to_dict()
+        self.stages.append({"name": name, "seconds": now - self.clock} | details | shown)
+        self.clock = now
+
+    def made(self, torus: FlatTorus) -> TorusMap:
+        """A result with these coordinates."""
+        surface = self.surface
+        area = float(triangle_areas(surface.vertices, surface.faces).sum())
+        return TorusMap(
+            vertices=surface.vertices,
+            faces=surface.faces,
+            coordinates=torus.coordinates,
+            wraps=torus.wraps,
+            lattice=torus.lattice * np.sqrt(area / SPHERE_AREA),
+            conformal=self.conformal.coordinates,
+            history=self.history,
+            **self.origins,
+        )
+
+    def result(self) -> TorusMap:
+        """The finished map.
+
+        Raises:
+            OmtwarpError: it is not one to one.
+        """
+        result = self.made(self.torus)
+        if not result.bijective:
+            raise OmtwarpError(f"the map to the torus is not one to one: {result.certificate}")
+        result.report.update(
+            {
+                "domain": "torus",
+                "mesh": {"vertices": self.surface.vertex_count, "faces": self.surface.face_count},
+                "quantum": QUANTUM,
+                "seconds": time.perf_counter() - self.begin,
+                "stages": self.stages,
+                "certificate": result.certificate.to_dict(),
+            }
+            | ({} if self.measured is None else {"optimality": self.measured})
+        )
+        return result
+
+
+__all__ = ["map_to_torus"]
