@@ -27,6 +27,8 @@ GL = ROOT / ".gl"
 PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 GL_LIBRARIES = ("libEGL.so.1", "libGL.so.1")
 GL_PACKAGES = ("libegl1", "libgl1")
+NODE = ROOT / ".node"
+READERS = {"gltf-validator": "2.0.0-dev.3.10", "three": "0.187.0"}  # packages of node that tests read GLB with
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 EXTRAS = {"test": "test"}  # of every other command: preview
 
@@ -54,6 +56,7 @@ def main(arguments: list[str]) -> int:
     environment.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
     if command == "test":
         browser()
+        node_packages()
         return test(options, environment)
     return run(["-m", "omtwarp", command, *options], environment)
 
@@ -147,6 +150,16 @@ def browser() -> None:
     if not any(map(shutil.which, BROWSERS)) and sys.platform.startswith("linux") and shutil.which("apt-get"):
         say("installing a browser (chromium) for the tests of report pages")
         apt_install([BROWSERS[0]], "chromium: the tests that need a browser are skipped")
+
+
+def node_packages() -> None:
+    """See to the readers of glTF for the tests, where npm is there; without them those tests are skipped."""
+    if not shutil.which("npm") or all((NODE / "node_modules" / name).is_dir() for name in READERS):
+        return
+    say("installing gltf-validator and three.js for the tests of GLB files")
+    wanted = [f"{name}@{version}" for name, version in READERS.items()]
+    if quiet(["npm", "install", "--no-save", "--no-audit", "--no-fund", "--prefix", NODE, *wanted]).returncode != 0:
+        say("no packages of node: the tests that read GLB with them are skipped")
 
 
 def have_opengl() -> bool:

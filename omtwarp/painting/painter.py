@@ -22,6 +22,7 @@ from omtwarp.texturing.baking import Layout, bake_to_uv
 from omtwarp.texturing.image import as_bytes, as_floats, read_image
 from omtwarp.texturing.patterns import PATTERNS, Pattern
 from omtwarp.texturing.projection import rotation_matrix
+from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
 from omtwarp.texturing.textured import SphereMap, texture, vertex_normals
 
 if TYPE_CHECKING:
@@ -35,6 +36,9 @@ OPACITY = 0.5
 
 OVERLAP = 0.002
 """Part of the covered texels in more than one triangle above which a warning says so; rounding gives less."""
+
+MOST_DIVIDED = 400_000
+"""Triangles up to which a mesh is divided for smooth lines; those of larger meshes are small on the picture."""
 
 NEUTRAL = (0.8, 0.8, 0.8, 1.0)
 
@@ -195,6 +199,8 @@ class _Job:
             raise OmtwarpError(f"rotate '{rotate}': give degrees or a matrix for own texture coordinates")
         turn = rotation_matrix(rotate)
         tangents = self._tangents(mesh)
+        parts = next((n for n in (4, 2) if n * n * len(self.faces) <= MOST_DIVIDED), 1)
+        smooth = smooth_map(self.vertices, self.faces, self.sphere, parts)
         materials = []
         doubled = 0.0
         for number, material in enumerate(mesh.materials):
@@ -205,9 +211,10 @@ class _Job:
             extent = _extent(material, size)
             layers = None
             if source is not None:
+                faces, finer = _divided(smooth, which[mine], tiled[mine])
                 baked = bake_to_uv(
-                    source, self.sphere, self.faces[which[mine]], tiled[mine], size=extent, rotation=turn,
-                    projection=projection, padding=PADDING, device=self.where,
+                    source, smooth.sphere, faces, finer, size=extent, rotation=turn, projection=projection,
+                    padding=PADDING, device=self.where,
                 )  # fmt: skip
                 layers = _with_opacity(baked)
             doubled = max(doubled, overlap(tiled[mine], *extent, self.where))
@@ -377,6 +384,24 @@ def _resized(picture: Bytes, size: tuple[int, int]) -> NDArray[np.float32]:
     if picture.shape[1::-1] != size:
         picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
     return _with_opacity(as_floats(read_image(picture)))
+
+
+def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Floats]:
+    """The parts of triangles that a smooth map divides, as vertices of that map, and their coordinates.
+
+    Args:
+        smooth: the divided map.
+        which: numbers of the triangles, shape [T].
+        uv: coordinates of their corners, shape [T, 3, 2].
+
+    Returns:
+        Shapes [T n², 3] and [T n², 3, 2]: the picture of a triangle is divided as the triangle is.
+    """
+    points = grid_points(smooth.parts)
+    share = np.column_stack([smooth.parts - points.sum(axis=1), points]) / smooth.parts
+    corners = share[grid_triangles(smooth.parts)]
+    faces = smooth.faces.reshape(-1, len(corners), 3)[which]
+    return faces.reshape(-1, 3), np.einsum("pkc,tcj->tpkj", corners, uv).reshape(-1, 3, 2)
 
 
 def _weights(points: Floats, corners: Floats) -> Floats:

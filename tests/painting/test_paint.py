@@ -15,7 +15,7 @@ from omtwarp.painting import paint, unwrap_uv
 from omtwarp.painting.bakes import area_ratio, mean_curvature
 from omtwarp.painting.texels import over, tiled_copies
 from omtwarp.texturing.patterns import Checker
-from omtwarp.texturing.textured import vertex_normals
+from omtwarp.texturing.textured import texture, vertex_normals
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "materials"))
 from two_materials import RED, two_halves
@@ -65,6 +65,27 @@ def test_a_pattern_in_own_coordinates_is_where_the_map_says(halves):
     assert wrong.mean() < 0.06, "only next to the borders of fields, which are a texel wide"
     assert [m.name for m in made.materials] == ["red", "blue"] and np.array_equal(made.uv, mesh.uv)
     assert made.materials[0].picture.shape == (512, 512, 3) and made.materials[1].picture.shape == (256, 512, 3)
+
+
+def test_lines_in_own_coordinates_are_as_smooth_as_on_an_atlas():
+    """On a coarse mesh both follow the smooth map; places linear in triangles would be elsewhere."""
+    surface = omtwarp.shapes.blob(seed=3, sphere=320)
+    result = omtwarp.map_to_sphere(surface, until="moser", device="cpu")
+    arrays = (result.vertices, result.faces, result.sphere)
+    checker = Checker(16, 8)
+    own = paint(arrays, unwrap_uv(arrays), pattern=checker, size=1024)
+    atlas = texture(arrays, pattern=checker, size=1536)
+    rng = np.random.default_rng(0)
+    chosen = rng.integers(len(atlas.faces), size=4000)
+    weights = rng.dirichlet((2, 2, 2), len(chosen))
+    on_atlas = looked_up(atlas.image, np.einsum("fk,fkj->fj", weights, atlas.uv[atlas.faces[chosen]]))
+    points = np.einsum("fk,fkj->fj", weights, atlas.vertices[atlas.faces[chosen]])
+    face = atlas.source_face[chosen]
+    share = trimesh.triangles.points_to_barycentric(result.vertices[result.faces[face]], points)
+    on_own = looked_up(own.materials[0].picture, np.einsum("fk,fkj->fj", share, own.uv[face]))
+    linear = 255 * checker(np.einsum("fk,fkj->fj", share, result.sphere[result.faces[face]]))
+    apart = [(np.abs(one - on_atlas).max(axis=1) > 60).mean() for one in (on_own, linear)]
+    assert apart[0] < 0.03 and apart[1] > 2 * apart[0]
 
 
 def test_tiled_copies_cover_what_they_repeat():
