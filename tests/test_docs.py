@@ -191,10 +191,32 @@ def dead_links(site: Path) -> list[str]:
     return dead
 
 
+def wider_than_a_phone(site: Path, profile: Path, width: int = 400) -> list[str]:
+    """Pages written by hand that have to be moved sideways on a screen of that many pixels."""
+    from reporting import browser  # not on Windows
+
+    if browser.PROGRAM is None:
+        return []
+    shown = browser.Browser(profile)
+    try:
+        shown.ask("Emulation.setDeviceMetricsOverride", width=width, height=2 * width, deviceScaleFactor=1, mobile=True)
+        wide = []
+        for page in sorted((ROOT / "docs").glob("*.md")):
+            file = site / f"{page.stem}.html"
+            if file.is_file():
+                shown.ask("Page.navigate", url=file.as_uri())
+                shown.wait_for(f"location.href === {file.as_uri()!r} && document.readyState === 'complete'")
+                if shown.run("document.documentElement.scrollWidth") > width:
+                    wide.append(page.name)
+        return wide
+    finally:
+        shown.close()
+
+
 @pytest.mark.slow
 def test_site_builds_without_a_warning(tmp_path):
     """All but the gallery's pictures, which tests/test_examples.py runs."""
-    for module in ("sphinx", "sphinx_gallery", "myst_parser", "furo", "latex2mathml"):
+    for module in ("sphinx", "sphinx_gallery", "myst_nb", "furo", "latex2mathml"):
         pytest.importorskip(module)
     source = tmp_path / "docs"
     ignored = shutil.ignore_patterns("_build", "gallery", "generated", "__pycache__")
@@ -214,6 +236,10 @@ def test_site_builds_without_a_warning(tmp_path):
     for page in (tmp_path / "html").rglob("*.html"):
         fetched = re.findall(r'<(?:script|link|img|iframe)[^>]+(?:src|href)="(https?:[^"]+)"', page.read_text("utf-8"))
         assert not fetched, f"{page.name} fetches {fetched[0]}"
+    notebook = (tmp_path / "html" / "notebooks.html").read_text("utf-8")
+    assert "srcdoc=" in notebook and "MapResult(" in notebook and "data:image/" in notebook  # its cells were run
+    if sys.platform != "win32":
+        assert wider_than_a_phone(tmp_path / "html", tmp_path / "profile") == []
 
 
 def test_modules_named_with_the_package_need_no_import_of_their_own():

@@ -21,7 +21,8 @@ LEFT, RIGHT, TOP, BOTTOM = 64, 16, 34, 52
 # Distortion is at least 2: the axes show how far it is above, on a logarithmic scale.
 AREA, ANGLE = (1e-4, 1.0), (1e-2, 10.0)
 STYLE = (
-    ".comparison-plot{width:100%;height:auto;font-family:sans-serif;font-size:13px}"
+    ".comparison-plot-frame{overflow-x:auto}"
+    ".comparison-plot{width:100%;min-width:560px;height:auto;font-family:sans-serif;font-size:13px}"
     ".comparison-plot text{fill:var(--color-foreground-primary)}"
     ".comparison-plot .grid{stroke:var(--color-background-border)}"
     ".comparison-plot .other{fill:none;stroke:#c2571a;stroke-width:1.6}"
@@ -103,8 +104,9 @@ def draw(rows: list[dict[str, str]]) -> str:
         parts.append(f'<circle class="{kind}" cx="{x + 5}" cy="14" r="4"/><text x="{x + 15}" y="18.5">{words}</text>')
     title = "Area and angle distortion of maps by other programs, each joined to the map of omtwarp compared with it"
     return (
+        '<div class="comparison-plot-frame">'
         f'<svg class="comparison-plot" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" xmlns="http://www.w3.org/2000/svg">'
-        f"<title>{title}</title><style>{STYLE}</style>{''.join(parts)}</svg>"
+        f"<title>{title}</title><style>{STYLE}</style>{''.join(parts)}</svg></div>"
     )
 
 
