@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.limits import LARGEST_ARRAYS, LARGEST_MESH_FILE, LARGEST_REPORT, amount
+from omtwarp.limits import LARGEST_ARRAYS, LARGEST_DIRECTORY, LARGEST_MESH_FILE, LARGEST_REPORT, amount
 
+_LONGEST_END = 22 + 2**16 + 76  # bytes in which a zip archive's last records stand, with the longest comment
 _LONGEST_HEADER = 10_000  # characters of an array's header, as numpy.lib.format has it by default
 
 
@@ -87,6 +88,7 @@ def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
         OmtwarpError: no ``.npz``, a damaged one, an array that is not of numbers or text, or too much in it.
     """
     try:
+        _check_directory(source)
         with zipfile.ZipFile(source) as archive:
             entries = {entry.filename: entry for entry in archive.infolist()}
             wanted = {name: entries[f"{name}.npy"] for name in names if f"{name}.npy" in entries}
@@ -104,9 +106,32 @@ def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
 def holds_array(path: str | os.PathLike[str], name: str) -> bool:
     """Whether a file is an ``.npz`` with an array of this name; False for what cannot be read."""
     with contextlib.suppress(OmtwarpError, OSError, ValueError, zipfile.BadZipFile):
-        with open_input(path, LARGEST_MESH_FILE) as stream, zipfile.ZipFile(stream) as archive:
-            return f"{name}.npy" in archive.namelist()
+        with open_input(path, LARGEST_MESH_FILE) as stream:
+            _check_directory(stream)
+            with zipfile.ZipFile(stream) as archive:
+                return f"{name}.npy" in archive.namelist()
     return False
+
+
+def _check_directory(source: BinaryIO) -> None:
+    """Look at how long an archive's list of entries is before it is read into memory.
+
+    Raises:
+        OmtwarpError: it is too long.
+    """
+    source.seek(0, os.SEEK_END)
+    source.seek(max(source.tell() - _LONGEST_END, 0))
+    end = source.read()
+    source.seek(0)
+    size, place = 0, end.rfind(b"PK\5\6")
+    if 0 <= place <= len(end) - 22:
+        size = int.from_bytes(end[place + 12 : place + 16], "little")
+    if place >= 76 and end[place - 20 : place - 16] == b"PK\6\7":  # a locator: the record of a large archive before it
+        if end[place - 76 : place - 72] != b"PK\6\6":
+            raise OmtwarpError("damaged: its list of arrays is not where it belongs")
+        size = max(size, int.from_bytes(end[place - 36 : place - 28], "little"))
+    if size > LARGEST_DIRECTORY:
+        raise OmtwarpError(f"its list of arrays has {amount(size)}, and {amount(LARGEST_DIRECTORY)} is the most")
 
 
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> NDArray:

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
-from omtwarp.inputs import read_bytes
+from omtwarp.inputs import holds_array, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
@@ -69,7 +69,7 @@ def as_points(given: Any, name: str = "the sphere") -> SpherePoints:
         return SpherePoints(named_grid(given))
     if isinstance(given, str | os.PathLike):
         path = Path(given)
-        if path.suffix.lower() == ".npz" and _holds_map(path):
+        if path.suffix.lower() == ".npz" and holds_array(path, "sphere"):
             return as_points(MapResult.load(path), str(path))
         mesh = read_mesh(path)
         beside = _sphere_beside(path)
@@ -110,14 +110,6 @@ def _sphere_beside(path: Path) -> Floats | None:
         return None
     data = read_data(path)
     return np.stack([data.values[:, data.names.index(name)] for name in ("px", "py", "pz")], axis=1)
-
-
-def _holds_map(path: Path) -> bool:
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return "sphere" in arrays
-    except (OSError, ValueError, EOFError):
-        return False  # the reader says what is wrong
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,6 +113,21 @@ def test_archives_that_inflate_or_lie(tmp_path, monkeypatch, load):
     assert "not an array of numbers" in error_of(lambda: load(path))
 
 
+@pytest.mark.parametrize("load", [MapResult.load, read_mesh])
+def test_archives_with_endless_lists_of_arrays(tmp_path, load):
+    path = tmp_path / "map.npz"
+    bomb(path, {f"{k}{'a' * 60_000}": b"" for k in range(20)})
+    assert "list of arrays has 1.2 MB" in error_of(lambda: load(path))
+    # The records of an archive with more than 65,535 entries: the list's length stands in the wide one.
+    wide = b"PK\6\6" + (44).to_bytes(8, "little") + bytes(12) + (2**33).to_bytes(8, "little") * 3 + bytes(8)
+    locator = b"PK\6\7" + bytes(16)
+    end = b"PK\5\6" + bytes(18)
+    path.write_bytes(b"PK\3\4" + bytes(60) + wide + locator + end)
+    assert "list of arrays has 8.6 GB" in error_of(lambda: load(path))
+    path.write_bytes(b"PK\3\4" + bytes(90) + locator + end)
+    assert "not where it belongs" in error_of(lambda: load(path))
+
+
 def test_an_array_that_is_not_asked_for_is_not_inflated(tmp_path, monkeypatch):
     """Others may keep what they like in the file."""
     monkeypatch.setattr("omtwarp.inputs.LARGEST_ARRAYS", 2**20)
