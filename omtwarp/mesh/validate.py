@@ -203,7 +203,8 @@ def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) ->
 def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], sound: bool) -> list[Defect]:
     """How the faces hang together: manifold, closed, oriented, in one piece, of genus 0, outward.
 
-    ``sound`` says that the faces by themselves are in order, which genus and inside need.
+    ``sound`` says that the faces by themselves are in order, which genus and inside need. One function, as each check
+    is a few lines in the order in which a user reads them, and later ones ask what earlier ones found.
     """
     found: list[Defect] = []
     topology = Topology(faces, len(points))

@@ -74,6 +74,8 @@ def polish_transport(
         device: where the kernels run, and where the systems of a large mesh are solved.
         progress: called after each round as ``progress("omt", round, most, record)``.
 
+    One function, as every round needs all arrays: as a class they would be attributes that are used once.
+
     Returns:
         The map of the last round that lowered the curl without harm to the areas, and a record of all rounds:
         ``iteration``, ``step`` and ``held`` of the round, ``cost``, ``curl`` and ``area_error`` of the map it left,
