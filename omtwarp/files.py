@@ -36,6 +36,18 @@ STALE_UNKNOWN_SECONDS = 86400.0  # the same where it cannot be told whether a pr
 _places: dict[Path, Path] = {}  # staging directories of this process, and the files that they are for
 
 
+def as_path(given: str | os.PathLike[str]) -> Path:
+    """Take the name of a file.
+
+    Raises:
+        OmtwarpError: neither text nor a path.
+    """
+    try:
+        return Path(given)
+    except TypeError:
+        raise OmtwarpError(f"the name of a file must be text or a path, not a {type(given).__name__}") from None
+
+
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *inputs: Path | None) -> Path:
     """Make sure that an output can be written, by trying, before anything long is computed.
 
@@ -51,7 +63,7 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *
         OmtwarpError: an unknown suffix, no directory, no right to write, something there that is not a regular file,
             or an input as the output.
     """
-    given = Path(path)
+    given = as_path(path)
     if suffixes and given.suffix.lower() not in suffixes:
         raise OmtwarpError(f"cannot write '{path}': unknown suffix '{given.suffix}', use {', '.join(suffixes)}")
     try:
@@ -167,7 +179,7 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
         OmtwarpError: no place that can be written to, a full disk, a device or pipe, or a file beside the target that
             the package did not write and would have to replace.
     """
-    given = Path(path)
+    given = as_path(path)
     if given.parent in _places:
         try:
             yield given

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import sph_legendre_p_all
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_numbers, whole_number
 
 Floats = NDArray[np.float64]
 
@@ -30,9 +31,7 @@ def check_degree(degree: int) -> int:
     Raises:
         OmtwarpError: it is not.
     """
-    if isinstance(degree, bool) or int(degree) != degree or not 0 <= degree <= HIGHEST_DEGREE:
-        raise OmtwarpError(f"the degree is {degree}: give a whole number from 0 to {HIGHEST_DEGREE}")
-    return int(degree)
+    return whole_number(degree, "the degree", most=HIGHEST_DEGREE)
 
 
 def real_harmonics(points: ArrayLike, degree: int) -> Floats:
@@ -54,9 +53,7 @@ def real_harmonics(points: ArrayLike, degree: int) -> Floats:
         [[1.0, 0.0, 3.0, 0.0]]
     """
     degree = check_degree(degree)
-    directions = np.asarray(points, dtype=np.float64)
-    if directions.ndim != 2 or directions.shape[1] != 3:
-        raise OmtwarpError(f"points of shape {list(directions.shape)}: expected [N, 3]")
+    directions = real_numbers(points, "points", (None, 3))
     out = np.empty((len(directions), (degree + 1) ** 2))
     chunk = max(1, _AT_ONCE // ((degree + 1) * (2 * degree + 1)))
     for first in range(0, len(directions), chunk):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.surface_map import SurfaceMap
+from omtwarp.surface_map import SEVERAL, SurfaceMap
 
 _PER_VERTEX = ("vertices", "sphere", "conformal", "density", "source", "moser", "transported", "disk")
 
@@ -61,7 +61,7 @@ def joined(maps: list[SurfaceMap], vertex_count: int) -> SurfaceMap:
         face_density=None if any(d is None for d in densities) else np.concatenate(densities)[order],  # type: ignore[arg-type]
         measure=np.concatenate(measures)[order] if len(measures) == len(maps) else None,
         report=report,
-        domain=domains[0] if len(domains) == 1 else "several",
+        domain=domains[0] if len(domains) == 1 else SEVERAL,
         vertex_origin=vertex_origin,
         face_origin=face_origin[order],
         split_edges=np.concatenate(split),

@@ -140,9 +140,14 @@ def choose(kind: type[Kind], value: object, *, without: tuple[Kind, ...] = ()) -
     """
     offered = [member for member in kind if member not in without]
     for member in offered:
-        if value == member.value:
+        if isinstance(value, str) and value == member.value:
             return member
-    raise OmtwarpError(f"unknown {_NAMES[kind]} '{value}': use {', '.join(offered)}")
+    raise OmtwarpError(f"unknown {_NAMES[kind]} {_shown(value)}: use {', '.join(offered)}")
+
+
+def _shown(value: object) -> str:
+    """A value as it was given where it is text or a number, and its type otherwise."""
+    return f"'{value}'" if isinstance(value, str | int | float) else f"of type {type(value).__name__}"
 
 
 @dataclass(frozen=True)
@@ -161,23 +166,25 @@ def parse_refinement(value: object) -> Refinement | AreaMatch | float | None:
     Raises:
         OmtwarpError: nothing of the kind.
     """
-    if value is None or value == Refinement.NONE.value:
-        return None
     if isinstance(value, AreaMatch):
         return value
+    if value is None or (isinstance(value, str) and value == Refinement.NONE.value):
+        return None
     if isinstance(value, str) and value in tuple(Refinement):
         return Refinement(value)
-    text = str(value)
+    text = value if isinstance(value, str) else ""
     matched = text.startswith("match:")
     try:
-        number = float(text.removeprefix("match:"))
-    except ValueError:
+        number = -1.0 if isinstance(value, bool) else float(text.removeprefix("match:") if text else value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
         number = -1.0
     if matched and 2.0 < number < float("inf"):
         return AreaMatch(number)
     if matched or not 0.0 < number < float("inf"):
         names = ", ".join(Refinement)
-        raise OmtwarpError(f"unknown refinement '{value}': use {names}, a positive number, or match:AREA, AREA above 2")
+        raise OmtwarpError(
+            f"unknown refinement {_shown(value)}: use {names}, a positive number, or match:AREA, AREA above 2"
+        )
     return number
 
 
@@ -189,7 +196,7 @@ def parse_device(value: object) -> str:
     """
     name = "auto" if value is None else str(value)
     if name not in ("auto", "cpu", "cuda") and not (name.startswith("cuda:") and name[5:].isdigit()):
-        raise OmtwarpError(f"unknown device '{name}': use auto, cpu, cuda or cuda:N")
+        raise OmtwarpError(f"unknown device {_shown(value)}: use auto, cpu, cuda or cuda:N")
     return name
 
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import as_path, staged
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
-from omtwarp.mesh.arrays import real_numbers, whole_numbers
+from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_triangles
 from omtwarp.options import Record
@@ -132,7 +132,7 @@ class MapResult(Shown):
 
     def __post_init__(self) -> None:
         for name, value in _fitting(vars(self)).items():
-            object.__setattr__(self, name, _owned(value, LAYOUT[name][0]))
+            object.__setattr__(self, name, owned(value, LAYOUT[name][0]))
 
     def __repr__(self) -> str:
         known = [f"{len(self.vertices)} vertices", f"{len(self.faces)} faces"]
@@ -148,7 +148,7 @@ class MapResult(Shown):
         Raises:
             OmtwarpError: the stage was not run.
         """
-        points = getattr(self, stage, None) if stage in STAGES else None
+        points = getattr(self, stage, None) if isinstance(stage, str) and stage in STAGES else None
         if points is None:
             raise OmtwarpError(f"this map has no stage '{stage}'")
         return measure_triangles(self.vertices, self.faces, points)
@@ -169,7 +169,7 @@ class MapResult(Shown):
         Raises:
             OmtwarpError: the file cannot be written; nothing is left of it.
         """
-        target = Path(path)
+        target = as_path(path)
         arrays = {name: getattr(self, name) for name in LAYOUT if getattr(self, name) is not None}
         arrays["report"] = np.array(json.dumps(self.report | {"history": self.history}))
         # Given a name, NumPy would add a suffix to it.
@@ -183,7 +183,7 @@ class MapResult(Shown):
         Raises:
             OmtwarpError: the file is missing, or is no map.
         """
-        source = Path(path)
+        source = as_path(path)
         arrays = _read_arrays(source)
         report, history = _read_report(arrays)
         try:
@@ -193,15 +193,6 @@ class MapResult(Shown):
         # What a file says of its map proves nothing.
         report["certificate"] = result.certificate.to_dict()
         return result
-
-
-def _owned(values: Any, dtype: type[np.generic]) -> NDArray[Any]:
-    """An array that nobody else can write to: a read-only copy, or the array itself if it is one already."""
-    array = np.asarray(values)
-    if array.dtype != dtype or array.flags.writeable or not array.flags.owndata or not array.flags.c_contiguous:
-        array = np.array(array, dtype=dtype, order="C")
-        array.flags.writeable = False
-    return array
 
 
 def _read_arrays(source: Path) -> dict[str, NDArray[Any]]:
@@ -225,28 +216,27 @@ def _fitting(arrays: Mapping[str, Any]) -> dict[str, Any]:
         raise OmtwarpError(f"it has no '{missing[0]}'")
     vertices = real_numbers(arrays["vertices"], "'vertices'", (None, 3))
     faces = whole_numbers(arrays["faces"], "'faces'", (None, 3), below=len(vertices))
-    counts = {"V": len(vertices), "F": len(faces)}
-    fitting: dict[str, NDArray[Any]] = {}
-    for name, (dtype, letters) in LAYOUT.items():
-        values = arrays.get(name)
-        if values is None:
-            continue
-        shape = tuple(counts[letter] if isinstance(letter, str) else letter for letter in letters)
-        if issubclass(dtype, np.integer):
-            below = counts["V"] if name == "faces" else None
-            fitting[name] = whole_numbers(values, f"'{name}'", shape, below=below)
-        else:
-            fitting[name] = real_numbers(values, f"'{name}'", shape)
-        if name in STAGES:
-            lengths = np.linalg.norm(fitting[name], axis=1)
-            off = ~(np.abs(lengths - 1.0) <= UNIT_LENGTH)
-            if off.any():
-                first = int(np.argmax(off))
-                raise OmtwarpError(
-                    f"{int(off.sum())} points of '{name}' are not on the unit sphere, first vertex {first} "
-                    f"at a distance of {lengths[first]:g} from its centre"
-                )
+    fitting = fitting_arrays(arrays, LAYOUT, {"V": len(vertices), "F": len(faces)})
+    for name in (*STAGES, "source"):
+        if name in fitting:
+            require_unit_length(fitting[name], name)
     return fitting
+
+
+def require_unit_length(points: Array, name: str) -> None:
+    """Make sure that points of a map lie on the unit sphere, as far as single precision tells.
+
+    Raises:
+        OmtwarpError: some do not; how many, and the first.
+    """
+    lengths = np.linalg.norm(points, axis=1)
+    off = ~(np.abs(lengths - 1.0) <= UNIT_LENGTH)
+    if off.any():
+        first = int(np.argmax(off))
+        raise OmtwarpError(
+            f"{int(off.sum())} points of '{name}' are not on the unit sphere, first vertex {first} "
+            f"at a distance of {lengths[first]:g} from its centre"
+        )
 
 
 def _read_report(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.arrays import in_range, real_numbers, whole_numbers
 from omtwarp.wavelets.hierarchy import sphere_hierarchy
 
 Floats = NDArray[np.float64]
@@ -135,11 +136,9 @@ def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:
     Raises:
         OmtwarpError: not three finite numbers per vertex, or distances from the origin that differ by more than 0.1 %.
     """
-    array = np.asarray(points, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1:] != (3,) or len(array) == 0:
-        raise OmtwarpError(f"{name}: expected vertices of shape [V, 3], got {array.shape}")
-    if not np.isfinite(array).all():
-        raise OmtwarpError(f"{name}: vertex {int(np.argmin(np.isfinite(array).all(axis=1)))} is not finite")
+    array = in_range(real_numbers(points, f"{name}: vertices", (None, 3)))
+    if len(array) == 0:
+        raise OmtwarpError(f"{name}: there are no vertices")
     radii = np.linalg.norm(array, axis=1)
     low, high = float(radii.min()), float(radii.max())
     if low <= 0.0 or high - low > RADIUS_TOLERANCE * high:
@@ -161,11 +160,9 @@ def mesh_grid(points: ArrayLike, faces: ArrayLike, name: str = "the sphere") -> 
         OmtwarpError: not a sphere, faces that name other vertices, or triangles that do not cover the sphere once.
     """
     unit = unit_sphere(points, name)
-    corners = np.ascontiguousarray(faces, dtype=np.int32)
-    if corners.ndim != 2 or corners.shape[1:] != (3,) or len(corners) == 0:
-        raise OmtwarpError(f"{name}: expected faces of shape [F, 3], got {corners.shape}")
-    if corners.min() < 0 or corners.max() >= len(unit):
-        raise OmtwarpError(f"{name}: faces name vertices that it does not have")
+    corners = whole_numbers(faces, f"{name}: faces", (None, 3), below=len(unit)).astype(np.int32)
+    if len(corners) == 0:
+        raise OmtwarpError(f"{name}: there are no faces")
     a, b, c = (unit[corners[:, k]] for k in range(3))
     cover = float(triangle_solid_angles(a, b, c).sum() / (4.0 * np.pi))
     if round(cover) == -1 and abs(cover + 1.0) < 1e-6:

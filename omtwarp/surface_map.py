@@ -5,24 +5,27 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import as_path, staged
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.arrays import fitting_arrays, owned, whole_numbers
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_triangles
-from omtwarp.result import MapResult
+from omtwarp.options import Domain
+from omtwarp.result import MapResult, require_unit_length
 from omtwarp.topology.boundary import boundary_half_edges
 from omtwarp.topology.kind import connected_components
 
 Array = NDArray[np.float64]
+
+SEVERAL = "several"  # the domain of parts that went to different ones
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,6 +71,23 @@ class SurfaceMap(MapResult):
     filled_faces: NDArray[np.int64] | None = None
     filled_sphere: Array | None = None
     filled_loop: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        counts = {"V": len(self.vertices), "F": len(self.faces)}
+        fitting = fitting_arrays(vars(self), _LAYOUT, counts)
+        for name, value in fitting.items():
+            object.__setattr__(self, name, owned(value, _LAYOUT[name][0]))
+        if self.filled_faces is not None:
+            points = self.vertices if self.filled_vertices is None else self.filled_vertices
+            whole_numbers(self.filled_faces, "'filled_faces'", (None, 3), below=len(points))
+        if self.filled_sphere is not None:
+            require_unit_length(self.filled_sphere, "filled_sphere")
+        for name in ("part", "loops", "loop_ends", "loop_pairs", "split_edges"):
+            if name in fitting and fitting[name].size and fitting[name].min() < 0:
+                raise OmtwarpError(f"'{name}': {int(fitting[name].min())} is out of range, at least 0")
+        if not isinstance(self.domain, str) or self.domain not in (*Domain, SEVERAL):
+            raise OmtwarpError(f"there is no domain {str(self.domain)[:20]!r}")
 
     def __repr__(self) -> str:
         return f"SurfaceMap({self.domain}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
@@ -118,13 +138,13 @@ class SurfaceMap(MapResult):
         Raises:
             OmtwarpError: the file cannot be written; nothing is left of it.
         """
-        target = Path(path)
+        target = as_path(path)
         with staged(target) as file:
             super().save(file)
             with np.load(file) as stored:
                 arrays = dict(stored)
             arrays["domain"] = np.array(self.domain)
-            arrays |= {name: getattr(self, name) for name in _ARRAYS if getattr(self, name) is not None}
+            arrays |= {name: getattr(self, name) for name in _LAYOUT if getattr(self, name) is not None}
             with open(file, "wb") as stream:  # given a name, NumPy would add a suffix to it
                 np.savez(stream, **arrays)
 
@@ -136,16 +156,14 @@ class SurfaceMap(MapResult):
             OmtwarpError: the file is missing, or is no map.
         """
         base = MapResult.load(path)
-        with open_input(Path(path), LARGEST_MESH_FILE, "map") as stream:
-            arrays: dict[str, Any] = read_arrays(stream, (*_ARRAYS, "domain"))
+        with open_input(as_path(path), LARGEST_MESH_FILE, "map") as stream:
+            arrays: dict[str, Any] = read_arrays(stream, (*_LAYOUT, "domain"))
         domain = str(arrays.pop("domain", "sphere"))
-        for name, array in arrays.items():
-            numbers = array.dtype.kind in ("f" if name in _FLOATS else "iu")
-            if not numbers or array.ndim > 2:
-                raise OmtwarpError(f"'{path}' is not a map: '{name}' is not an array of numbers")
-        _check_filling(Path(path), base, arrays)
         known = {item.name: getattr(base, item.name) for item in fields(MapResult)}
-        result = cls(**known, domain=domain, **arrays)
+        try:
+            result = cls(**known, domain=domain, **arrays)
+        except OmtwarpError as error:
+            raise OmtwarpError(f"'{path}' is not a map: {error}") from None
         result.report["certificate"] = result.certificate.to_dict()
         return result
 
@@ -161,39 +179,18 @@ def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:
     return certify_triangles(np.asarray(own, dtype=np.int32), places)
 
 
-def _check_filling(path: Path, base: MapResult, arrays: dict[str, Any]) -> None:
-    """Make sure that the filled surface of a file is one.
-
-    Raises:
-        OmtwarpError: arrays of other shapes, or faces that name vertices that there are not.
-    """
-    count = len(arrays.get("filled_vertices", base.vertices))
-    shapes: dict[str, tuple[int, ...]] = {
-        "disk": (len(base.vertices), 2),
-        "filled_vertices": (count, 3),
-        "filled_sphere": (count, 3),
-    }
-    faces = arrays.get("filled_faces", base.faces)
-    shapes |= {"filled_faces": (len(faces), 3), "filled_loop": (len(faces),), "part": (len(base.faces),)}
-    for name, shape in shapes.items():
-        if name in arrays and arrays[name].shape != shape:
-            raise OmtwarpError(f"'{path}' is not a map: '{name}' has shape {arrays[name].shape}, not {shape}")
-    if faces.size and (faces.min() < 0 or faces.max() >= count):
-        raise OmtwarpError(f"'{path}' is not a map: its filled faces name vertices that it does not have")
-    if "part" in arrays and len(base.faces) and arrays["part"].min() < 0:
-        raise OmtwarpError(f"'{path}' is not a map: its parts are not numbered from 0")
-
-
-_FLOATS = ("disk", "filled_vertices", "filled_sphere")
-_ARRAYS = (
-    *_FLOATS,
-    "split_edges",
-    "part",
-    "loops",
-    "loop_ends",
-    "loop_pairs",
-    "filled_faces",
-    "filled_loop",
-)
+# Type and shape of every array, with V vertices and F faces of the map, W and H of the filled surface.
+_LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "disk": (np.float64, ("V", 2)),
+    "split_edges": (np.int64, ("K", 2)),
+    "part": (np.int64, ("F",)),
+    "loops": (np.int64, ("N",)),
+    "loop_ends": (np.int64, ("L",)),
+    "loop_pairs": (np.int64, ("G", 2)),
+    "filled_vertices": (np.float64, ("W", 3)),
+    "filled_faces": (np.int64, ("H", 3)),
+    "filled_sphere": (np.float64, ("W", 3)),
+    "filled_loop": (np.int64, ("H",)),
+}
 
 __all__ = ["SurfaceMap"]

@@ -15,6 +15,19 @@ SURFACE = blob(seed=3, amplitude=0.2, degree=3, sphere=80)
 VERTICES, FACES = SURFACE.vertices, SURFACE.faces
 SPHERE = VERTICES / np.linalg.norm(VERTICES, axis=1, keepdims=True)
 COUNT = len(VERTICES)
+MAP = MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT))
+
+
+def surface_map(**arrays):
+    """A map to the sphere as a :class:`SurfaceMap`, with some arrays more."""
+    return omtwarp.SurfaceMap(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), **arrays)
+
+
+def torus_map(**arrays):
+    """Something of the form of a map to a torus, some arrays replaced."""
+    plain = {"vertices": VERTICES, "faces": FACES, "coordinates": SPHERE[:, :2], "conformal": SPHERE[:, :2]}
+    plain |= {"wraps": np.zeros((len(FACES), 3, 2), dtype=int), "lattice": np.eye(2)}
+    return omtwarp.TorusMap(**(plain | arrays))
 
 
 def broken_points():
@@ -69,12 +82,115 @@ TAKES_POINTS = {
     "MapResult, vertices": lambda points: MapResult(points, FACES, SPHERE, SPHERE, np.ones(COUNT)),
     "MapResult, moser": lambda points: MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), moser=points),
 }
+TAKES_POINTS |= {
+    "optimal_map, sphere": lambda points: omtwarp.optimal_map(SURFACE, points, start=SPHERE),
+    "optimal_map, start": lambda points: omtwarp.optimal_map(SURFACE, SPHERE, start=points),
+    "paper_flow, sphere": lambda points: omtwarp.paper_flow(SURFACE, points, start=SPHERE, cycles=1),
+    "paper_flow, start": lambda points: omtwarp.paper_flow(SURFACE, SPHERE, start=points, cycles=1),
+    "optimality, conformal": lambda points: omtwarp.optimality(points, SPHERE, np.ones(COUNT), FACES),
+    "optimality, sphere": lambda points: omtwarp.optimality(SPHERE, points, np.ones(COUNT), FACES),
+    "conformal_map": lambda points: omtwarp.conformal_map((points, FACES)),
+    "barycentric_map": lambda points: omtwarp.barycentric_map((points, FACES)),
+    "hierarchical_embedding": lambda points: omtwarp.hierarchical_embedding((points, FACES)),
+    "map_surface": lambda points: omtwarp.map_surface((points, FACES)),
+    "texture, vertices": lambda points: omtwarp.texture((points, FACES, SPHERE)),
+    "texture, sphere": lambda points: omtwarp.texture((VERTICES, FACES, points)),
+    "align": lambda points: omtwarp.align((points, FACES), MAP),
+    "align, to": lambda points: omtwarp.align(MAP, (points, FACES)),
+    "resample": lambda points: omtwarp.resample((points, FACES), MAP),
+    "resample, target": lambda points: omtwarp.resample(MAP, (points, FACES)),
+    "MapResult, source": lambda points: MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), source=points),
+    "SurfaceMap, filled": lambda points: surface_map(filled_vertices=VERTICES, filled_sphere=points),
+    "TorusMap": lambda points: torus_map(vertices=points),
+}
 TAKES_FACES = {
     "distortion": lambda faces: omtwarp.distortion((VERTICES, faces), SPHERE),
     "certify": lambda faces: omtwarp.certify((VERTICES, faces), SPHERE),
     "Surface": lambda faces: omtwarp.Surface(VERTICES, faces),
     "map_to_sphere": lambda faces: omtwarp.map_to_sphere((VERTICES, faces)),
     "MapResult": lambda faces: MapResult(VERTICES, faces, SPHERE, SPHERE, np.ones(COUNT)),
+    "SurfaceMap, filled": lambda faces: surface_map(filled_faces=[[0, 1, 2.5]] if faces is None else faces),
+    "TorusMap": lambda faces: torus_map(faces=faces),
+    "optimality": lambda faces: omtwarp.optimality(SPHERE, SPHERE, np.ones(COUNT), faces),
+    "texture": lambda faces: omtwarp.texture((VERTICES, faces, SPHERE)),
+    "align": lambda faces: omtwarp.align((SPHERE, faces), MAP),
+    "resample": lambda faces: omtwarp.resample((SPHERE, faces), MAP),
+}
+
+
+def broken_numbers():
+    """Arrays [V] that are none."""
+    plain = np.ones(COUNT)
+    cases = {"complex": plain + 0.5j, "objects": plain.astype(object), "text": plain.astype(str)}
+    cases |= {"truth values": plain > 0, "masked": np.ma.array(plain, mask=np.arange(COUNT) == 3)}
+    cases |= {"not a number": np.where(np.arange(COUNT) == 4, np.nan, plain), "infinite": np.full(COUNT, np.inf)}
+    return cases | {"short": plain[1:], "two columns": np.ones((COUNT, 2)), "a word": "x", "a dictionary": {}}
+
+
+def in_two_columns(numbers):
+    """Numbers [V] as points [V, 2]; what has another shape gets one row too many."""
+    return np.ma.stack([numbers, numbers], axis=1) if np.ndim(numbers) == 1 else np.ones((COUNT + 1, 2))
+
+
+TAKES_NUMBERS = {
+    "mobius_centring": lambda numbers: omtwarp.mobius_centring(SPHERE, numbers),
+    "optimality, masses": lambda numbers: omtwarp.optimality(SPHERE, SPHERE, numbers, FACES),
+    "optimality, potential": lambda numbers: omtwarp.optimality(
+        SPHERE, SPHERE, np.ones(COUNT), FACES, potential=numbers
+    ),
+    "optimal_map, multipliers": lambda numbers: omtwarp.optimal_map(
+        SURFACE, SPHERE, start=SPHERE, multipliers=numbers, iterations=1
+    ),
+    "weighted_surface": lambda numbers: omtwarp.weighted_surface(SURFACE, numbers),
+    "map_to_sphere, weights": lambda numbers: omtwarp.map_to_sphere(SURFACE, weights=numbers),
+    "MapResult, density": lambda numbers: MapResult(VERTICES, FACES, SPHERE, SPHERE, numbers),
+    "MapResult, target": lambda numbers: MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), target=numbers),
+    "align, features": lambda numbers: omtwarp.align(
+        MAP, MAP, features={"a": numbers}, to_features={"a": VERTICES[:, 0]}, by="features"
+    ),
+    "resample, areas": lambda numbers: omtwarp.resample(MAP, MAP, method="adaptive", source_areas=numbers),
+    "SurfaceMap, disk": lambda numbers: surface_map(domain="disk", disk=in_two_columns(numbers)),
+    "TorusMap, coordinates": lambda numbers: torus_map(coordinates=in_two_columns(numbers)),
+}
+
+# What an option that is a number may be given instead: only the first four are numbers.
+BROKEN_NUMBER = (float("nan"), float("inf"), -1, 10**400, "x", "", None, 1j, [1, 2], np.ones(3), {}, b"x", object())
+TAKES_A_NUMBER = {
+    "hierarchical_embedding": lambda value: omtwarp.hierarchical_embedding(SURFACE, area_weight=value),
+    "optimal_map, shape_weight": lambda value: omtwarp.optimal_map(SURFACE, SPHERE, start=SPHERE, shape_weight=value),
+    "optimal_map, gain": lambda value: omtwarp.optimal_map(SURFACE, SPHERE, start=SPHERE, gain=value),
+    "optimal_map, iterations": lambda value: omtwarp.optimal_map(SURFACE, SPHERE, start=SPHERE, iterations=value),
+    "optimal_transport": lambda value: omtwarp.optimal_transport(SURFACE, SPHERE, start=SPHERE, tolerance=value),
+    "paper_flow, cycles": lambda value: omtwarp.paper_flow(SURFACE, SPHERE, start=SPHERE, cycles=value),
+    "refine_map, tolerance": lambda value: omtwarp.refine_map(SURFACE, SPHERE, tolerance=value),
+    "refine_map, iterations": lambda value: omtwarp.refine_map(SURFACE, SPHERE, iterations=value),
+    "map_optimality": lambda value: omtwarp.map_optimality(MAP, ascent_steps=value),
+    "align": lambda value: omtwarp.align(MAP, MAP, degree=value),
+    "preview, frames": lambda value: omtwarp.preview(SURFACE, frames=0 if value is None else value, backend="rays"),
+    "preview, fps": lambda value: omtwarp.preview(SURFACE, frames=1, fps=value, backend="rays"),
+}
+BROKEN_NAME = ("x", "", -1, 1j, [1, 2], np.ones(3), {}, b"x", object())
+TAKES_A_NAME = {
+    "method": lambda value: omtwarp.map_to_sphere(SURFACE, method=value),
+    "until": lambda value: omtwarp.map_to_sphere(SURFACE, until=value),
+    "refine": lambda value: omtwarp.map_to_sphere(SURFACE, refine=value),
+    "device": lambda value: omtwarp.map_to_sphere(SURFACE, device=value),
+    "solver": lambda value: omtwarp.map_to_sphere(SURFACE, solver=value),
+    "domain": lambda value: omtwarp.map_surface(SURFACE, domain=value),
+    "SurfaceMap's domain": lambda value: surface_map(domain=value),
+    "align, by": lambda value: omtwarp.align(MAP, MAP, by=value),
+    "resample, method": lambda value: omtwarp.resample(MAP, MAP, method=value),
+    "texture, atlas": lambda value: omtwarp.texture(MAP, atlas=value),
+    "distortion of a stage": MAP.distortion,
+    "optimality of a stage": lambda value: omtwarp.map_optimality(MAP, value),
+}
+# Of files nobody finds: no number is a name.
+BROKEN_PATH = (1, 0.5, None, 1j, [1], {}, object())
+TAKES_A_PATH = {
+    "read_mesh": omtwarp.read_mesh,
+    "load": MapResult.load,
+    "save": MAP.save,
+    "write_report": lambda value: omtwarp.write_report(MAP, value),
 }
 
 
@@ -87,7 +203,7 @@ def refuse(call, value):
 @pytest.mark.parametrize("case", broken_points())
 @pytest.mark.parametrize("function", TAKES_POINTS)
 def test_points_that_are_none(function, case):
-    if function.endswith("moser") and case == "nothing":
+    if function.endswith(("moser", "source", "filled")) and case == "nothing":
         return  # left out
     refuse(TAKES_POINTS[function], broken_points()[case])
 
@@ -96,6 +212,42 @@ def test_points_that_are_none(function, case):
 @pytest.mark.parametrize("function", TAKES_FACES)
 def test_faces_that_are_none(function, case):
     refuse(TAKES_FACES[function], broken_faces()[case])
+
+
+@pytest.mark.parametrize("function", TAKES_NUMBERS)
+def test_numbers_at_vertices_that_are_none(function):
+    for value in broken_numbers().values():
+        refuse(TAKES_NUMBERS[function], value)
+
+
+@pytest.mark.parametrize("function", TAKES_A_NUMBER)
+def test_options_that_are_no_number(function):
+    for value in BROKEN_NUMBER:
+        refuse(TAKES_A_NUMBER[function], value)
+
+
+@pytest.mark.parametrize("function", TAKES_A_NAME)
+def test_options_that_are_no_name(function):
+    for value in BROKEN_NAME:
+        refuse(TAKES_A_NAME[function], value)
+
+
+@pytest.mark.parametrize("function", TAKES_A_PATH)
+def test_paths_that_are_none(function):
+    for value in BROKEN_PATH:
+        refuse(TAKES_A_PATH[function], value)
+
+
+def test_maps_of_every_kind_own_their_arrays():
+    """What callers do with their arrays later does not change a map."""
+    disk, lattice = np.zeros((COUNT, 2)), np.eye(2)
+    one, two = surface_map(domain="disk", disk=disk), torus_map(lattice=lattice)
+    disk += 1.0
+    lattice *= 2.0
+    assert not one.disk.any() and np.array_equal(two.lattice, np.eye(2))
+    for array in (one.disk, one.vertices, two.lattice, two.coordinates, two.faces):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
 
 
 @pytest.mark.parametrize(

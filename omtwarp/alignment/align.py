@@ -154,7 +154,7 @@ def align(
         if features or to_features or mirror:
             raise OmtwarpError("aligning by the shape's own axes takes neither features nor mirror images")
         return align_to_axes(given)
-    if by not in ("auto", "features", "vertices"):
+    if not isinstance(by, str) or by not in ("auto", "features", "vertices"):
         raise OmtwarpError(f"cannot align by '{by}': use auto, features or vertices")
     if not 1 <= check_degree(degree) <= 64:
         raise OmtwarpError(f"the degree is {degree}: give a whole number from 1 to 64")

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import real_harmonics
+from omtwarp.mesh.arrays import in_range, real_numbers
 from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import triangle_solid_angles
 
@@ -57,14 +58,8 @@ def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose
     count = len(points.grid.points)
     out = {}
     for name, values in given.items():
-        array = np.asarray(values, dtype=np.float64)
-        if array.shape != (count,):
-            raise OmtwarpError(f"feature '{name}' of {whose} has shape {array.shape}: it has {count} vertices")
-        if not np.isfinite(array).all():
-            raise OmtwarpError(
-                f"feature '{name}' of {whose} is not finite, first vertex {np.argmin(np.isfinite(array))}"
-            )
-        out[name] = array
+        array = real_numbers(values, f"feature '{name}' of {whose}", (count,))
+        out[name] = in_range(array)
     return out
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.surface import Surface
 
 
@@ -50,10 +51,7 @@ def face_weights(weights: ArrayLike, corners: NDArray, vertices: int) -> NDArray
     Raises:
         OmtwarpError: another number of weights, or one that is not positive and finite.
     """
-    try:
-        given = np.array(weights, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise OmtwarpError("the weights are not numbers") from None
+    given = np.array(real_numbers(weights, "the weights", None, finite=False))
     faces = len(corners)
     if given.ndim != 1 or len(given) not in (vertices, faces):
         raise OmtwarpError(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import operator
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,15 +19,16 @@ SMALLEST, LARGEST = 1e-75, 1e75
 TINY = 1e-300
 
 Shape = tuple[int | None, ...]
+Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
 
 
-def real_numbers(values: object, name: str, shape: Shape, *, finite: bool = True) -> NDArray[np.float64]:
+def real_numbers(values: object, name: str, shape: Shape | None, *, finite: bool = True) -> NDArray[np.float64]:
     """Take an array of real numbers as float64, without changing a number.
 
     Args:
         values: anything that NumPy makes an array of.
         name: what to call it in a message, such as ``vertices``.
-        shape: the shape that it must have; None where any length will do.
+        shape: the shape that it must have, with None where any length will do; None for any shape.
         finite: whether NaN and infinite numbers are refused.
 
     Returns:
@@ -37,8 +41,9 @@ def real_numbers(values: object, name: str, shape: Shape, *, finite: bool = True
         >>> real_numbers([[0, 1, 2]], "points", (None, 3))
         array([[0., 1., 2.]])
     """
-    array = _of_kind(values, name, "iuf", shape)
-    _require_shape(array, name, shape)
+    array = _of_kind(values, name, "iuf", (0,) if shape is None else shape)
+    if shape is not None:
+        _require_shape(array, name, shape)
     out = np.ascontiguousarray(array, dtype=np.float64)
     if finite:
         good = np.isfinite(out)
@@ -88,6 +93,97 @@ def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None 
     return out
 
 
+def fitting_arrays(arrays: Mapping[str, object], layout: Layout, counts: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+    """Take arrays that belong together, in the types and shapes of a table; those that are None or missing are left.
+
+    Args:
+        arrays: by name; others than those of the table are let pass.
+        layout: type and shape of every array; letters of a shape are lengths that have to agree.
+        counts: what letters stand for, where that is known beforehand; others are learned from the first array.
+
+    Raises:
+        OmtwarpError: the first that is not of numbers, not finite, or does not fit the others.
+    """
+    known = dict(counts)
+    fitting: dict[str, NDArray[Any]] = {}
+    for name, (dtype, letters) in layout.items():
+        values = arrays.get(name)
+        if values is None:
+            continue
+        shape = tuple(known.get(letter) if isinstance(letter, str) else letter for letter in letters)
+        take = whole_numbers if issubclass(dtype, np.integer) else real_numbers
+        fitting[name] = take(values, f"'{name}'", shape)
+        for letter, length in zip(letters, fitting[name].shape, strict=True):
+            if isinstance(letter, str):
+                known.setdefault(letter, length)
+    return fitting
+
+
+def owned(values: object, dtype: type[np.generic]) -> NDArray[Any]:
+    """An array that nobody else can write to: a read-only copy, or the array itself if it is one already."""
+    array = np.asarray(values)
+    if array.dtype != dtype or array.flags.writeable or not array.flags.owndata or not array.flags.c_contiguous:
+        array = np.array(array, dtype=dtype, order="C")
+        array.flags.writeable = False
+    return array
+
+
+def real_number(value: object, name: str, *, least: float = -math.inf, above: float = -math.inf) -> float:
+    """Take one finite number.
+
+    Args:
+        value: a number of Python or NumPy; no truth value, text or array.
+        name: what to call it in a message.
+        least: it must be at least this.
+        above: it must be more than this.
+
+    Raises:
+        OmtwarpError: something else, or a number out of range.
+
+    Example:
+        >>> real_number(3, "the weight", above=0.0)
+        3.0
+    """
+    bound = f"above {above:g}" if above > -math.inf else f"of at least {least:g}" if least > -math.inf else ""
+    wanted = f"a finite number {bound}".strip()
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
+        raise OmtwarpError(f"{name}: must be {wanted}, not {_shown(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not (math.isfinite(number) and number >= least and number > above):
+        raise OmtwarpError(f"{name}: must be {wanted}, not {number:g}")
+    return number
+
+
+def whole_number(value: object, name: str, *, least: int = 0, most: int = 2**31 - 1) -> int:
+    """Take one whole number.
+
+    Args:
+        value: an integer of Python or NumPy, or a floating point number that is whole; no truth value, text or array.
+        name: what to call it in a message.
+        least: it must be at least this.
+        most: it must be at most this; by default the largest that kernels count to.
+
+    Raises:
+        OmtwarpError: something else, or a number out of range.
+
+    Example:
+        >>> whole_number(40, "the number of steps")
+        40
+    """
+    wanted = f"a whole number from {least} to {most}"
+    if isinstance(value, float | np.floating) and math.isfinite(value) and value == math.floor(value):
+        value = int(value)
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise OmtwarpError(f"{name}: must be {wanted}, not {_shown(value)}")
+    number = operator.index(value)
+    if not least <= number <= most:
+        raise OmtwarpError(f"{name}: must be {wanted}, not {value}")
+    return number
+
+
 def in_range(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Scale points so that squares and products of their coordinates neither overflow nor vanish.
 
@@ -102,6 +198,11 @@ def in_range(points: NDArray[np.float64]) -> NDArray[np.float64]:
     if largest == 0.0 or SMALLEST <= largest <= LARGEST:
         return points
     return np.ldexp(points, -int(np.frexp(largest)[1]))
+
+
+def _shown(value: object) -> str:
+    """A value that is no number, short and in one line."""
+    return str(value) if isinstance(value, float | np.floating) else f"a {type(value).__name__}"
 
 
 def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[Any]:
@@ -131,4 +232,14 @@ def _require_shape(array: NDArray[Any], name: str, shape: Shape) -> None:
         raise OmtwarpError(f"{name}: shape {list(array.shape)}, not [{wanted}]")
 
 
-__all__ = ["TINY", "in_range", "real_numbers", "whole_numbers"]
+__all__ = [
+    "TINY",
+    "Layout",
+    "fitting_arrays",
+    "in_range",
+    "owned",
+    "real_number",
+    "real_numbers",
+    "whole_number",
+    "whole_numbers",
+]

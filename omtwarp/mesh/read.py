@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import as_path
 from omtwarp.inputs import read_arrays, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.neuro import nibabel_module, read_vtk
@@ -71,7 +72,7 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> Mes
         >>> mesh.vertices.dtype.name, mesh.faces.shape == surface.faces.shape
         ('float64', True)
     """
-    file = Path(path)
+    file = as_path(path)
     data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
     suffix = _suffix(file)
     try:

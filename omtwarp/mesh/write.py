@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import as_path, staged
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface, write_vtk
 
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gii", ".vtk", *FREESURFER_SUFFIXES)
@@ -40,7 +40,7 @@ def write_mesh(
     Raises:
         OmtwarpError: another suffix, or the file cannot be written; then an older file is as it was.
     """
-    file = Path(path)
+    file = as_path(path)
     suffix = file.suffix.lower()
     points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
     if suffix not in SUFFIXES:

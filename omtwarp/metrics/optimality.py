@@ -46,6 +46,8 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators
+from omtwarp.mesh.arrays import real_numbers, whole_number
+from omtwarp.mesh.checks import as_faces
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.optimality_dual import TransportDual
@@ -183,7 +185,9 @@ def map_optimality(
         >>> bool(omtwarp.map_optimality(result).gap < 0.1)
         True
     """
-    points = getattr(result, stage, None) if stage in ("sphere", "moser", "transported") else None
+    points = (
+        getattr(result, stage, None) if isinstance(stage, str) and stage in ("sphere", "moser", "transported") else None
+    )
     if points is None:
         raise OmtwarpError(f"this map has no stage '{stage}'")
     surface = Surface(result.vertices, result.faces)
@@ -244,6 +248,8 @@ def _measure(
     device: str | None,
     progress: Progress | None,
 ) -> Optimality:
+    ascent_steps = whole_number(ascent_steps, "ascent_steps")
+
     def notify(step: int, gap: float) -> None:
         if progress is not None:
             progress("optimality", step, max(ascent_steps, 1), {"gap": gap})
@@ -255,9 +261,7 @@ def _measure(
     fitted, swapped = dual.initial_potential()
     best = dual.bound(fitted)
     if potential is not None:
-        given = np.ascontiguousarray(potential, dtype=np.float64)
-        if given.shape != mass.shape or not np.isfinite(given).all():
-            raise OmtwarpError(f"potential has to be {len(mass)} finite numbers, one for each vertex")
+        given = real_numbers(potential, "potential", mass.shape)
         other = dual.bound(given)
         best = other if other.excess < best.excess else best
     cost = 2.0 * float(mass @ dual.cost)
@@ -393,11 +397,10 @@ def _inputs(
     conformal: ArrayLike, sphere: ArrayLike, masses: ArrayLike, faces: ArrayLike
 ) -> tuple[Array, Array, Array, NDArray[np.int32]]:
     """Arrays that agree with each other."""
-    x, y = (np.asarray(p, dtype=np.float64) for p in (conformal, sphere))
-    mass = np.asarray(masses, dtype=np.float64)
-    triangles = np.ascontiguousarray(faces, dtype=np.int32)
-    if x.shape != y.shape or x.ndim != 2 or x.shape[1] != 3 or mass.shape != (len(x),):
-        raise OmtwarpError(f"shapes do not agree: conformal {x.shape}, sphere {y.shape}, masses {mass.shape}")
+    y = real_numbers(sphere, "the sphere map", (None, 3))
+    x = real_numbers(conformal, "the conformal map", (len(y), 3))
+    mass = real_numbers(masses, "masses", (len(y),))
+    triangles = as_faces(faces, len(y))
     for name, points in (("conformal", x), ("sphere", y)):
         lengths = np.linalg.norm(points, axis=1)
         bad = ~(np.abs(lengths - 1.0) < 1e-3)
@@ -405,7 +408,7 @@ def _inputs(
             raise OmtwarpError(
                 f"{int(bad.sum())} points of the {name} map are not on the unit sphere, first {int(np.argmax(bad))}"
             )
-    if not (mass > 0).all() or not np.isfinite(mass).all():
+    if not (mass > 0).all():
         raise OmtwarpError(f"masses must be positive: {int((~(mass > 0)).sum())} are not; remove unused vertices")
     x, y = (np.ascontiguousarray(p / np.linalg.norm(p, axis=1)[:, None]) for p in (x, y))
-    return x, y, mass * (SPHERE_AREA / mass.sum()), triangles
+    return x, y, mass / mass.max() * (SPHERE_AREA / (mass / mass.max()).sum()), triangles

@@ -17,6 +17,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.energy import TransportEnergy
@@ -98,6 +99,8 @@ def refine_map(
         (0, True)
     """
     parsed = parse_refinement(weight)
+    iterations = whole_number(iterations, "iterations")
+    tolerance = real_number(tolerance, "tolerance", least=0.0)
     surface = as_surface(surface)
     start = np.array(as_sphere(sphere, surface))
     flipped = flipped_faces(start, surface.faces)

@@ -24,6 +24,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
@@ -131,7 +132,12 @@ def optimal_map(
     where = resolve_device(device)
     mesh = as_surface(surface)
     given, x = (as_unit_vectors(points, mesh.vertex_count) for points in (sphere, start))
-    energy = TransportEnergy(mesh, vectors(x, where), where, shape_weight)
+    weight = real_number(shape_weight, "shape_weight", least=0.0)
+    gain = real_number(gain, "gain", least=0.0)
+    iterations = whole_number(iterations, "iterations")
+    if multipliers is not None:
+        multipliers = real_numbers(multipliers, "multipliers", (mesh.vertex_count,))
+    energy = TransportEnergy(mesh, vectors(x, where), where, weight)
     return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 

@@ -17,6 +17,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, choose
 from omtwarp.render import gl_client
+from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.render.camera import Camera, as_views, turntable
 from omtwarp.render.colors import backdrop
 from omtwarp.render.light import Light, as_light
@@ -161,10 +162,10 @@ def _check_film(options: PreviewOptions) -> None:
     if options["frames"] is None:
         return
     slowest, fastest = FRAMES_PER_SECOND
-    if not slowest <= options["fps"] <= fastest:
+    if not slowest <= real_number(options["fps"], "fps") <= fastest:
         raise OmtwarpError(f"{options['fps']} frames per second asked for: use {slowest:g} to {fastest:g}")
     width, height = options["size"]
-    if options["frames"] > min(MOST_FRAMES, MOST_FILM_PIXELS // (width * height)):
+    if whole_number(options["frames"], "frames", least=1) > min(MOST_FRAMES, MOST_FILM_PIXELS // (width * height)):
         raise OmtwarpError(
             f"a film of {options['frames']} frames of {width} x {height} pixels: {MOST_FRAMES} frames and "
             f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels in all is the most"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
+from omtwarp.files import as_path, check_output, staged
 
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 FILM_FORMATS = (".gif", ".mp4", ".webp")
@@ -27,7 +27,7 @@ def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool)
     Raises:
         OmtwarpError: unknown suffix, a suffix that cannot hold the picture, or a directory that cannot be written to.
     """
-    target = Path(path)
+    target = as_path(path)
     suffix = target.suffix.lower()
     if suffix not in STILL_FORMATS and suffix not in FILM_FORMATS:
         raise OmtwarpError(
@@ -52,7 +52,7 @@ def save_still(image: Any, path: str | os.PathLike[str]) -> None:
     Raises:
         OmtwarpError: the file cannot be written.
     """
-    target = Path(path)
+    target = as_path(path)
     kind = STILL_FORMATS.get(target.suffix.lower(), "GIF")
     with staged(target) as file:
         if kind == "JPEG":
@@ -69,7 +69,7 @@ def save_film(frames: Iterable[Any], path: str | os.PathLike[str], fps: float) -
     Raises:
         OmtwarpError: the file cannot be written, or an MP4 is asked for without ffmpeg.
     """
-    target = Path(path)
+    target = as_path(path)
     with staged(target) as file:
         if target.suffix.lower() == ".gif":
             _gif(list(frames), file, fps)

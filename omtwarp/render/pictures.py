@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import as_path
 from omtwarp.render import annotate, gl_client, output
 from omtwarp.render.arrows import arrow_part
 from omtwarp.render.camera import VIEWS, Camera, frame
@@ -89,7 +90,7 @@ def preview(
         (120, 90)
     """
     frames = options.get("frames")
-    if path is not None and frames is None and os.fspath(path).lower().endswith((".gif", ".mp4")):
+    if path is not None and frames is None and str(as_path(path)).lower().endswith((".gif", ".mp4")):
         options["frames"] = TURNTABLE_FRAMES
     film = options.get("frames") is not None
     target = (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
+from omtwarp.files import as_path, check_output, staged
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.reporting import sections
@@ -91,7 +91,7 @@ def write_report(
         >>> open("blob.html", encoding="utf-8").read().count("<title>A blob")
         1
     """
-    target = Path(path)
+    target = as_path(path)
     check_output(target)
     if isinstance(result, TorusMap):
         return write_torus_report(

@@ -5,16 +5,17 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import as_path, staged
 from omtwarp.inputs import holds_array, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
@@ -142,10 +143,8 @@ class Resampling:
         Raises:
             OmtwarpError: another length, or numbers that are not finite.
         """
-        array = np.asarray(values)
-        if array.dtype.kind not in "iufb":
-            raise OmtwarpError(f"the data are no numbers, but {array.dtype}")
-        array = array.astype(np.float64)
+        given = values.astype(np.float64) if _of_truth(values) else values
+        array = real_numbers(given, "the data", None, finite=False)
         self._require_length(array)
         if not np.isfinite(array).all():
             bad = ~np.isfinite(array).reshape(len(array), -1).all(axis=1)
@@ -169,12 +168,7 @@ class Resampling:
         Raises:
             OmtwarpError: another length, or numbers that are not whole.
         """
-        array = np.asarray(keys)
-        if array.dtype.kind not in "iub" and not (array.dtype.kind == "f" and np.array_equal(array, np.round(array))):
-            raise OmtwarpError("labels have to be whole numbers")
-        array = array.astype(np.int64)
-        if array.ndim != 1:
-            raise OmtwarpError(f"labels have shape {array.shape}: expected one for every point")
+        array = whole_numbers(keys.astype(np.int64) if _of_truth(keys) else keys, "the labels", (None,))
         self._require_length(array)
         names, index = np.unique(array, return_inverse=True)
         members = sparse.csr_matrix(
@@ -205,7 +199,7 @@ class Resampling:
         Raises:
             OmtwarpError: the file cannot be written.
         """
-        with staged(Path(path)) as file, open(file, "wb") as stream:
+        with staged(as_path(path)) as file, open(file, "wb") as stream:
             sparse.save_npz(stream, self.matrix)
 
     def _require_length(self, array: NDArray[Any]) -> None:
@@ -274,11 +268,15 @@ def resample(
     return Resampling(matrix, chosen, here, there)
 
 
+def _of_truth(values: Any) -> TypeGuard[NDArray[np.bool_]]:
+    """Whether data are an array of truth values, such as a mask of a region."""
+    return isinstance(values, np.ndarray) and values.dtype.kind == "b"
+
+
 def _areas(given: ArrayLike, points: SpherePoints, name: str) -> Floats:
-    areas = np.asarray(given, dtype=np.float64)
-    count = len(points.grid.points)
-    if areas.shape != (count,) or not (np.isfinite(areas) & (areas >= 0)).all():
-        raise OmtwarpError(f"the areas of the {name} are not {count} finite numbers of at least 0")
+    areas = real_numbers(given, f"the areas of the {name}", (len(points.grid.points),))
+    if areas.min(initial=0.0) < 0.0:
+        raise OmtwarpError(f"the areas of the {name} must be at least 0, not {areas.min():g}")
     return areas
 
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import os
 import re
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import as_path, staged
 from omtwarp.harmonics import degree_of
 from omtwarp.inputs import read_bytes
 from omtwarp.shape_analysis.expansion import Expansion
@@ -35,7 +34,7 @@ def write_coef(path: str | os.PathLike[str], expansion: Expansion) -> None:
     rows, factors = _order(expansion.degree)
     numbers = expansion.coefficients[rows] * factors[:, None]
     lines = ",\n".join("{" + ", ".join(repr(float(x)) for x in row) + "}" for row in numbers)
-    with staged(Path(path)) as file:
+    with staged(as_path(path)) as file:
         file.write_text(f"{{ {len(numbers)},{lines}}}", "ascii")
 
 

@@ -18,6 +18,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
+from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Progress
@@ -87,8 +88,7 @@ def hierarchical_embedding(
         >>> omtwarp.certify(surface, sphere, device="cpu").bijective
         True
     """
-    if not (area_weight > 0.0 and np.isfinite(area_weight)):
-        raise OmtwarpError(f"the weight of area must be a positive number, not {area_weight}")
+    area_weight = real_number(area_weight, "the weight of area", above=0.0)
     surface = as_surface(surface)
     where = resolve_device(device)
     history: list[dict[str, int]] = []

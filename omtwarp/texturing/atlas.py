@@ -280,7 +280,7 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
     Raises:
         OmtwarpError: an unknown name, or a size that is not a whole number from 16 to 32768.
     """
-    if name not in ATLASES:
+    if not isinstance(name, str) or name not in ATLASES:
         raise OmtwarpError(f"unknown atlas '{name}': use {', '.join(ATLASES[:-1])} or {ATLASES[-1]}")
     if size is None:
         size = 1536 if name == "octahedral" else 2048

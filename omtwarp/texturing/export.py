@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import MARK, companion, staged
+from omtwarp.files import MARK, as_path, companion, staged
 
 SUFFIXES = (".glb", ".obj", ".ply")
 REPEAT, CLAMP = 10497, 33071  # glTF 2.0, sampler.wrapS and wrapT
@@ -62,7 +62,7 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
     Raises:
         OmtwarpError: another suffix.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = as_path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise OmtwarpError(
             f"cannot write '{path}': a textured mesh is written as .glb, .obj (with .mtl and .png) or .ply"
@@ -96,7 +96,7 @@ def export(textured: Exportable, path: str | os.PathLike[str], *, keep: Iterable
             files = obj_files(textured, file, keep=kept)
         for name, content in files:
             name.write_bytes(content)
-    return [Path(path).with_name(name.name) for name, _ in files[:-1]] + [Path(path)]
+    return [as_path(path).with_name(name.name) for name, _ in files[:-1]] + [as_path(path)]
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_number, real_numbers
+from omtwarp.mesh.checks import as_faces
 from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
 from omtwarp.texturing.baking import bake, bake_on_map
 from omtwarp.texturing.export import export
@@ -138,7 +140,7 @@ def texture(
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     check_projection(projection)
     rotation = _rotation(rotate, vertices, faces, sphere)
-    seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if atlas == "equirectangular" else np.pi
+    seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
     source: Any
     texels = None
     if image is None:
@@ -248,20 +250,9 @@ def _map_of(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple
             raise OmtwarpError(
                 f"cannot texture a {type(result).__name__}: give a result of map_to_sphere, or its arrays"
             ) from error
-    vertices = np.ascontiguousarray(parts[0], dtype=np.float64)
-    faces = np.ascontiguousarray(parts[1], dtype=np.int32)
-    sphere = np.ascontiguousarray(parts[2], dtype=np.float64)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or sphere.shape != vertices.shape:
-        raise OmtwarpError(
-            f"sphere points of shape {list(sphere.shape)}, vertices of shape {list(vertices.shape)}: give [V, 3] each"
-        )
-    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
-        raise OmtwarpError(f"faces of shape {list(faces.shape)}: give triangles, [F, 3]")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise OmtwarpError(f"a face asks for vertex {int(faces.max())} of {len(vertices)}")
-    bad = np.flatnonzero(~(np.isfinite(sphere).all(axis=1) & np.isfinite(vertices).all(axis=1)))
-    if len(bad):
-        raise OmtwarpError(f"{len(bad)} vertices have coordinates that are not finite, first vertex {bad[0]}")
+    vertices = real_numbers(parts[0], "vertices", (None, 3))
+    sphere = real_numbers(parts[2], "sphere points", (len(vertices), 3))
+    faces = as_faces(parts[1], len(vertices))
     length = np.linalg.norm(sphere, axis=1)
     bad = np.flatnonzero(length < 1e-6)
     if len(bad):
@@ -278,9 +269,7 @@ def _seam(given: float | str, vertices: Floats, faces: Ints, sphere: Floats, rot
         if given != "auto":
             raise OmtwarpError(f"seam longitude '{given}': give degrees, or auto")
         return least_visible_meridian(vertices, faces, sphere @ rotation)
-    if not np.isfinite(given):
-        raise OmtwarpError(f"seam longitude {given}: give degrees, or auto")
-    degrees = (float(given) + 180.0) % 360.0 - 180.0
+    degrees = (real_number(given, "seam longitude in degrees, or auto") + 180.0) % 360.0 - 180.0
     return np.pi if degrees in (-180.0, 180.0) else float(np.deg2rad(degrees))
 
 

@@ -6,7 +6,6 @@ import json
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,10 +13,11 @@ from numpy.typing import NDArray
 
 from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files import as_path, staged
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.texturing.image import as_bytes, read_image
@@ -99,6 +99,13 @@ class TorusMap(Shown):
     report: dict[str, Any] = field(default_factory=dict)
 
     domain = "torus"
+
+    def __post_init__(self) -> None:
+        vertices = real_numbers(self.vertices, "'vertices'", (None, 3))
+        faces = whole_numbers(self.faces, "'faces'", (None, 3), below=len(vertices))
+        fitting = fitting_arrays(vars(self), _LAYOUT, {"V": len(vertices), "F": len(faces)})
+        for name, value in fitting.items():
+            object.__setattr__(self, name, owned(value, _LAYOUT[name][0]))
 
     def __repr__(self) -> str:
         return f"TorusMap({len(self.vertices)} vertices, {len(self.faces)} faces)"
@@ -192,7 +199,7 @@ class TorusMap(Shown):
         Raises:
             OmtwarpError: the file cannot be written; nothing is left of it.
         """
-        target = Path(path)
+        target = as_path(path)
         arrays = {name: getattr(self, name) for name in _LAYOUT if getattr(self, name) is not None}
         arrays["report"] = np.array(json.dumps(self.report | {"history": self.history}))
         with staged(target) as file, open(file, "wb") as stream:
@@ -205,39 +212,34 @@ class TorusMap(Shown):
         Raises:
             OmtwarpError: the file is missing, or is no map to a torus.
         """
-        with open_input(Path(path), LARGEST_MESH_FILE, "map") as stream:
+        with open_input(as_path(path), LARGEST_MESH_FILE, "map") as stream:
             arrays = read_arrays(stream, (*_LAYOUT, "report"))
         missing = [name for name in _LAYOUT if name not in arrays and name not in ("vertex_origin", "face_origin")]
         if missing:
             raise OmtwarpError(f"'{path}' is not a map to a torus: it has no '{missing[0]}'")
-        counts = {"V": len(arrays["vertices"]), "F": len(arrays["faces"])}
-        for name, (kinds, letters) in _LAYOUT.items():
-            shape = tuple(counts[letter] if isinstance(letter, str) else letter for letter in letters)
-            if name in arrays and (arrays[name].dtype.kind not in kinds or arrays[name].shape != shape):
-                raise OmtwarpError(
-                    f"'{path}' is not a map to a torus: '{name}' is not an array of numbers, shape {shape}"
-                )
-        faces = arrays["faces"].astype(np.int32)
-        if faces.size and (faces.min() < 0 or faces.max() >= counts["V"]):
-            raise OmtwarpError(f"'{path}' is not a map to a torus: its faces name vertices that it does not have")
         try:
             report = json.loads(str(arrays.pop("report", "{}")))
         except (ValueError, RecursionError):
             report = {}
         report = report if isinstance(report, dict) else {}
         history = report.pop("history", [])
-        return cls(**(arrays | {"faces": faces}), history=history, report=report)
+        history = [entry for entry in history if isinstance(entry, dict)] if isinstance(history, list) else []
+        try:
+            return cls(**arrays, history=history, report=report)
+        except OmtwarpError as error:
+            raise OmtwarpError(f"'{path}' is not a map to a torus: {error}") from None
 
 
-_LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "vertices": ("f", ("V", 3)),
-    "faces": ("iu", ("F", 3)),
-    "coordinates": ("f", ("V", 2)),
-    "wraps": ("iu", ("F", 3, 2)),
-    "lattice": ("f", (2, 2)),
-    "conformal": ("f", ("V", 2)),
-    "vertex_origin": ("iu", ("V",)),
-    "face_origin": ("iu", ("F",)),
+# Type and shape of every array, with V vertices and F faces.
+_LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "vertices": (np.float64, ("V", 3)),
+    "faces": (np.int32, ("F", 3)),
+    "coordinates": (np.float64, ("V", 2)),
+    "wraps": (np.int64, ("F", 3, 2)),
+    "lattice": (np.float64, (2, 2)),
+    "conformal": (np.float64, ("V", 2)),
+    "vertex_origin": (np.int64, ("V",)),
+    "face_origin": (np.int64, ("F",)),
 }
 
 

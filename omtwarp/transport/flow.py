@@ -22,6 +22,7 @@ from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import displacement_curl
@@ -213,7 +214,8 @@ def optimal_transport(
     cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))
     maps = as_sphere(start, surface), as_sphere(sphere, surface)
     flow = _Flow(surface, *maps, cost, scheme, resolve_device(device), target)
-    most = MAXIMUM_ITERATIONS[scheme] if iterations is None else iterations
+    most = MAXIMUM_ITERATIONS[scheme] if iterations is None else whole_number(iterations, "iterations")
+    tolerance = real_number(tolerance, "tolerance", least=0.0)
     ended = flow.run(flow.iterations(), most, tolerance, progress)
     converged = ended in SETTLED_ENDINGS
     if converged and cost is Cost.SQUARED:

@@ -44,7 +44,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, real_number, whole_number, whole_numbers
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Cost, Progress, Record, choose
@@ -52,6 +52,7 @@ from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
 V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)
+HIGHEST_RESOLUTION = 8  # its wavelets are on a hierarchy of 655,362 nodes and the next level
 COURANT = 0.1  # of the size of the triangle that a point crosses: the longest way it goes in a step
 WITHIN_COURANT = 0.999  # share of the points that COURANT is kept for; the others are held back
 HOLDING_ROUNDS = 8  # in which points around flipped triangles are held back before a step is refused
@@ -322,18 +323,25 @@ def paper_flow(
     surface = as_surface(surface)
     if resolutions is None:
         resolutions = default_resolutions(surface.vertex_count)
+    levels = whole_numbers(resolutions, "resolutions", (None,), below=HIGHEST_RESOLUTION + 1).tolist()
+    if not levels:
+        raise OmtwarpError("resolutions: there are none")
+    cycles = whole_number(cycles, "cycles")
+    tolerance = real_number(tolerance, "tolerance")
+    smallest_hamiltonian = real_number(smallest_hamiltonian, "smallest_hamiltonian")
+    area_loss = None if area_loss is None else real_number(area_loss, "area_loss", least=0.0)
     flow = PaperFlow(
         as_sphere(start, surface, "start"),
         surface.faces,
         as_sphere(sphere, surface),
         surface.face_areas,
         cost=cost,
-        highest_resolution=max(resolutions),
+        highest_resolution=max(levels),
         butterfly=butterfly,
         device=device,
     )
-    descent = _Descent(flow, resolutions, area_loss)
-    most = cycles * len(resolutions)
+    descent = _Descent(flow, levels, area_loss)
+    most = cycles * len(levels)
     stopped = ""
     for cycle in range(1, cycles + 1):
         stopped = descent.cycle(cycle, smallest_hamiltonian, tolerance, most, progress)

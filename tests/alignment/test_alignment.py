@@ -237,7 +237,7 @@ def test_what_cannot_be_aligned_is_refused():
         align(blob, (other.vertices, other.faces), by="vertices")
     with pytest.raises(OmtwarpError, match="same names"):
         align(blob, blob, features={"a": np.ones(4)}, to_features={"b": np.ones(4)})
-    with pytest.raises(OmtwarpError, match="'a' of the map has shape"):
+    with pytest.raises(OmtwarpError, match="'a' of the map: shape"):
         align(blob, blob, features={"a": np.ones(4)}, to_features={"a": np.ones(4)})
     count = len(SPHERE.vertices)
     with pytest.raises(OmtwarpError, match="constant"):
