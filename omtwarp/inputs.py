@@ -7,12 +7,13 @@ device without an end, or a file that inflates without end is one line and not a
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import os
 import stat
 import zipfile
 from collections.abc import Iterable, Iterator
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,15 +142,40 @@ def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> 
         OmtwarpError: objects, or a header that promises more or less than there is.
     """
     with archive.open(entry) as stream:
-        version = np.lib.format.read_magic(stream)
-        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = header(stream, max_header_size=_LONGEST_HEADER)
-        size = math.prod(shape) * dtype.itemsize
-        if dtype.hasobject:
-            raise OmtwarpError(f"'{name}' is not an array of numbers")
-        if size != entry.file_size - stream.tell():
-            raise OmtwarpError(f"damaged: '{name}' is not as long as its header says")
-        if dtype.kind in "US" and size > LARGEST_REPORT:
-            raise OmtwarpError(f"'{name}' has {amount(size)} of text, and {amount(LARGEST_REPORT)} is the most")
+        _check_header(stream, entry.file_size, name)
     with archive.open(entry) as stream:
         return np.lib.format.read_array(stream, allow_pickle=False, max_header_size=_LONGEST_HEADER)
+
+
+def _check_header(stream: IO[bytes], length: int, name: str) -> None:
+    """Make sure that an array's header fits so many bytes, and leave the stream behind it.
+
+    Raises:
+        OmtwarpError: objects, or a header that promises more or less than there is.
+    """
+    version = np.lib.format.read_magic(stream)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = header(stream, max_header_size=_LONGEST_HEADER)
+    size = math.prod(shape) * dtype.itemsize
+    if dtype.hasobject:
+        raise OmtwarpError(f"'{name}' is not an array of numbers")
+    if size != length - stream.tell():
+        raise OmtwarpError(f"damaged: '{name}' is not as long as its header says")
+    if dtype.kind in "US" and size > LARGEST_REPORT:
+        raise OmtwarpError(f"'{name}' has {amount(size)} of text, and {amount(LARGEST_REPORT)} is the most")
+
+
+def array_of(data: bytes, name: str = "data") -> NDArray:
+    """The array of an ``.npy`` file's content.
+
+    Raises:
+        OmtwarpError: it is none, or damaged, or holds objects.
+    """
+    try:
+        _check_header(io.BytesIO(data), len(data), name)
+        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False, max_header_size=_LONGEST_HEADER)
+    except OmtwarpError:
+        raise
+    except Exception as error:  # NumPy raises many kinds on a damaged header
+        detail = " ".join(str(error).split())[:120] or type(error).__name__
+        raise OmtwarpError(f"not an array in NumPy's format: {detail}") from None

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.inputs import array_of, read_bytes
+from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.surface import Surface
 
@@ -79,29 +81,25 @@ def read_numbers(path: Path) -> NDArray[np.float64]:
     Raises:
         OmtwarpError: the file is missing, or holds something else.
     """
-    try:
-        if path.suffix.lower() == ".npy":
-            values = np.load(path, allow_pickle=False)
-        else:
-            lines = [line.strip().rstrip(",") for line in path.read_text("utf-8").splitlines()]
+    data = read_bytes(path, LARGEST_MESH_FILE, "file of weights")
+    if path.suffix.lower() == ".npy":
+        try:
+            values = array_of(data).squeeze()
+        except OmtwarpError as error:
+            raise OmtwarpError(f"{path}: {error}") from None
+    else:
+        try:
+            lines = [line.strip().rstrip(",") for line in data.decode("utf-8-sig").splitlines()]
             lines = [line for line in lines if line and not line.startswith("#")]
             if lines and not _is_number(lines[0]):
                 del lines[0]
             values = np.array([float(line) for line in lines])
-        values = np.asarray(values).squeeze()
-        if values.ndim != 1 or values.dtype.kind not in "uifb":
-            raise OmtwarpError(
-                f"'{path}' holds an array of shape {list(values.shape)}: expected one number a vertex or face"
-            )
-        return values.astype(np.float64)
-    except FileNotFoundError:
-        raise OmtwarpError(f"'{path}' does not exist") from None
-    except (OSError, EOFError, UnicodeDecodeError) as error:
-        raise OmtwarpError(f"'{path}' cannot be read: {getattr(error, 'strerror', None) or 'it is damaged'}") from error
-    except ValueError as error:
-        if isinstance(error, OmtwarpError):
-            raise
-        raise OmtwarpError(f"'{path}' is no list of numbers: {str(error).splitlines()[0]}") from error
+        except ValueError as error:
+            detail = " ".join(str(error).split())[:120]
+            raise OmtwarpError(f"{path}: no list of numbers: {detail}") from None
+    if values.ndim != 1 or values.dtype.kind not in "uifb":
+        raise OmtwarpError(f"{path}: an array of shape {list(values.shape)}, not one number a vertex or face")
+    return values.astype(np.float64)
 
 
 def _is_number(text: str) -> bool:

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
-from omtwarp.inputs import read_bytes
+from omtwarp.inputs import array_of, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
-from omtwarp.mesh.neuro import nibabel_module, structure_of
+from omtwarp.mesh.neuro import gifti_image, nibabel_module, structure_of
 from omtwarp.mesh.write import ply_bytes
 
 CURV_SUFFIXES = (".curv", ".sulc", ".thickness", ".area", ".volume")
@@ -101,11 +101,8 @@ def from_npy(stream: BinaryIO, name: str = "data") -> VertexData:
     Raises:
         OmtwarpError: it is not one.
     """
-    try:
-        array = np.load(stream, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise OmtwarpError(f"not an array in NumPy's format: {error}") from None
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
+    array = array_of(stream.read(), name)
+    if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
         raise OmtwarpError("not an array of numbers of shape [V] or [V, K]")
     columns = array.reshape(len(array), -1)
     names = (name,) if columns.shape[1] == 1 else tuple(f"{name} {k + 1}" for k in range(columns.shape[1]))
@@ -114,7 +111,7 @@ def from_npy(stream: BinaryIO, name: str = "data") -> VertexData:
 
 def _read_gifti(path: Path) -> VertexData:
     nibabel = nibabel_module()
-    image = nibabel.load(path)
+    image = gifti_image(path)
     codes = nibabel.nifti1.intent_codes
     geometry = (codes["NIFTI_INTENT_POINTSET"], codes["NIFTI_INTENT_TRIANGLE"])
     arrays = [array for array in image.darrays if array.intent not in geometry]

@@ -6,6 +6,7 @@ nibabel (``pip install 'omtwarp[neuro]'``) reads and writes GIFTI and FreeSurfer
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +42,32 @@ def structure_of(path: Path | None) -> str | None:
         return None
     name = path.name
     if name.lower().endswith((".gii", ".gii.gz")) and path.is_file():
-        image = nibabel_module().load(path)
+        image = gifti_image(path)
         for meta in [image.meta, *(array.meta for array in image.darrays)]:
             if meta.get("AnatomicalStructurePrimary"):
                 return str(meta["AnatomicalStructurePrimary"])
     found = re.search(r"(?:^|[._-])(?:(l|r)h(?=[._])|hemi-([LR])(?=[._])|([LR])(?=[.]))", name)
     return STRUCTURES[next(word for word in found.groups() if word).upper()] if found else None
+
+
+def gifti_image(path: Path) -> Any:
+    """The content of a GIFTI file, as nibabel has it.
+
+    Raises:
+        OmtwarpError: it cannot be read, or is something else.
+    """
+    nibabel = nibabel_module()
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            image = nibabel.load(path)
+        if isinstance(image, nibabel.gifti.GiftiImage):
+            return image
+        detail = f"it is {type(image).__name__}"
+    except MemoryError:
+        raise
+    except Exception as error:  # nibabel, expat and zlib raise many kinds on a damaged file
+        detail = " ".join(str(error).split())[:160] or type(error).__name__
+    raise OmtwarpError(f"{path}: cannot be read as GIFTI: {detail}")
 
 
 def require_same_structure(one: Path | None, other: Path | None) -> None:
@@ -71,7 +92,7 @@ def write_gifti_surface(
     gifti = nibabel.gifti
     whole, own, corners, system = {}, {}, {}, None
     if like is not None and like.name.lower().endswith((".gii", ".gii.gz")):
-        given = nibabel.load(like)
+        given = gifti_image(like)
         whole = dict(given.meta)
         for array in given.darrays:
             if array.intent == nibabel.nifti1.intent_codes["NIFTI_INTENT_POINTSET"]:
@@ -174,6 +195,7 @@ def read_vtk(data: bytes) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]
 
 __all__ = [
     "FREESURFER_SUFFIXES",
+    "gifti_image",
     "nibabel_module",
     "read_vtk",
     "require_same_structure",

@@ -13,13 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from PIL import Image
 
+from omtwarp.any_surface import map_surface
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 from omtwarp.result import MapResult
 
-CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "200"))
+CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "2000"))
 SEED = int(os.environ.get("OMTWARP_HOSTILE_SEED", "0"))
 
 BALL = shapes.icosphere(2)
@@ -72,6 +74,14 @@ def sound_files(folder: Path) -> dict[str, bytes]:
     result = MapResult(BALL.vertices, BALL.faces, BALL.vertices, BALL.vertices, np.ones(len(BALL.vertices)))
     result.save(folder / "map.npz")
     found["map.npz"] = (folder / "map.npz").read_bytes()
+    holed = map_surface((BALL.vertices, BALL.faces[1:]), domain="disk", device="cpu", until="moser")
+    holed.save(folder / "disk-map.npz")
+    found["disk-map.npz"] = (folder / "disk-map.npz").read_bytes()
+    ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+    map_surface(ring, domain="torus").save(folder / "torus-map.npz")
+    found["torus-map.npz"] = (folder / "torus-map.npz").read_bytes()
+    np.save(folder / "data.npy", BALL.vertices[:, 0])
+    found["data.npy"] = (folder / "data.npy").read_bytes()
     stream = io.BytesIO()
     np.savez_compressed(stream, vertices=BALL.vertices, faces=BALL.faces)
     found["mesh.npz"] = stream.getvalue()
@@ -138,6 +148,11 @@ OPTIONS = {
         "--image", "--frames", "--fps", "--backend", "--device",
     ),
     "report": ("--image", "--pattern", "--title", "--up", "--device"),
+    "align": ("--to", "--surface", "--to-surface", "--feature", "--to-feature", "--by", "--degree", "--radius"),
+    "resample": ("--to", "--data", "--method", "--surface", "--sphere", "--matrix", "--device"),
+    "spharm": ("--degree", "--fit", "--reconstruction", "--device"),
+    "distance": ("--degree", "--device"),
+    "group": ("--grid", "--components", "--degree", "--permutations", "--seed", "--device"),
     "benchmark": ("--sizes", "--shape", "--subdivide", "--device", "--repeats", "--refine", "--json"),
     "demo": ("--faces", "--device"),
 }  # fmt: skip
@@ -146,8 +161,52 @@ OUTPUTS = {
     "texture": ("out.glb", "out.obj", "out.ply"),
     "preview": ("out.png", "out.jpg", "out.webp"),
     "report": ("out.html",),
+    "align": ("out.npz", "out.ply", "out.gii"),
+    "resample": ("out.ply", "out.npy", "out.gii", "out.csv"),
+    "spharm": ("out.coef", "out.csv", "out.npz"),
+    "group": ("study",),
     "benchmark": ("out.md",),
 }
+SUBJECTS = {
+    "benchmark": ["--sizes", "none"],
+    "demo": [],
+    "texture": ["--map", "map.npz"],
+    "report": ["--map", "map.npz"],
+    "preview": ["--map", "map.npz"],
+    "align": ["map.npz"],
+    "resample": ["map.npz", "--to", "ico1"],
+    "spharm": ["--map", "map.npz", "--degree", "2"],
+    "distance": ["map.npz", "map.npz", "--degree", "2"],
+    "group": ["map.npz", "map.npz", "--grid", "ico1", "--degree", "2"],
+}  # of the mesh ball.ply for all others
+MAP_COMMANDS = (
+    ("texture", "--map", "{}", "-o", "out.ply", "--size", "32"),
+    ("report", "--map", "{}", "-o", "out.html"),
+    ("preview", "{}", "-o", "out.png"),
+    ("check", "{}"),
+    ("align", "{}", "-o", "out.npz"),
+    ("align", "map.npz", "--to", "{}", "-o", "out.ply"),
+    ("resample", "{}", "--to", "ico1", "-o", "out.ply"),
+    ("resample", "map.npz", "--to", "{}", "-o", "out.ply"),
+    ("spharm", "--map", "{}", "-o", "out.csv", "--degree", "2"),
+    ("distance", "{}", "map.npz", "--degree", "2"),
+    ("group", "map.npz", "{}", "-o", "study", "--grid", "ico1", "--degree", "2"),
+)
+MESH_COMMANDS = (
+    ("check", "{}"),
+    ("check", "{}", "--repair"),
+    ("check", "{}", "--repair", "-o", "out.obj"),
+    ("map", "{}", "-o", "out.npz", "--until", "moser"),
+    ("map", "{}", "-o", "out.npz", "--repair", "--until", "moser"),
+    ("preview", "{}", "-o", "out.png"),
+    ("align", "{}", "-o", "out.ply"),
+    ("resample", "{}", "--to", "ico1", "-o", "out.ply"),
+)
+PICTURE_COMMANDS = (("texture", "--map", "map.npz", "-o", "out.glb", "--size", "32", "--image", "{}"),)
+DATA_COMMANDS = (
+    ("resample", "map.npz", "--to", "ico1", "--data", "{}", "-o", "out.npy"),
+    ("align", "map.npz", "--to", "map.npz", "--feature", "{}", "--to-feature", "data.npy", "-o", "out.npz"),
+)
 BAD_OUTPUTS = ("", ".", "..", "none/out.npz", "out", "out.exe", "\x1b[31m.npz", "a" * 300 + ".npz", "-.npz", "folder")
 
 
@@ -167,28 +226,16 @@ def cases(folder: Path, count: int = CASES, seed: int = SEED) -> Iterator[Case]:
             name = names[number % len(names)]
             how, content = damaged(sound[name], rng)
             if "picture" in name:
-                arguments: tuple[str, ...] = ("texture", "--map", "map.npz", "-o", "out.glb", "--image", f"bad-{name}")
-            elif name == "map.npz":
-                arguments = (
-                    ("texture", "--map", f"bad-{name}", "-o", "out.ply"),
-                    ("report", "--map", f"bad-{name}", "-o", "out.html"),
-                    ("preview", f"bad-{name}", "-o", "out.png"),
-                    ("check", f"bad-{name}"),
-                )[int(rng.integers(4))]
+                kinds: tuple[tuple[str, ...], ...] = PICTURE_COMMANDS
+            elif name.startswith("data"):
+                kinds = DATA_COMMANDS
             else:
-                arguments = (
-                    ("check", f"bad-{name}"),
-                    ("check", f"bad-{name}", "--repair"),
-                    ("check", f"bad-{name}", "--repair", "-o", "out.obj"),
-                    ("map", f"bad-{name}", "-o", "out.npz"),
-                    ("map", f"bad-{name}", "-o", "out.npz", "--repair"),
-                    ("preview", f"bad-{name}", "-o", "out.png"),
-                )[int(rng.integers(6))]
+                kinds = MAP_COMMANDS if "map" in name else MESH_COMMANDS
+            arguments = tuple(word.replace("{}", f"bad-{name}") for word in kinds[int(rng.integers(len(kinds)))])
             yield Case(f"{number}: {name} {how}", arguments, f"bad-{name}", content)
             continue
         command = str(rng.choice(list(OPTIONS)))
-        subject = ["--map", "map.npz"] if command in ("texture", "report", "preview") else ["ball.ply"]
-        words = [command, *({"benchmark": ["--sizes", "none"], "demo": []}.get(command, subject))]
+        words = [command, *SUBJECTS.get(command, ["ball.ply"])]
         if command in OUTPUTS:
             good = rng.random() < 0.8
             words += ["-o", str(rng.choice(OUTPUTS[command] if good else BAD_OUTPUTS))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 import time
 import warnings
@@ -10,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer.main
 from generator import CASES, Case, cases
 
 import omtwarp.cli
 
 LONGEST = 60  # seconds that a case may take
+ON_A_DEVICE = ("map", "texture", "report", "preview", "spharm", "distance", "group", "resample")
 
 
 class TooLong(BaseException):
@@ -52,6 +55,8 @@ def quick(monkeypatch):
 
     monkeypatch.setattr("omtwarp.render.pictures._render", drawn)
     monkeypatch.setattr("omtwarp.render.gl_client.prepare", lambda: None)
+    # Typer puts the commands together anew for every command line, which takes longer than most cases.
+    monkeypatch.setattr("typer.main.get_command", functools.cache(typer.main.get_command))
     monkeypatch.setattr("omtwarp.reporting.scene.cube_faces", lambda *a, **k: [])
 
 
@@ -63,7 +68,7 @@ def complaint(case: Case, folder: Path, capsys) -> str:
     """What is wrong with how a case ended; nothing if it ended as it should."""
     if case.file:
         (folder / case.file).write_bytes(case.content)
-    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    before = {path.name: path.stat() for path in folder.iterdir() if path.is_file()}
     status: object = 0
     try:
         with limited(LONGEST), warnings.catch_warnings(record=True) as warned:
@@ -86,8 +91,9 @@ def complaint(case: Case, folder: Path, capsys) -> str:
         words.append(f"not one line: {err[-300:]!r}")
     if any(not (character.isprintable() or character == "\n") for character in err):
         words.append(f"control characters: {err[-300:]!r}")
-    for name, content in before.items():
-        if not (folder / name).exists() or (folder / name).read_bytes() != content:
+    for name, status_before in before.items():
+        status_after = (folder / name).stat() if (folder / name).exists() else None
+        if status_after is None or changed(status_before, status_after):
             words.append(f"{name} was changed")
     for path in folder.iterdir():
         if path.name.startswith(".omtwarp-"):
@@ -101,6 +107,11 @@ def complaint(case: Case, folder: Path, capsys) -> str:
     return "; ".join(words)
 
 
+def changed(before, after) -> bool:
+    """Whether a file was written or replaced."""
+    return (before.st_ino, before.st_size, before.st_mtime_ns) != (after.st_ino, after.st_size, after.st_mtime_ns)
+
+
 def remove(path: Path) -> None:
     """Remove a file, or a folder with files."""
     if path.is_dir():
@@ -112,7 +123,7 @@ def remove(path: Path) -> None:
 
 
 def needs_device(case: Case) -> bool:
-    return case.arguments[0] in ("map", "texture", "report", "preview") and "--device" not in case.arguments
+    return case.arguments[0] in ON_A_DEVICE and "--device" not in case.arguments
 
 
 def test_generated_cases_end_well(tmp_path, monkeypatch, capsys, quick):

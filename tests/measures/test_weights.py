@@ -65,7 +65,7 @@ def test_weights_per_vertex_and_per_triangle():
         (np.ones((SURFACE.face_count, 1)), "one for each of"),
         (np.r_[0.0, np.ones(SURFACE.face_count - 1)], "1 weights are not positive.*weight 0: 0"),
         (np.r_[np.nan, -np.ones(SURFACE.vertex_count - 1)], "weight 0: nan"),
-        (["a"] * SURFACE.face_count, "not numbers"),
+        (["a"] * SURFACE.face_count, "must be real numbers"),
     ],
 )
 def test_weights_that_cannot_be_used_are_refused_in_one_line(weights, message):
