@@ -133,7 +133,7 @@ def in_two_columns(numbers):
 
 
 TAKES_NUMBERS = {
-    "mobius_centring": lambda numbers: omtwarp.mobius_centring(SPHERE, numbers),
+    "mobius_centring": lambda numbers: omtwarp.mobius_centring(SURFACE, SPHERE, masses=numbers),
     "optimality, masses": lambda numbers: omtwarp.optimality(SPHERE, SPHERE, numbers, FACES),
     "optimality, potential": lambda numbers: omtwarp.optimality(
         SPHERE, SPHERE, np.ones(COUNT), FACES, potential=numbers

@@ -175,7 +175,7 @@ class TorusMap(Shown):
         else:
             picture = as_bytes(read_image(image))
         normals = unit_normals(vertex_normals(self.vertices, self.faces))
-        source = Path(image) if isinstance(image, str | os.PathLike) else None
+        source = as_path(image) if isinstance(image, str | os.PathLike) else None
         return textured_torus(self.vertices, self.faces, normals, self.coordinates, self.wraps, picture, source)
 
     def trimesh(self, image: Any = None) -> trimesh.Trimesh:
