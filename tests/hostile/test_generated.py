@@ -53,7 +53,7 @@ def quick(monkeypatch):
     def drawn(job, *args):
         return [np.zeros((job.height, job.width, 4), np.uint8) for _ in job.shots], "nothing"
 
-    monkeypatch.setattr("omtwarp.render.pictures._render", drawn)
+    monkeypatch.setattr("omtwarp.render.pictures.render", drawn)
     monkeypatch.setattr("omtwarp.render.gl_client.prepare", lambda: None)
     # Typer puts the commands together anew for every command line, which takes longer than most cases.
     monkeypatch.setattr("typer.main.get_command", functools.cache(typer.main.get_command))
