@@ -133,6 +133,7 @@ def _on_torus(part: Part, progress: Progress | None, options: dict[str, Any]) ->
             refine=parse_refinement(options.get("refine")),
             exact=bool(options.get("exact", False)),
             optimality=bool(options.get("optimality", True)),
+            strict=bool(options.get("strict", False)),
             progress=progress,
         )
 

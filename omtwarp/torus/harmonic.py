@@ -36,8 +36,9 @@ LEAST_WEIGHT, MOST_WEIGHT = 0.05, 20.0  # of edges of the mesh itself, so that s
 STIFFER = (0.0, 1e-14, 1e-12, 1e-10)  # what the diagonal grows by where rounding leaves a pivot of the wrong sign
 RELAXATIONS = 60  # of weights towards equal areas
 RELAXATION = 0.8  # what of a vertex's wrong area, as a logarithm, its weights change by in a step
+PATIENCE = 10  # steps in a row that bring no evener areas, after which there are none to come
 EVEN_AREAS = 0.02  # logarithms of areas around vertices, rms: near enough to begin with
-MOST_SOFTNESS = 40.0  # logarithms of weights; a surface with limbs needs 30
+MOST_SOFTNESS = 200.0  # logarithms of weights; long limbs need 60
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,7 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
     factor = surface_factor(surface)
     softness = np.zeros(surface.vertex_count)  # logarithms of what weights are divided by
     best: tuple[float, Floats] | None = None
+    worse = 0
     for _ in range(RELAXATIONS):
         weights = edges.weights * np.exp(-0.5 * softness[edges.ends].sum(axis=1))
         values = _solved(factor, edges.ends, weights, edges.steps, surface.vertex_count)
@@ -116,10 +118,11 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
         wrong = np.log(masses / around)
         spread = float(np.sqrt(masses @ wrong**2 / SPHERE_AREA))
         if (areas > 0.0).all():
-            if best is not None and spread > best[0]:
-                break
-            best = spread, values
-            if spread < EVEN_AREAS:
+            if best is None or spread < best[0]:
+                best, worse = (spread, values), 0
+            else:
+                worse += 1
+            if spread < EVEN_AREAS or worse == PATIENCE:
                 break
         softness = np.clip(softness + RELAXATION * wrong, -MOST_SOFTNESS, MOST_SOFTNESS)
         softness -= softness.mean()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import AreaMatch
@@ -20,6 +21,8 @@ from omtwarp.torus.transport import TorusTransport, exact_on_torus, refine_on_to
 
 Floats = NDArray[np.float64]
 
+WRONG_AREA = 1e-4  # largest relative error of an area around a vertex that goes without a warning
+
 
 def map_to_torus(
     surface: Surface,
@@ -27,6 +30,7 @@ def map_to_torus(
     refine: AreaMatch | str | float | None = None,
     exact: bool = False,
     optimality: bool = True,
+    strict: bool = False,
     progress: Any = None,
 ) -> TorusMap:
     """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
@@ -36,6 +40,7 @@ def map_to_torus(
         refine: a refinement as of :func:`omtwarp.refine_map`, less distortion of shape at more cost.
         exact: keep the area of every triangle to 1e-6, by the map of the mesh with its triangles cut into four.
         optimality: whether the distance from the optimum is measured.
+        strict: whether a map whose areas are wrong is an error, in place of a warning.
         progress: called as ``progress(stage, done, total, details)``.
 
     Raises:
@@ -49,7 +54,7 @@ def map_to_torus(
         run.keep_every_area()
     if refine is not None:
         run.refine(refine)
-    return run.result()
+    return run.result(strict)
 
 
 class _Run:
@@ -143,8 +148,8 @@ class _Run:
             **self.origins,
         )
 
-    def result(self) -> TorusMap:
-        """The finished map.
+    def result(self, strict: bool) -> TorusMap:
+        """The finished map; with a warning, or an error if strict, where areas are wrong.
 
         Raises:
             OmtwarpError: it is not one to one.
@@ -152,6 +157,12 @@ class _Run:
         result = self.made(self.torus)
         if not result.bijective:
             raise OmtwarpError(f"the map to the torus is not one to one: {result.certificate}")
+        wrong = next((stage["largest_ring_error"] for stage in self.stages if "largest_ring_error" in stage), 0.0)
+        if wrong > WRONG_AREA:
+            text = f"areas around vertices are kept to {wrong:.1%} at worst: remesh with more triangles, evenly shaped"
+            if strict:
+                raise OmtwarpError(f"the map is not as good as --strict asks for: {text}")
+            warnings.warn(OmtwarpWarning(text), stacklevel=4)
         result.report.update(
             {
                 "domain": "torus",

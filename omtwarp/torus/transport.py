@@ -48,7 +48,7 @@ from omtwarp.triangle_newton.motion_kernels import hold_back
 
 Floats = NDArray[np.float64]
 
-ITERATIONS = 60
+ITERATIONS = 100  # most steps
 # β is this times the root mean squared distance of the start where that is less than the sphere's: see
 # omtwarp.pipeline. The least one is for surfaces whose conformal map already keeps areas.
 SHAPE_BY_DISTANCE, LEAST_SHAPE_WEIGHT = 0.036, 1e-6
