@@ -130,7 +130,7 @@ def test_small_filling_takes_a_hundredth():
     result = omtwarp.map_surface(mesh, domain="sphere", fill_area="small", device="cpu")
     areas = triangle_areas(result.filled_sphere, result.filled_faces)
     # A hundredth, and what the rings at its edge share with the surface.
-    assert areas[result.filled_loop >= 0].sum() < 0.013 * areas.sum()
+    assert areas[result.filled_loop >= 0].sum() < 0.016 * areas.sum()
     assert result.report["certificate"]["bijective"] and result.distortion().area["surface"] < 2.02
 
 
