@@ -179,7 +179,7 @@ class _Wanted:
 
 @dataclass
 class _Job:
-    """What is painted, and where to."""
+    """The surface that is painted, with its map, and how."""
 
     vertices: Floats
     faces: Ints

@@ -17,8 +17,8 @@ from omtwarp.texturing.textured import SphereMap
 MARGIN = 1.0 / 128.0
 """Free room around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
 
-FARTHEST = np.deg2rad(80.0)
-"""From the middle of a chart: beyond it a side of the cube is more than twice as large as the sphere it shows."""
+FARTHEST = np.deg2rad(87.0)
+"""From the middle of a chart: what lies 90 degrees away lies on no plane in front of it."""
 
 
 def unwrap_uv(
@@ -26,10 +26,11 @@ def unwrap_uv(
 ) -> PaintedMesh:
     """Lay a surface out on a picture through its map, as texture coordinates for the triangles that it has.
 
-    Every triangle belongs as a whole to the face of the cube in which its middle lies: no vertex is added, and charts
-    have jagged borders, a triangle wide. The six charts lie in three by two cells, at one scale, apart from each other,
-    and no triangle overlaps another. Angles from the middle of a chart are linear on the picture, so that its texels
-    are of nearly the same size all over the sphere, and on the surface where the map preserves areas.
+    Every triangle belongs as a whole to the face of the cube in which its middle lies, a long one to that which holds
+    it best: no vertex is added, and charts have jagged borders, a triangle wide. The six charts lie in three by two
+    cells, at one scale, apart from each other, and no triangle overlaps another. Angles from the middle of a chart are
+    linear on the picture, so that its texels are of nearly the same size all over the sphere, and on the surface where
+    the map preserves areas.
 
     Args:
         result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three as a
@@ -57,9 +58,14 @@ def unwrap_uv(
     corners = sphere[faces]
     middle = corners.sum(axis=1)
     chart = np.argmax(middle @ CUBE_FRAMES[:, 0].T, axis=1)
-    local = np.einsum("fkj,fij->fki", corners, CUBE_FRAMES[chart])
-    angle = np.arctan2(local[..., 1:], local[..., :1])
+    angle = _angles(corners, chart)
     far = np.abs(angle).max(axis=(1, 2)) > FARTHEST
+    if far.any():  # a long triangle may lie better on the chart beside that of its middle
+        at = np.flatnonzero(far)
+        reach = [np.abs(_angles(corners[at], np.full(len(at), k))).max(axis=(1, 2)) for k in range(len(CUBE_FRAMES))]
+        chart[at] = np.argmin(reach, axis=0)
+        angle[at] = _angles(corners[at], chart[at])
+        far = np.abs(angle).max(axis=(1, 2)) > FARTHEST
     if far.any():
         raise OmtwarpError(
             f"{far.sum()} of {len(faces)} faces reach more than {np.rad2deg(FARTHEST):.0f} degrees from the middle of "
@@ -74,6 +80,12 @@ def unwrap_uv(
             f"{int(np.argmax(turned))}: remake the map"
         )
     return PaintedMesh(vertices, faces, _placed(plane, chart, aspect, margin), (Material("surface"),))
+
+
+def _angles(corners: Floats, chart: Any) -> Floats:
+    """Angles of corners from the middles of charts, to the right and upwards, shape [F, 3, 2]."""
+    local = np.einsum("fkj,fij->fki", corners, CUBE_FRAMES[chart])
+    return np.arctan2(local[..., 1:], local[..., :1])
 
 
 def _signed_areas(plane: Floats) -> Floats:

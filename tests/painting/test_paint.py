@@ -301,15 +301,19 @@ def test_object_normals_are_the_axes_as_colours():
 
 
 @pytest.mark.parametrize(("seed", "faces"), [(0, 320), (3, 1280), (5, 5120)])
-@pytest.mark.parametrize("aspect", [1.0, 1.5])
-def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces, aspect):
+def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces):
     """Inside the picture, none turned over, none on another: their areas add up to the texels that they cover."""
+    surface = omtwarp.shapes.blob(seed=seed, sphere=faces)
+    result = omtwarp.map_to_sphere(surface, until="moser", device="cpu")
+    for aspect in (1.0, 1.5):
+        apart(unwrap_uv(result, aspect=aspect), result, aspect)
+
+
+def apart(mesh, result, aspect):
+    """Hold coordinates to what the test above promises, on a picture of this aspect."""
     from omtwarp.device.start import wp
     from omtwarp.painting.texels import covered, overlap
 
-    surface = omtwarp.shapes.blob(seed=seed, sphere=faces)
-    result = omtwarp.map_to_sphere(surface, until="moser", device="cpu")
-    mesh = unwrap_uv(result, aspect=aspect)
     assert np.array_equal(mesh.faces, result.faces) and np.array_equal(mesh.vertices, result.vertices)
     assert mesh.uv.min() > 0 and mesh.uv.max() < 1
     one, other = mesh.uv[:, 1] - mesh.uv[:, 0], mesh.uv[:, 2] - mesh.uv[:, 0]
@@ -319,7 +323,7 @@ def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces, aspect):
     assert overlap(mesh.uv, *size, wp.get_device("cpu")) == 0.0
     part = covered(mesh.uv, size, padding=0, device="cpu").mean()
     assert part == pytest.approx(area.sum() / 2, rel=0.01)
-    assert part > (0.38 if aspect == 1.0 else 0.55) * (0.75 if faces == 320 else 1.0)
+    assert part > (0.38 if aspect == 1.0 else 0.55) * (0.75 if len(mesh.faces) == 320 else 1.0)
 
 
 def test_texels_of_an_unwrapped_surface_are_nearly_even():
@@ -336,7 +340,7 @@ def test_texels_of_an_unwrapped_surface_are_nearly_even():
 def test_a_mesh_too_coarse_to_unwrap_is_refused():
     tetrahedron = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
     faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], dtype=np.int32)
-    with pytest.raises(OmtwarpError, match="4 of 4 faces reach more than 80 degrees"):
+    with pytest.raises(OmtwarpError, match="4 of 4 faces reach more than 87 degrees"):
         unwrap_uv((tetrahedron, faces, tetrahedron))
 
 

@@ -39,7 +39,7 @@ CHECKER = Checker(10, 5)
 def painted():
     """The shape with a checker in texture coordinates of its own, and its map."""
     result = meshed(4, 1)
-    return paint(result, unwrap_uv(result), pattern=CHECKER, size=1024), result
+    return paint(result, unwrap_uv(result), pattern=CHECKER, size=768), result
 
 
 def wrong_places(made, sphere_of):
@@ -67,7 +67,7 @@ def test_a_texture_comes_back_on_other_triangles(painted, onto_own):
     other = meshed(4, 2)
     before = wrong_places(mesh, back_to_the_sphere)
     onto = unwrap_uv(other) if onto_own else None
-    made = transfer_texture(mesh, result, other, onto=onto, aligned=True, size=1024)
+    made = transfer_texture(mesh, result, other, onto=onto, aligned=True, size=768)
     assert before < 0.05
     assert wrong_places(made, back_to_the_sphere) < before + 0.02
     if onto_own:
@@ -79,8 +79,8 @@ def test_maps_in_different_positions_are_aligned_first(painted):
     mesh, result = painted
     vertices, faces, sphere = meshed(4, 2)
     other = (vertices, faces, sphere @ turn(9))
-    found = wrong_places(transfer_texture(mesh, result, other, size=1024), back_to_the_sphere)
-    lost = wrong_places(transfer_texture(mesh, result, other, aligned=True, size=1024), back_to_the_sphere)
+    found = wrong_places(transfer_texture(mesh, result, other, size=768), back_to_the_sphere)
+    lost = wrong_places(transfer_texture(mesh, result, other, aligned=True, size=768), back_to_the_sphere)
     assert found < 0.08 and lost > 0.3
 
 
