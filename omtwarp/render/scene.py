@@ -15,7 +15,7 @@ from omtwarp.render.colors import colormap_table, parse_color
 from omtwarp.render.light import Light
 
 CLAY = (0.80, 0.79, 0.77)
-SMOOTH_FACES = 300_000  # parts that triangles are divided into: at 1024 x 1024 pixels one covers three or so
+SMOOTH_FACES = 150_000  # parts that triangles are divided into: at 1024 x 1024 pixels one covers six or so
 MOST_PARTS = 8
 
 

@@ -22,7 +22,7 @@ from omtwarp.render.camera import DEFAULT_FRONT, axis_vector
 from omtwarp.render.colors import colormap_table
 from omtwarp.reporting.stages import Stage
 from omtwarp.start.decimation import simplify
-from omtwarp.texturing.atlas import Cube
+from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
 from omtwarp.texturing.baking import bake
 from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.textured import vertex_normals
@@ -194,11 +194,16 @@ def cube_faces(texture: Any, size: int = FACE_TEXELS, *, device: str = "auto") -
     baked = as_bytes(bake(texture, atlas, device=device))[..., :3]
     photograph = len(np.unique(baked[::4, ::4].reshape(-1, 3), axis=0)) > 4096
     uris = []
-    for directions in gl_cube_directions(size):
-        uv = atlas.uv(directions.reshape(-1, 3))
-        column = np.clip((uv[:, 0] * atlas.width).astype(int), 0, atlas.width - 1)
-        row = np.clip(((1.0 - uv[:, 1]) * atlas.height).astype(int), 0, atlas.height - 1)
-        face = Image.fromarray(np.ascontiguousarray(baked[row, column].reshape(size, size, 3)))
+    for normal, right, down in _GL_FACES:
+        # Both have equiangular faces, so that one is the other's turned by quarters.
+        number = int(np.flatnonzero((CUBE_FRAMES[:, 0] == normal).all(axis=1))[0])
+        row, column = divmod(number, 3)
+        cell = baked[row * size : (row + 1) * size, column * size : (column + 1) * size]
+        _, own_right, own_up = CUBE_FRAMES[number]
+        if right @ own_right == 0.0:  # rows and columns change places
+            cell, own_right, own_up = cell.transpose(1, 0, 2), -own_up, -own_right
+        across, along = int(right @ own_right), -int(down @ own_up)
+        face = Image.fromarray(np.ascontiguousarray(cell[::along, ::across]))
         uris.append(data_uri(face, "jpeg" if photograph else "png"))
     return uris
 
@@ -214,7 +219,7 @@ def data_uri(image: Any, kind: str) -> str:
     """A PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
     stream = io.BytesIO()
     if kind == "png":
-        image.save(stream, "PNG", optimize=True)
+        image.save(stream, "PNG")
     else:
         image.save(stream, kind.upper(), quality=88)
     return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"

@@ -36,6 +36,7 @@ Picture = NDArray[np.float32]
 NOBODY = 2**31 - 1
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
 CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more are worth more samples; a soft gradient is not
+LEAST_MOVED = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
 GROW = 1e-6  # texels by which a triangle may claim a centre outside it
 RING = 1.5  # texels around the charts in which the function itself is continued, so that filtering sees it there
 
@@ -186,13 +187,16 @@ class _Bend:
     ):
         turned = smooth.sphere @ rotation
         layout, part = sphere_layout(cut, atlas, turned[: cut.weights.shape[1]], None, where)
+        linear = smooth.weights @ turned[: cut.weights.shape[1]]
+        linear /= np.maximum(np.linalg.norm(linear, axis=1, keepdims=True), np.finfo(float).tiny)
+        moved = np.linalg.norm(turned - linear, axis=1)[smooth.grid].max(axis=1) > LEAST_MOVED * atlas.texel_angle
         offset, gutter = atlas.parameters
         self._picture = [atlas.kind, atlas.width, atlas.height, wp.float64(offset), wp.float64(gutter)]
         self._owner = layout.owner
         self._tables: list[Any] = [
             wp.array(np.ascontiguousarray(given), dtype=kind, device=where)
             for given, kind in (
-                (cut.source_face[part], wp.int32),
+                (np.where(moved, np.arange(len(faces)), NOBODY)[cut.source_face[part]], wp.int32),
                 (faces, wp.int32),
                 (turned[: cut.weights.shape[1]], wp.vec3d),
                 (smooth.grid, wp.int32),

@@ -22,6 +22,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.shapes import icosphere
 from omtwarp.texturing import pattern_kernels as kernels
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.coastlines import coastline_segments
@@ -329,7 +330,7 @@ def _even_points(count: int) -> Floats:
     """Points spread evenly over the sphere, shape [count, 3]; the same ones every time."""
     frequency = round(((count - 2) / 10.0) ** 0.5)
     if count > 12 and 10 * frequency**2 + 2 == count:
-        points = _geodesic_points(frequency)
+        points = icosphere(frequency).vertices
     else:
         k = np.arange(count) + 0.5
         points = direction_from_angles(k * np.pi * (3.0 - 5.0**0.5), np.arcsin(1.0 - 2.0 * k / count))
@@ -343,19 +344,6 @@ def _even_points(count: int) -> Floats:
         push -= np.einsum("ij,ij->i", push, points)[:, None] * points
         points = normalised(points + 0.02 * spacing * push)
     return points
-
-
-def _geodesic_points(frequency: int) -> Floats:
-    """Vertices of an icosahedron with every edge divided into ``frequency``, on the sphere."""
-    import trimesh
-
-    base = trimesh.creation.icosahedron()
-    i, j = np.meshgrid(np.arange(frequency + 1), np.arange(frequency + 1), indexing="ij")
-    inside = i + j <= frequency
-    bary = np.stack([i[inside], j[inside], frequency - i[inside] - j[inside]], axis=1) / frequency
-    points = normalised(np.einsum("bk,fkj->fbj", bary, base.vertices[base.faces]).reshape(-1, 3))
-    _, first = np.unique(np.round(points, 6), axis=0, return_index=True)
-    return points[np.sort(first)]
 
 
 def _neighbours(points: Floats, count: int) -> tuple[NDArray, Floats]:

@@ -30,7 +30,8 @@ def bend_directions(
 ):
     """Add to a direction what the smooth map differs by from the linear one at that point of the surface.
 
-    ``owner`` names the triangle of the layout for every texel, ``source_face`` the triangle of the mesh for that.
+    ``owner`` names the triangle of the layout for every texel, ``source_face`` the triangle of the mesh for that, a
+    number above all others where nothing is to be added.
     """
     i, _compiled_once = wp.tid()
     d = directions[i]
@@ -42,6 +43,8 @@ def bend_directions(
     if part >= source_face.shape[0]:
         return
     f = source_face[part]
+    if f >= faces.shape[0]:
+        return
     p = sphere[faces[f, 0]]
     q = sphere[faces[f, 1]]
     r = sphere[faces[f, 2]]

@@ -23,6 +23,7 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
+from omtwarp.texturing.sharpness import sharp_size
 from omtwarp.texturing.smooth import smooth_map
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def texture(
     atlas: str = "cube",
     rotate: ArrayLike | str | None = None,
     seam_longitude: float | str = 180.0,
-    size: int | tuple[int, int] | None = None,
+    size: int | tuple[int, int] | str | None = None,
     smooth: bool = True,
     device: str | None = "auto",
 ) -> TexturedSurface:
@@ -110,7 +111,8 @@ def texture(
         seam_longitude: degrees (of the texture) at which the equirectangular atlas is cut, 180 being the image's own
             borders; ``auto`` takes the meridian that is shortest and most hidden on the surface.
         size: width of the texture in texels, or (width, height) for the equirectangular atlas. By default the image's
-            own size, or 2048 for a pattern.
+            own size, or 2048 for a pattern. ``auto`` takes the size, up to 8192, at which no texel covers more than
+            1.5 pixels of a picture of 1024 x 1024 that the surface fills, so that nothing is saw-toothed close up.
         smooth: make the map smooth between the vertices, which stay where they are, so that lines of the texture have
             no corners at the edges of large triangles. The texture is then made for this mesh alone, and its lines in
             the picture are bent. False leaves the map linear on triangles; so does an image that is kept to the byte.
@@ -141,6 +143,10 @@ def texture(
     check_projection(projection)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
+    if isinstance(size, str):
+        if size != "auto":
+            raise OmtwarpError(f"texture size '{size}': give texels, or auto")
+        size = sharp_size(vertices, faces, sphere, make_atlas(atlas).name).size
     source: Any
     texels = None
     if image is None:
