@@ -59,6 +59,13 @@ class AtlasName(StrEnum):
     OCTAHEDRAL = "octahedral"
 
 
+def texture_width(text: str | None) -> str | None:
+    """Check what --size is given: a whole number, or auto."""
+    if text is not None and text != "auto" and not (text.isascii() and text.isdigit() and 0 < int(text[:9])):
+        raise typer.BadParameter(f"'{text}' is not a width: use a whole number of texels, or auto")
+    return text
+
+
 def texture_mesh(
     output: Annotated[
         Path,
@@ -106,7 +113,14 @@ def texture_mesh(
     seam: Annotated[
         str, typer.Option(metavar="LONGITUDE|auto", help="Where an equirectangular texture is cut, in degrees.")
     ] = "180",
-    size: Annotated[int | None, typer.Option(min=1, help="Width of the texture in texels.")] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TEXELS|auto",
+            callback=texture_width,
+            help="Width of the texture; auto is the size at which no texel shows at 1024 pixels, up to 8192.",
+        ),
+    ] = None,
     method: MethodOption = MapOptions.method,
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,
@@ -124,11 +138,15 @@ def texture_mesh(
     from omtwarp.commands._work import map_from, require_bijective, start_device
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.export import SUFFIXES
+    from omtwarp.texturing.sharpness import sharp_size
 
     check_output(output, SUFFIXES, mesh, finished, image)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
+    width = None if size in (None, "auto") else int(str(size)[:9])
     if uv is Coordinates.OWN or keep_materials is not None or bake:
+        if size == "auto":
+            raise OmtwarpError("--size auto is of an atlas alone, without --uv own, --keep-materials and --bake")
         check_output(output, (".glb", ".obj"), mesh, finished, image, detail)
         if seam != "180":
             raise OmtwarpError("--seam is of an equirectangular atlas alone, without --keep-materials and --bake")
@@ -149,7 +167,7 @@ def texture_mesh(
             projection=projection.value,
             atlas=atlas.value,
             rotate=rotation(rotate),
-            size=size,
+            size=width,
             device=device,
         )
         return
@@ -174,6 +192,14 @@ def texture_mesh(
         solver=solver,
     )
     require_bijective(result, finished)
+    blurred = ""
+    if size == "auto":
+        if getattr(result, "textured", None) is not None:
+            raise OmtwarpError("--size auto is of textures on the sphere, and this map is one to a torus")
+        chosen = sharp_size(result.vertices, result.faces, result.sphere, atlas.value)
+        width = chosen.size
+        if chosen.coarse:
+            blurred = f"; on {100.0 * chosen.coarse:.1g} % of the surface texels cover more than 1.5 pixels at 1024"
     textured = texture(
         result,
         picture,
@@ -182,12 +208,13 @@ def texture_mesh(
         atlas=atlas.value,
         rotate=turn,
         seam_longitude=cut,
-        size=size,
+        size=width,
         device=device,
     )
     *beside, _ = textured.export(output, keep=(mesh, finished, image))
     if not quiet:
-        print(f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured")
+        texels = f"{textured.image.shape[1]} x {textured.image.shape[0]} texels{blurred}"
+        print(f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured, {texels}")
         if beside:
             print(f"with {' and '.join(str(file) for file in beside)}")
 

@@ -13,8 +13,8 @@ SCREEN = 1024  # pixels across a picture that the surface fills
 TEXEL = 1.5  # pixels of that picture that a texel may cover: bilinear filtering hides the steps of smaller ones
 LARGEST_SIZE = 8192  # texels: the largest picture that every graphics card of the last ten years takes
 SMALLEST_SIZE = 256
-# Widths of the picture, in texels, for one texel along a right angle of the sphere, where texels are largest: measured at
-# 20,000 points and in 16 directions, gutters included.
+# Widths of the picture, in texels, for one texel along a right angle of the sphere, where texels are largest: measured
+# at 20,000 points and in 16 directions, gutters included.
 SIDES = {"cube": 3.76, "octahedral": 3.94, "equirectangular": 4.0}
 
 
@@ -67,7 +67,7 @@ def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -
     """How much longer lengths are on the surface than on the sphere, at most, in every triangle, shape [F].
 
     The larger root of det(A - x² B) = 0, with A and B the metrics of a triangle here and there. Infinite where a
-    triangle has no area on the sphere, 0 where it has none at all.
+    triangle has no area on the sphere, 0 where it is a point on both.
     """
     here, there = _metric(surface[faces]), _metric(sphere[faces])
     (a, b, c), (p, q, r) = here.T, there.T
@@ -75,7 +75,7 @@ def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -
     root = np.sqrt(np.maximum(middle * middle - 4.0 * lead * last, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.sqrt(np.maximum(middle + root, 0.0) / (2.0 * lead))
-    return np.where(middle > 0.0, np.where(lead > 0.0, found, np.inf), 0.0)
+    return np.where(lead > 0.0, found, np.where(a + c > 0.0, np.inf, 0.0))
 
 
 def _metric(corner: Floats) -> Floats:

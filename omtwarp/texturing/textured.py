@@ -133,6 +133,8 @@ def texture(
     """
     on_torus = getattr(result, "textured", None)
     if on_torus is not None:
+        if isinstance(size, str):
+            raise OmtwarpError(f"texture size '{size}': a map to a torus takes texels")
         if (projection, atlas, rotate, seam_longitude) != ("equirectangular", "cube", None, 180.0):
             raise OmtwarpError("projection, atlas, rotation and seam are of textures on the sphere: a torus has none")
         on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=size)
