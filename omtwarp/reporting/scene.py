@@ -208,13 +208,6 @@ def cube_faces(texture: Any, size: int = FACE_TEXELS, *, device: str = "auto") -
     return uris
 
 
-def gl_cube_directions(size: int) -> Floats:
-    """Directions, of any length, of the texels of such a cube map, shape [6, size, size, 3]."""
-    steps = np.tan(((np.arange(size) + 0.5) / size * 2.0 - 1.0) * (np.pi / 4.0))
-    normal, right, down = (_GL_FACES[:, k, None, None, :] for k in range(3))
-    return normal + steps[None, None, :, None] * right + steps[None, :, None, None] * down
-
-
 def data_uri(image: Any, kind: str) -> str:
     """A PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
     stream = io.BytesIO()
