@@ -97,6 +97,8 @@ class SymmetricEnergy(TransportEnergy):
 
     local_steps = False  # they would not keep the symmetry
 
+    local_steps = False  # those would move one half alone
+
     def __init__(
         self,
         double: Double,
