@@ -59,6 +59,7 @@ def symmetric_optimal_map(
     *,
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
+    area_weight: float = AREA_WEIGHT,
     multipliers: ArrayLike | None = None,
     iterations: int = 40,
     gain: float = GAIN,
@@ -72,7 +73,7 @@ def symmetric_optimal_map(
         surface: the double as a surface, with the areas that are to be kept.
         sphere: a symmetric map without flips to begin with (see :func:`folded_map`), shape [W, 3].
         start: the points x that are transported, symmetric, shape [W, 3].
-        shape_weight, multipliers, iterations, gain, device, progress: as of :func:`omtwarp.optimal_map`.
+        shape_weight, area_weight, multipliers, iterations, gain, device, progress: as of :func:`omtwarp.optimal_map`.
 
     Returns:
         The map, symmetric to the last bit.
@@ -82,7 +83,7 @@ def symmetric_optimal_map(
     """
     where = resolve_device(device)
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
-    energy = SymmetricEnergy(double, surface, vectors(x, where), where, shape_weight)
+    energy = SymmetricEnergy(double, surface, vectors(x, where), where, shape_weight, area_weight=area_weight)
     return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 

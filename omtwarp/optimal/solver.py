@@ -27,7 +27,7 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.energy import MapTerms, TransportEnergy
+from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.local import LEAST_DAMPING, LocalSteps, freed_vertices
 from omtwarp.options import Progress
 from omtwarp.solvers.cholesky import NotPositiveDefinite
@@ -94,6 +94,7 @@ def optimal_map(
     *,
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
+    area_weight: float = AREA_WEIGHT,
     multipliers: ArrayLike | None = None,
     iterations: int = 40,
     gain: float = GAIN,
@@ -108,6 +109,7 @@ def optimal_map(
         sphere: a map without flips to begin with, unit vectors, shape [V, 3].
         start: the points x that are transported, unit vectors, shape [V, 3]; triangles may be flipped there.
         shape_weight: β, the weight of angle and area distortion of triangles beside the mean squared distance.
+        area_weight: λ, how much area distortion counts there against angle distortion.
         multipliers: of a map nearby, such as one with another shape weight, to begin with; shape [V].
         iterations: most steps.
         gain: end where the expected gain of a step falls below this share of the cost.
@@ -133,11 +135,12 @@ def optimal_map(
     mesh = as_surface(surface)
     given, x = (as_unit_vectors(points, mesh.vertex_count) for points in (sphere, start))
     weight = real_number(shape_weight, "shape_weight", least=0.0)
+    area_weight = real_number(area_weight, "area_weight", least=0.0)
     gain = real_number(gain, "gain", least=0.0)
     iterations = whole_number(iterations, "iterations")
     if multipliers is not None:
         multipliers = real_numbers(multipliers, "multipliers", (mesh.vertex_count,))
-    energy = TransportEnergy(mesh, vectors(x, where), where, weight)
+    energy = TransportEnergy(mesh, vectors(x, where), where, weight, area_weight=area_weight)
     return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
