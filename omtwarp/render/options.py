@@ -162,7 +162,7 @@ def _check_film(options: PreviewOptions) -> None:
     if options["frames"] is None:
         return
     slowest, fastest = FRAMES_PER_SECOND
-    if not slowest <= real_number(options["fps"], "fps") <= fastest:
+    if not slowest <= real_number(options["fps"], "frames per second") <= fastest:
         raise OmtwarpError(f"{options['fps']} frames per second asked for: use {slowest:g} to {fastest:g}")
     width, height = options["size"]
     if whole_number(options["frames"], "frames", least=1) > min(MOST_FRAMES, MOST_FILM_PIXELS // (width * height)):
