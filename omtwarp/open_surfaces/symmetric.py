@@ -96,8 +96,6 @@ class SymmetricEnergy(TransportEnergy):
         start, device, shape_weight, cost_weight, area_weight: as of :class:`TransportEnergy`.
     """
 
-    local_steps = False  # they would not keep the symmetry
-
     local_steps = False  # those would move one half alone
 
     def __init__(
