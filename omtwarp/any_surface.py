@@ -205,7 +205,7 @@ def _map_part(
 
 
 def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:
-    """What was opened, its triangles cut into four as those of an exact map are, and the map in its order.
+    """Cut the triangles of what was opened into four as those of an exact map are, and put the map in its order.
 
     Args:
         opened: the surface made ready.

@@ -1,4 +1,4 @@
-"""What the process of an item does: read, map, save, and record what became of it."""
+"""Run an item in a process of its own: read, map, save, and record what became of it."""
 
 from __future__ import annotations
 

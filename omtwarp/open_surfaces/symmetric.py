@@ -113,17 +113,17 @@ class SymmetricEnergy(TransportEnergy):
         self._factor = MirrorFactor(double, surface, device)
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """What solves on the half the systems of the double that :meth:`blocks` gives."""
+        """Solve on the half the systems of the double that :meth:`blocks` gives."""
         return self._factor
 
     def flip_free_steps(self) -> FlipFreeSteps:
-        """What moves symmetric maps to symmetric maps."""
+        """Move symmetric maps to symmetric maps."""
         return SymmetricSteps(self._double, self.surface, self.device)
 
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Floats, Floats, Floats]:
-        """As of the base."""
+        """Blocks of the base, for a factorisation at these points."""
         self._factor.at(points)
         return super().blocks(points, terms, curvature_share, least)
 

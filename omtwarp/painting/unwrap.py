@@ -100,10 +100,10 @@ def _placed(plane: Floats, chart: Any, aspect: float, margin: float) -> Floats:
         points = plane[chart == k].reshape(-1, 2)
         low[k], high[k] = points.min(axis=0), points.max(axis=0)
     cell = np.array([aspect / 3.0, 0.5])
-    room = cell - 2.0 * margin
-    if (room <= 0).any():
+    inner = cell - 2.0 * margin
+    if (inner <= 0).any():
         raise OmtwarpError(f"a margin of {margin} leaves no room for charts")
-    scale = float((room / np.maximum((high - low).max(axis=0), 1e-300)).min())
+    scale = float((inner / np.maximum((high - low).max(axis=0), 1e-300)).min())
     corner = np.stack([chart % 3, 1 - chart // 3], axis=1)
     centre = (corner + 0.5) * cell
     moved = (plane - (0.5 * (low + high))[chart][:, None, :]) * scale + centre[:, None, :]

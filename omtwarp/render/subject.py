@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeGuard, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,13 +16,14 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import holds_array, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.materials.base import WHITE
-from omtwarp.materials.painted import PaintedMesh
-from omtwarp.materials.read import read_painted_mesh
 from omtwarp.mesh.read import read_mesh as read_triangles
 from omtwarp.mesh.scenes import load_scene, scene_formats
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
 from omtwarp.texturing.image import read_image as read_picture
-from omtwarp.torus.torus_map import TorusMap
+
+if TYPE_CHECKING:  # a picture of triangles loads neither Warp nor SciPy, which these need
+    from omtwarp.materials.painted import PaintedMesh
+    from omtwarp.torus.torus_map import TorusMap
 
 
 @runtime_checkable
@@ -60,6 +62,18 @@ Picture: TypeAlias = "str | os.PathLike[str] | Image.Image | ArrayLike"
 Subject: TypeAlias = "str | os.PathLike[str] | Triangles | SurfaceView | tuple[ArrayLike, ArrayLike]"
 
 
+def _is_torus_map(subject: object) -> TypeGuard[TorusMap]:
+    """Whether a subject is a map to a torus: one exists only where its module is loaded."""
+    module = sys.modules.get("omtwarp.torus.torus_map")
+    return module is not None and isinstance(subject, module.TorusMap)
+
+
+def _is_painted(subject: object) -> TypeGuard[PaintedMesh]:
+    """Whether a subject is a mesh with materials: one exists only where its module is loaded."""
+    module = sys.modules.get("omtwarp.materials.painted")
+    return module is not None and isinstance(subject, module.PaintedMesh)
+
+
 def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceView:
     """Make a view of a file, a ``trimesh.Trimesh``, a ``MapResult``, ``TexturedSurface``, (vertices, faces) or a view.
 
@@ -76,18 +90,19 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
         path = Path(subject)
         if path.suffix.lower() == ".npz":
             from omtwarp.result import MapResult
+            from omtwarp.torus.torus_map import TorusMap
 
-            if path.is_file() and holds_array(path, "wraps"):
+            if holds_array(path, "wraps"):
                 return torus_view(TorusMap.load(path), image)
             return map_view(MapResult.load(path), image)
         view = _file_view(path)
-    elif isinstance(subject, TorusMap):
+    elif _is_torus_map(subject):
         return torus_view(subject, image)
     elif isinstance(subject, FinishedMap):
         return map_view(subject, image)
     elif hasattr(subject, "visual") and hasattr(subject, "faces"):
         view = _from_trimesh(subject)
-    elif isinstance(subject, PaintedMesh):
+    elif _is_painted(subject):
         view = painted_view(subject)
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
@@ -191,6 +206,8 @@ def read_image(image: Picture) -> NDArray[np.uint8]:
 
 def _file_view(path: Path) -> SurfaceView:
     """A view of a mesh file; of one with several materials, every triangle in its own."""
+    from omtwarp.materials.read import read_painted_mesh
+
     if path.suffix.lower() == ".obj":
         return painted_view(read_painted_mesh(path, triangulate=True))
     found = read_mesh(path)

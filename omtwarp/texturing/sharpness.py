@@ -51,7 +51,7 @@ def sharp_size(
         >>> from omtwarp.texturing.sharpness import sharp_size
         >>> ball = shapes.icosphere(8)
         >>> sharp_size(ball.vertices, ball.faces, ball.vertices, "cube").size
-        2028
+        2016
     """
     extent = max(float(np.ptp(vertices, axis=0).max()), np.finfo(float).tiny)
     surface = (vertices - vertices.min(axis=0)) / extent

@@ -98,7 +98,7 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int) -> Smo
         >>> from omtwarp.texturing.smooth import smooth_map
         >>> ball = shapes.icosphere(1)
         >>> smooth_map(ball.vertices, ball.faces, ball.vertices, 3).sphere.shape
-        (362, 3)
+        (92, 3)
     """
     faces = np.asarray(faces, dtype=np.int32)
     tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)

@@ -75,7 +75,7 @@ class TorusCellEnergy(TorusEnergy):
         self._factor: SaddlePointFactor | None = None
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """What factorises the matrices that :meth:`blocks` gives; the same one at every call."""
+        """Factorise the matrices that :meth:`blocks` gives; the same object at every call."""
         if self._factor is None:
             self._factor = cell_saddle_factor(self.surface, self._cells)
         return self._factor

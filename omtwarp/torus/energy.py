@@ -1,4 +1,4 @@
-"""What the optimal map to a flat torus minimises, and its derivatives.
+"""Energy that the optimal map to a flat torus minimises, and its derivatives.
 
 The problem is that of :mod:`omtwarp.optimal.energy` in the plane, with y_v - x_v in the universal cover in place of a
 geodesic: minimise C(y) + β S(y) over the maps whose areas around vertices are those of the surface, the cost written as
@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PlaneTerms:
-    """What a map is made of.
+    """Quantities of one map.
 
     Attributes:
         triangles: signed areas in the universal cover, shape [F].
@@ -84,7 +84,7 @@ class TorusEnergy:
         self._newton = NewtonMatrix.of_surface(surface)
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """What factorises the matrices that :meth:`blocks` gives."""
+        """Factorise the matrices that :meth:`blocks` gives."""
         return surface_saddle_factor(self.surface)
 
     def terms(self, points: Floats) -> PlaneTerms:
@@ -149,7 +149,7 @@ class TorusEnergy:
         return sums.numpy() + pull[:, None] * (points - self.start)
 
     def on_triangles(self, potential: Floats) -> Floats:
-        """What a triangle's area is multiplied with, shape [F]."""
+        """Factor of every triangle's area, shape [F]."""
         total: Floats = potential[self.surface.faces].sum(axis=1)
         return total
 

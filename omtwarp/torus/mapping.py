@@ -73,13 +73,13 @@ class _Run:
         self.finish("conformal", {}, self.conformal)
 
     def notify(self, stage: str) -> Any:
-        """What tells of the progress of a stage."""
+        """Report the progress of a stage."""
 
-        def tell(done: int, total: int, details: dict[str, Any]) -> None:
+        def report(done: int, total: int, details: dict[str, Any]) -> None:
             if self.progress is not None:
                 self.progress(stage, done, total, details)
 
-        return tell
+        return report
 
     def optimal(self, measure: bool) -> None:
         """The discrete optimal map."""

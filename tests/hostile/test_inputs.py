@@ -70,7 +70,8 @@ def test_what_is_no_file_is_one_line(tmp_path, name, monkeypatch):
     assert "no such file" in error_of(lambda: read(tmp_path / f"none-{name}"))
     assert "no such file" in error_of(lambda: read(tmp_path / name / name))
     assert "cannot be read: File name too long" in error_of(lambda: read(tmp_path / ("a" * 300 + name)))
-    for module in ("omtwarp.mesh.read", "omtwarp.result", "omtwarp.mesh.scenes", "omtwarp.render.subject"):
+    readers = ("materials.read", "mesh.read", "mesh.scenes", "render.subject", "result")
+    for module in (f"omtwarp.{reader}" for reader in readers):
         monkeypatch.setattr(f"{module}.LARGEST_MESH_FILE", 4000)
     monkeypatch.setattr("omtwarp.texturing.image.LARGEST_PICTURE_FILE", 4000)
     assert "5.0 kB, and a " in error_of(lambda: read(tmp_path / name))

@@ -151,7 +151,7 @@ def test_scalar_limits() -> None:
         (lambda: preview(TRIANGLE, background="whitish", backend="warp"), "'whitish' is not a background"),
         (lambda: preview(TRIANGLE, size=(4, 4), backend="warp"), "4 x 4 pixels"),
         (lambda: preview(TRIANGLE, size=100, backend="warp"), "not a size"),
-        (lambda: preview(TRIANGLE, frames=0, backend="warp"), "turntable of 0 frames"),
+        (lambda: preview(TRIANGLE, frames=0, backend="warp"), "frames: must be a whole number from 1"),
         (lambda: preview(TRIANGLE, samples=9, backend="warp"), "9 samples"),
         (lambda: preview(TRIANGLE, scalar=[1.0, 2.0], backend="warp"), "a number per vertex (3) or per face (1)"),
         (
