@@ -42,7 +42,7 @@ from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage
 from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapResult, StageRecord
-from omtwarp.start.choice import bijective_start
+from omtwarp.start.choice import bijective_start, shrunken_triangles
 from omtwarp.texturing.density import as_target
 from omtwarp.topology.doubling import Double
 from omtwarp.transport.area import AreaMonitor
@@ -525,11 +525,11 @@ class _Run:
     ) -> OptimalMap:
         """The discrete optimal map with a weight of the shape term; symmetric where the map given is."""
         assert self.source is not None
-        shown = str(self.origin["route"]).startswith("conformal")  # every triangle of the conformal map can be seen
+        shrunken = shrunken_triangles(self.surface, self.source) > 0
         common: dict[str, Any] = {
             "start": self.source,
             "shape_weight": weight,
-            "area_weight": AREA_WEIGHT if shown else SHRUNKEN_AREA_WEIGHT,
+            "area_weight": SHRUNKEN_AREA_WEIGHT if shrunken else AREA_WEIGHT,
             "multipliers": multipliers,
             "device": self.device,
             "progress": self.progress,

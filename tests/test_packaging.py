@@ -66,7 +66,10 @@ def unpacked(built, tmp_path_factory) -> Path:
     """The sdist's one folder."""
     folder = tmp_path_factory.mktemp("sdist")
     with tarfile.open(next(built.glob("*.tar.gz"))) as archive:
-        archive.extractall(folder, filter="data")
+        if hasattr(tarfile, "data_filter"):
+            archive.extractall(folder, filter="data")
+        else:  # before Python 3.11.4
+            archive.extractall(folder)
     return next(folder.iterdir())
 
 

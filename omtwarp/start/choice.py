@@ -109,12 +109,16 @@ def bijective_start(
     return Start(sphere, "hierarchical", reason, conformal, 0)
 
 
+def shrunken_triangles(surface: Surface, sphere: NDArray[np.float64]) -> int:
+    """Count the triangles that a map shrinks so far that rounding decides their orientation; shape [V, 3]."""
+    return int((triangle_areas(sphere, surface.faces) < SMALLEST_AREA).sum())
+
+
 def _defect(surface: Surface, sphere: NDArray[np.float64]) -> str:
     """Why a conformal map cannot be used, or nothing."""
     if not np.isfinite(sphere).all():
         return "the conformal map is not finite"
-    areas = triangle_areas(sphere, surface.faces)
-    small = int((areas < SMALLEST_AREA).sum())
+    small = shrunken_triangles(surface, sphere)
     if small:
         return f"the conformal map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
     return ""

@@ -329,7 +329,8 @@ def paper_flow(
     cycles = whole_number(cycles, "cycles")
     tolerance = real_number(tolerance, "tolerance")
     smallest_hamiltonian = real_number(smallest_hamiltonian, "smallest_hamiltonian")
-    area_loss = None if area_loss is None else real_number(area_loss, "area_loss", least=0.0)
+    if area_loss is not None and area_loss != np.inf:  # infinite: no bound
+        area_loss = real_number(area_loss, "area_loss")
     flow = PaperFlow(
         as_sphere(start, surface, "start"),
         surface.faces,
