@@ -355,7 +355,7 @@ def test_bad_maps_are_named(surface):
         ((vertices, faces, sphere[:-1]), "sphere points"),
         ((vertices, faces + 1, sphere), "642 in row 497 is out of range"),
         ((vertices, faces[:, :2], sphere), r"faces: shape \[1280, 2\]"),
-        ((vertices, faces, broken), "1 vertices .* first vertex 7"),
+        ((vertices, faces, broken), "3 numbers that are not finite, first in row 7"),
         ((vertices, faces, centre), "2 points .* first vertex 3"),
     ):
         with pytest.raises(OmtwarpError, match=message):
