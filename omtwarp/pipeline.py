@@ -502,7 +502,7 @@ class _Run:
             self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
             before, measured_before = excess, self.measured
             excess = self.shape_excess(found.sphere)
-            if excess > MIN_GAP_SHARE * before and last is not None:
+            if excess > MIN_GAP_SHARE * before and last is not None and measured_before is not None:
                 found, self.measured, weight = last, measured_before, used  # as good, and smoother
                 break
             if excess <= 1.0 or not found.converged:
@@ -543,7 +543,8 @@ class _Run:
         assert self.source is not None
         self.measured = None
         curled = (displacement_curl(self.surface, self.source, self.points(sphere)) / MAX_CURL) ** 2
-        if curled > 1.0:  # the shape term has to give way whatever the gap is, which takes longer to bound
+        small = self.surface.vertex_count <= GAP_ASCENT_VERTICES
+        if curled > 1.0 and not small:  # the shape term has to give way whatever the gap is, which takes long to bound
             return float(curled)
         self.measured = self.bounded(sphere)
         return float(max(self.measured.gap / self.largest_gap, curled))
