@@ -42,7 +42,7 @@ def film_map(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", metavar="FILE", callback=output_file(".gif"), help=".mp4; .gif and .webp need no ffmpeg."
+            "--output", "-o", metavar="FILE", callback=output_file(".gif"), help=".mp4 (needs ffmpeg), .gif or .webp."
         ),
     ],
     mesh: OptionalMesh = None,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
+from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from omtwarp.errors import OmtwarpError
@@ -24,9 +25,10 @@ from omtwarp.render.camera import Camera, Shot, as_view, frame
 from omtwarp.render.colors import backdrop
 from omtwarp.render.light import as_light
 from omtwarp.render.pictures import render
-from omtwarp.render.scene import Part, RenderJob, normalisation, welded_normals
+from omtwarp.render.scene import Part, RenderJob, normalisation, smooth_parts, welded_normals
 from omtwarp.render.subject import map_view
 from omtwarp.texturing.rasterizing import rasterize
+from omtwarp.texturing.smooth import smooth_map
 
 Floats = NDArray[np.float64]
 
@@ -56,20 +58,29 @@ class _Story:
     From time 0 to 1 the points on the sphere go along great circles from the conformal to the final map, which is what
     optimal transport does with them; from 1 to 2 the surface goes straight to its sphere.
 
+    Both maps are divided as pictures of maps are, so that lines of the pattern are smooth curves between the vertices.
+
     Attributes:
         surface: the surface, centred, its farthest point at distance 1, shape [V, 3].
         ball: the points of the final map on a sphere of the surface's area, turned to lie nearest to it, shape [V, 3].
-        first: the conformal map, shape [V, 3].
-        last: the final map, shape [V, 3].
-        faces: shape [F, 3].
+        ball_points: the same of the divided map, shape [N, 3].
+        first: the conformal map, divided, shape [N, 3].
+        last: the final map, divided, shape [N, 3].
+        faces: of the surface, shape [F, 3].
+        parts: the triangles that the surface's are divided into, corners numbered as ``first`` and ``last`` are.
+        weights: sparse, shape [N, V]: every point of the divided maps as a combination of vertices; None where they
+            are not divided.
         image: equirectangular picture that is carried along.
     """
 
     surface: Floats
     ball: Floats
+    ball_points: Floats
     first: Floats
     last: Floats
     faces: NDArray[np.int32]
+    parts: NDArray[np.int32]
+    weights: csr_matrix | None
     image: NDArray[np.uint8]
 
     @property
@@ -81,10 +92,16 @@ class _Story:
         """The surface as it is drawn at a time between 0 and 2."""
         places = self.surface + max(time - 1.0, 0.0) * (self.ball - self.surface)
         points = along_great_circles(self.first, self.last, min(time, 1.0))
+        normals = welded_normals(places, self.faces)
+        if self.weights is not None:
+            # On the way to the ball new points go to the ball, too, and not to the flat triangles in it.
+            fill = max(time - 1.0, 0.0) * (self.ball_points - self.weights @ self.ball)
+            places, normals = self.weights @ places + fill, self.weights @ normals
+            normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
         return Part(
             positions=places.astype(np.float32),
-            normals=welded_normals(places, self.faces).astype(np.float32),
-            faces=self.faces,
+            normals=normals.astype(np.float32),
+            faces=self.parts,
             kind="sphere",
             value=points.astype(np.float32),
             image=self.image,
@@ -138,7 +155,7 @@ def film(
 
     Args:
         result: a :class:`~omtwarp.MapResult` of a surface in one part.
-        path: ``.mp4`` (needs ``omtwarp[film]``), ``.gif`` or ``.webp``; the file appears whole or not at all.
+        path: ``.mp4`` (needs the program ffmpeg), ``.gif`` or ``.webp``; the file appears whole or not at all.
         pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``.
         image: equirectangular picture in place of the pattern: a path, a PIL image or an array [H, W, 3].
         size: width and height in pixels; None takes 1920 x 1080, and 640 x 360 for ``.gif`` and ``.webp``.
@@ -243,17 +260,19 @@ def _story_of(
         np.asarray(result.faces).ravel(), np.repeat(triangle_areas(surface, result.faces), 3), minlength=len(surface)
     )
     turn, _ = Rotation.align_vectors(surface, np.asarray(result.sphere), weights=areas + areas.mean() * 1e-9)
-    ball = math.sqrt(areas.sum() / 3.0 / (4.0 * math.pi)) * np.asarray(result.sphere) @ turn.as_matrix().T
-    story = _Story(
-        surface,
-        ball,
-        np.asarray(result.conformal),
-        np.asarray(result.sphere),
-        np.asarray(result.faces, dtype=np.int32),
-        np.asarray(shown.image),
-    )
+    to_ball = math.sqrt(areas.sum() / 3.0 / (4.0 * math.pi)) * turn.as_matrix().T
+    ball = np.asarray(result.sphere) @ to_ball
+    faces = np.asarray(result.faces, dtype=np.int32)
+    first, last, parts, weights = np.asarray(result.conformal), np.asarray(result.sphere), faces, None
+    divisions = smooth_parts(len(faces))
+    if divisions > 1:
+        divided = smooth_map(surface, faces, last, divisions)
+        flows = not np.array_equal(first, last)
+        first = smooth_map(surface, faces, first, divisions).sphere if flows else divided.sphere
+        last, parts, weights = divided.sphere, divided.faces, divided.weights
+    story = _Story(surface, ball, last @ to_ball, first, last, faces, parts, weights, np.asarray(shown.image))
     camera = as_view("three-quarter" if view is None else view, Camera())
-    used = np.unique(story.faces)
+    used = np.unique(faces)
     extent = np.concatenate([surface[used], ball[used]])
     facing = front if front is not None or (up is not None and up != shown.up) else shown.front
 

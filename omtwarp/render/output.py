@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import shutil
+import subprocess
+import tempfile
 from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +23,18 @@ STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"
 FILM_FORMATS = (".gif", ".mp4", ".webp")
 WEBP = 60  # of Pillow's 100: a third of the size at 80, and edges of a pattern stay clean
 LEAST_FREE = 65536  # bytes: ffmpeg's failure on a disk with less is taken for a full disk
+# Encoders of H.264 by what they are preferred for, each at a quality at which edges of a pattern stay clean: x264's
+# constant rate factor (0 to 51, smaller is better), for others a rate in bits per second.
+ENCODERS = {
+    "libx264": ["-c:v", "libx264", "-crf", "18", "-preset", "medium"],
+    "libopenh264": ["-c:v", "libopenh264", "-b:v", "8M"],
+    "h264_videotoolbox": ["-c:v", "h264_videotoolbox", "-b:v", "8M"],
+    "h264_mf": ["-c:v", "h264_mf", "-b:v", "8M"],
+}
+MPEG4 = ["-c:v", "mpeg4", "-q:v", "3"]
+# Players take films of this size for BT.709; ffmpeg itself would convert by BT.601, which shifts the colours.
+BT709 = "scale=out_color_matrix=bt709:out_range=tv"
+BT709_MARKS = ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv"]
 OPAQUE_FORMATS = (".jpg", ".jpeg", ".mp4")
 
 
@@ -113,33 +130,69 @@ def _gif(frames: Sequence[Any], file: Path, fps: float) -> None:
     )
 
 
-def _ffmpeg() -> Any:
+def _ffmpeg() -> str:
+    """Find the program ffmpeg: on the PATH, or the one that the package imageio-ffmpeg brings.
+
+    Raises:
+        OmtwarpError: neither is there.
+    """
+    found = shutil.which("ffmpeg")
+    if found is not None:
+        return found
     try:
         import imageio_ffmpeg
 
-        imageio_ffmpeg.get_ffmpeg_exe()
+        return imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
-        raise OmtwarpError("an .mp4 needs ffmpeg: pip install 'omtwarp[film]', or write a .gif") from None
-    return imageio_ffmpeg
+        raise OmtwarpError(
+            "an .mp4 needs the program ffmpeg, and none is found: install it (apt, brew or winget install ffmpeg; "
+            "or pip install imageio-ffmpeg), or write a .gif or .webp"
+        ) from None
+
+
+@cache
+def _encoder(program: str) -> list[str]:
+    """Options of the first encoder that an ffmpeg has among those for H.264, or of MPEG-4, which every one has."""
+    listed = subprocess.run([program, "-hide_banner", "-encoders"], capture_output=True, text=True, check=False).stdout
+    return next((options for name, options in ENCODERS.items() if f" {name} " in listed), MPEG4)
 
 
 def _mp4(frames: Iterable[Any], file: Path, fps: float) -> None:
     shown_in_turn = iter(frames)
     first = next(shown_in_turn)
     width, height = (first.width // 2 * 2, first.height // 2 * 2)  # H.264 halves the colours' resolution
-    writer = _ffmpeg().write_frames(
-        str(file), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
+    program = _ffmpeg()
+    command = [
+        program, "-hide_banner", "-loglevel", "error", "-nostdin", "-y",
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(Fraction(fps).limit_denominator()),
+        "-i", "-", "-vf", BT709, *_encoder(program), "-pix_fmt", "yuv420p", *BT709_MARKS, "-movflags", "+faststart",
+        str(file),
+    ]  # fmt: skip
+    # An interruption of this process ends the writing, not ffmpeg, which would leave its own words on the terminal.
+    alone: dict[str, Any] = (
+        {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined, unused-ignore]
+        if os.name == "nt"
+        else {"start_new_session": True}
     )
-    try:
-        writer.send(None)
-        for shown in itertools.chain([first], shown_in_turn):
-            writer.send(shown.convert("RGB").crop((0, 0, width, height)).tobytes())
-        writer.close()
-        written = file.is_file() and file.stat().st_size > 0
-    except OSError:  # whose text is ffmpeg's command and all that it said
-        written = False
-    finally:
-        writer.close()
-    if not written:
+    with tempfile.TemporaryFile() as words:
+        encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, **alone)
+        try:
+            assert encoder.stdin is not None
+            for shown in itertools.chain([first], shown_in_turn):
+                try:
+                    encoder.stdin.write(shown.convert("RGB").crop((0, 0, width, height)).tobytes())
+                except OSError:  # it has ended: its status and last words say why
+                    break
+            with contextlib.suppress(OSError):
+                encoder.stdin.close()
+            status = encoder.wait()
+        except BaseException:
+            encoder.kill()
+            encoder.wait()
+            raise
+        words.seek(0)
+        said = words.read().decode("utf-8", "replace").replace(str(file), file.name).splitlines()
+    if status != 0 or not file.is_file() or file.stat().st_size == 0:
         full = shutil.disk_usage(file.parent).free < LEAST_FREE
-        raise OSError("No space left on device" if full else "ffmpeg could not write it")
+        reason = next((line.strip() for line in reversed(said) if line.strip()), f"ffmpeg ended with status {status}")
+        raise OSError("No space left on device" if full else f"ffmpeg could not write it: {reason}")

@@ -197,8 +197,48 @@ def test_unreadable_files_are_named(tmp_path) -> None:
 
 def test_mp4_without_ffmpeg_is_refused_before_the_work(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(OmtwarpError, match=r"pip install 'omtwarp\[film\]'"):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(OmtwarpError, match=r"needs the program ffmpeg.*or write a \.gif or \.webp"):
         preview(TRIANGLE, tmp_path / "film.mp4", backend="warp")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a script stands for the program")
+def test_the_ffmpeg_on_the_path_is_preferred_and_its_last_words_are_told(tmp_path, monkeypatch) -> None:
+    program = tmp_path / "ffmpeg"
+    program.write_text("#!/bin/sh\necho first >&2\necho the codec is out of order >&2\nexit 3\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(OmtwarpError, match="ffmpeg could not write it: the codec is out of order"):
+        output.save_film([Image.new("RGB", (16, 16))] * 3, tmp_path / "film.mp4", 10.0)
+    assert [file.name for file in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+@pytest.mark.parametrize(
+    ("listed", "chosen"),
+    [
+        (" V....D libx264      H.264\n V....D libopenh264  H.264", "libx264"),
+        (" V....D libopenh264  H.264", "libopenh264"),
+        ("", "mpeg4"),
+    ],
+)
+@pytest.mark.skipif(os.name == "nt", reason="a script stands for the program")
+def test_what_an_ffmpeg_can_encode_is_asked(tmp_path, listed: str, chosen: str) -> None:
+    program = tmp_path / "ffmpeg"
+    program.write_text(f"#!/bin/sh\ncat <<END\n{listed}\nEND\n")
+    program.chmod(0o755)
+    assert output._encoder(str(program))[1] == chosen
+
+
+def test_mp4_keeps_the_colours(tmp_path) -> None:
+    """A patch of strong colour comes back to within what BT.709 in eight bits rounds to, not shifted as by BT.601."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    color = (40, 190, 60)
+    output.save_film([Image.new("RGB", (64, 48), color)] * 3, tmp_path / "film.mp4", 10.0)
+    reader = ffmpeg.read_frames(str(tmp_path / "film.mp4"), output_params=["-vf", "scale=in_color_matrix=bt709"])
+    assert next(reader)["size"] == (64, 48)
+    shown = np.frombuffer(next(reader), np.uint8).reshape(48, 64, 3).astype(int)
+    reader.close()
+    assert np.abs(shown - color).max() <= 4
 
 
 def test_mp4_holds_the_frames(tmp_path) -> None:
