@@ -13,7 +13,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.joined_maps import joined
 from omtwarp.measures.weights import face_weights
-from omtwarp.mesh.quarter import PARTS
+from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
@@ -25,7 +25,7 @@ from omtwarp.pipeline import map_double, map_to_sphere
 from omtwarp.result import MapResult
 from omtwarp.surface_map import SurfaceMap
 from omtwarp.topology.boundary import loop_length
-from omtwarp.topology.doubling import double, split_chords
+from omtwarp.topology.doubling import Double, double, quartered_double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
 from omtwarp.topology.handles import cut_handles
 from omtwarp.topology.kind import Part, described, options_for, parts_of
@@ -35,6 +35,8 @@ from omtwarp.torus.torus_map import TorusMap
 # Of the surface's area, all fillings together, where they are to be small. With a tenth of that, triangles on both
 # sides of the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.
 SMALL_FILLING = 1e-2
+
+_AT_VERTICES = ("sphere", "conformal", "density", "source", "moser", "transported")  # arrays of a map
 
 Floats = NDArray[np.float64]
 
@@ -187,8 +189,11 @@ def _map_part(
         raise OmtwarpError(f"the surface has {described(part)}: " + _or(options_for([part])))
     if domain != "sphere" and not part.loops:
         raise OmtwarpError(f"a closed surface has no boundary to put on the rim of a {domain}: map it to the sphere")
-    if domain != "sphere" and options.get("exact"):
-        raise OmtwarpError(f"exact areas are for the sphere, holes filled: not for a {domain}")
+    if domain not in ("sphere", "hemisphere") and options.get("exact"):
+        raise OmtwarpError(
+            f"exact areas are for the sphere and the hemisphere: straight sides of triangles are bent on the way to a "
+            f"{domain}"
+        )
     opened = _opened(part, fill_area, to_rim=domain != "sphere")
     surface = _surface(opened, weights)
     if domain == "sphere":
@@ -201,7 +206,7 @@ def _map_part(
     if weights is None:
         return result
     parts = PARTS if options.get("exact") else 1
-    return replace(result, measure=np.repeat(surface.face_areas / parts, parts)[: len(opened.faces)])
+    return replace(result, measure=np.repeat(surface.face_areas / parts, parts)[: len(result.faces)])
 
 
 def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:
@@ -239,10 +244,29 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
         loops=loops,
         filled=FilledSurface(points, faces, np.repeat(opened.filled.patch, PARTS)),
     )
-    names = ("sphere", "conformal", "source", "moser", "transported")
-    arrays = {name: getattr(closed, name) for name in names}
+    arrays = {name: getattr(closed, name) for name in _AT_VERTICES}
     turned: dict[str, Any] = {name: None if points is None else points[order] for name, points in arrays.items()}
-    return cut, replace(closed, density=closed.density[order], **turned)
+    return cut, replace(closed, **turned)
+
+
+def _own_half(closed: MapResult, glued: Double) -> MapResult:
+    """The surface's own half of the map of a double."""
+    half, count = glued.half, len(glued.half)
+    number = np.full(len(glued.mirror), -1, dtype=np.int64)
+    number[half] = np.arange(count)
+    own = slice(0, len(closed.faces) // 2)
+    arrays = {name: getattr(closed, name) for name in _AT_VERTICES}
+    kept: dict[str, Any] = {name: None if points is None else points[half] for name, points in arrays.items()}
+    return replace(
+        closed,
+        vertices=closed.vertices[half],
+        faces=number[closed.faces[own]].astype(np.int32),
+        face_density=None if closed.face_density is None else closed.face_density[own],
+        measure=None if closed.measure is None else closed.measure[own],
+        vertex_origin=None,
+        face_origin=None,
+        **kept,
+    )
 
 
 def _or(lines: list[str]) -> str:
@@ -364,6 +388,12 @@ def _on_hemisphere(
     surface = Surface(glued.vertices, glued.faces, areas)
     chosen = MapOptions.parse(**(vars(MapOptions()) | options))
     closed = map_double(glued, surface, chosen, progress=progress, stacklevel=5)
+    if chosen.exact:
+        cut = quartered_double(glued, quarter(surface))
+        if not is_symmetric(cut, closed.sphere):
+            raise OmtwarpError("the map of the doubled surface with exact areas is not symmetric: leave exact out")
+        opened, closed = _quartered(opened, _own_half(closed, cut), half)
+        return _restricted(part, opened, closed, closed.sphere, domain)
     image = closed.sphere
     if not is_symmetric(glued, image):
         frame = mirror_frame(glued, image, surface.vertex_areas)

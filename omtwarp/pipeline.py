@@ -34,7 +34,7 @@ from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import Optimality, displacement_curl, surface_optimality
 from omtwarp.moser import moser_map
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetrised
-from omtwarp.open_surfaces.symmetric import symmetric_optimal_map
+from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
 from omtwarp.optimal import SHAPE_WEIGHT, OptimalMap, optimal_map
 from omtwarp.optimal.cells import exact_map
 from omtwarp.optimal.energy import AREA_WEIGHT
@@ -44,7 +44,7 @@ from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapResult, StageRecord
 from omtwarp.start.choice import bijective_start, shrunken_triangles
 from omtwarp.texturing.density import as_target
-from omtwarp.topology.doubling import Double
+from omtwarp.topology.doubling import Double, quartered_double
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import optimal_transport, transport_cost
 from omtwarp.transport.paper import paper_flow
@@ -578,6 +578,8 @@ class _Run:
         weight = float(optimal.details["shape_weight"] or 0.0)
         quartered = quarter(self.surface)
         self.surface = quartered.surface
+        if self.mirror is not None:
+            self.mirror = quartered_double(self.mirror, quartered)
         self.origins = {
             "vertex_origin": quartered.vertex_origin,
             "face_origin": quartered.parents.astype(np.int64),
@@ -587,9 +589,11 @@ class _Run:
         # Great circles cut what is one to one into what is one to one, but for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.mend(self.sphere, self.sphere)
-        found = exact_map(
-            quartered, before, start=self.source, shape_weight=weight, device=self.device, progress=notify
-        )
+        common: dict[str, Any] = {"start": self.source, "shape_weight": weight, "device": self.device}
+        if self.mirror is not None and is_symmetric(self.mirror, before):
+            found = symmetric_exact_map(self.mirror, quartered, before, **common, progress=notify)
+        else:
+            found = exact_map(quartered, before, **common, progress=notify)
         known = len(self.history)
         self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
         sphere, repaired = self.mend(before, found.sphere)

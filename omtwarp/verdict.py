@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
+from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import MapOptions, Method, Refinement, Stage
 from omtwarp.result import StageRecord
@@ -116,7 +117,7 @@ def judge(
     found = []
     remedy = ""
     if options.refine in (None, Refinement.AREA):
-        found = _area_findings(goal, sphere, uniform)
+        found = _area_findings(goal, sphere, uniform, PARTS if options.exact else 1)
     unfinished = [record for record in records if record.details.get("converged") is False and record.name != "refine"]
     if found or unfinished:
         causes = foretell(goal)
@@ -139,22 +140,23 @@ def refusal(found: Sequence[Finding]) -> OmtwarpError:
     return OmtwarpError(f"not accepted with --strict: {found[0]}" + (f" (also: {others})" if others else ""))
 
 
-def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool) -> list[Finding]:
-    """Find warnings about the areas of triangles and those around vertices."""
+def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, parts: int = 1) -> list[Finding]:
+    """Find warnings about the areas of triangles, each made of so many faces in a row, and those around vertices."""
     found = []
-    image = triangle_areas(sphere, goal.faces)
+    image = triangle_areas(sphere, goal.faces).reshape(-1, parts).sum(axis=1)
+    wanted = goal.face_areas.reshape(-1, parts).sum(axis=1)
     with np.errstate(divide="ignore"):
-        ratio = image / image.sum() * SPHERE_AREA / goal.face_areas
-        parts = goal.face_areas / SPHERE_AREA * (ratio + 1.0 / ratio)
-    mean = float(parts.sum())
+        ratio = image / image.sum() * SPHERE_AREA / wanted
+        distortion = wanted / SPHERE_AREA * (ratio + 1.0 / ratio)
+    mean = float(distortion.sum())
     if not mean < MAX_AREA_DISTORTION:
-        worst = int(np.argmax(parts - 2.0 * goal.face_areas / SPHERE_AREA))
+        worst = int(np.argmax(distortion - 2.0 * wanted / SPHERE_AREA))
         text = (
             f"area distortion {mean:.4g}, where 2 is perfect, most of it in face {worst} "
-            f"{_place_of_face(goal, worst)}, whose image has {ratio[worst]:.3g} times its area"
+            f"{_place_of_face(goal, parts * worst)}, whose image has {ratio[worst]:.3g} times its area"
         )
         found.append(Finding("area-distortion", worst, text, ""))
-    if uniform:
+    if uniform and parts == 1:
         around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
         error = np.abs(around / (3.0 * goal.vertex_areas) - 1.0)
         worst = int(np.argmax(error))

@@ -15,11 +15,13 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
+from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
+from omtwarp.optimal.cells import ITERATIONS, CellEnergy, minimise_cells
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, OptimalMap, minimise
 from omtwarp.options import Progress
-from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor
+from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor, saddle_factor_of_cells
 from omtwarp.topology.doubling import Double
 from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
 from omtwarp.untangling.steps import FlipFreeSteps
@@ -38,8 +40,7 @@ def folded(double: Double, vectors_: Floats) -> Floats:
     """
     out = vectors_.copy()
     out[double.on_boundary, 2] = 0.0
-    count = double.half_count
-    out[count:] = out[double.mirror[count:]] * ACROSS
+    out[double.copied] = out[double.mirror[double.copied]] * ACROSS
     return out
 
 
@@ -87,6 +88,41 @@ def symmetric_optimal_map(
     return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
+@blas_threads(1)
+def symmetric_exact_map(
+    double: Double,
+    quartered: QuarteredSurface,
+    sphere: ArrayLike,
+    *,
+    start: ArrayLike,
+    shape_weight: float = SHAPE_WEIGHT,
+    iterations: int = ITERATIONS,
+    gain: float = GAIN,
+    device: str | None = "auto",
+    progress: Progress | None = None,
+) -> OptimalMap:
+    """Minimise transport cost over the mirror-symmetric maps of a double that keep the area of every triangle.
+
+    Args:
+        double: the surface and its copy, their triangles cut into four, see
+            :func:`omtwarp.topology.doubling.quartered_double`.
+        quartered: the double as parts of 2F triangles, V vertices, with the areas that are to be kept.
+        sphere: a symmetric map without flips to begin with, shape [V, 3].
+        start: the points x that are transported, symmetric, shape [V, 3].
+        shape_weight, iterations, gain, device, progress: as of :func:`omtwarp.optimal.cells.exact_map`.
+
+    Returns:
+        The map, symmetric to the last bit; its multipliers belong to the triangles, shape [2F].
+
+    Raises:
+        OmtwarpError: the map given has flipped triangles.
+    """
+    where = resolve_device(device)
+    given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
+    energy = SymmetricCellEnergy(double, quartered, vectors(x, where), where, shape_weight)
+    return minimise_cells(energy, given, gain=gain, iterations=iterations, progress=progress)
+
+
 class SymmetricEnergy(TransportEnergy):
     """Evaluates symmetric maps of a double: as its base, with systems and steps of one half.
 
@@ -128,6 +164,43 @@ class SymmetricEnergy(TransportEnergy):
         return super().blocks(points, terms, curvature_share, least)
 
 
+class SymmetricCellEnergy(CellEnergy):
+    """Evaluates symmetric maps of a double whose triangles are cut into four, the area of each of them kept.
+
+    Args:
+        double: the surface and its copy, their triangles cut into four.
+        quartered: the same as parts of triangles.
+        start, device, shape_weight: as of :class:`CellEnergy`.
+    """
+
+    def __init__(
+        self,
+        double: Double,
+        quartered: QuarteredSurface,
+        start: wp.array,
+        device: wp.Device,
+        shape_weight: float,
+    ):
+        super().__init__(quartered, start, device, shape_weight)
+        self._double = double
+        self._mirror = MirrorCellFactor(double, quartered.surface, device, self.cells)
+
+    def saddle_factor(self) -> SaddlePointFactor:
+        """Solve on the half the systems of the double that :meth:`blocks` gives."""
+        return self._mirror
+
+    def flip_free_steps(self) -> FlipFreeSteps:
+        """Move symmetric maps to symmetric maps."""
+        return SymmetricSteps(self._double, self.surface, self.device)
+
+    def blocks(
+        self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
+    ) -> tuple[Floats, Floats, Floats]:
+        """Blocks of the base, for a factorisation at these points."""
+        self._mirror.at(points)
+        return super().blocks(points, terms, curvature_share, least)
+
+
 class MirrorFactor:
     """Solves symmetric saddle-point systems of a double for their symmetric solutions, on the half.
 
@@ -139,22 +212,31 @@ class MirrorFactor:
 
     def __init__(self, double: Double, surface: Surface, device: wp.Device):
         self._double, self._device = double, device
-        self._count = double.half_count
-        self._kept = np.flatnonzero((surface.edges < self._count).all(axis=1))
-        self._edges = surface.edges[self._kept]
-        self._rim = np.flatnonzero(double.on_boundary)
-        self._along = np.flatnonzero(double.on_boundary[self._edges].all(axis=1))  # edges of the boundary
-        self._share = np.where(double.on_boundary[: self._count], 0.5, 1.0)
-        self._factor = saddle_factor(surface.scaled_vertices[: self._count], self._edges)
+        self._half = double.half
+        number = np.full(len(double.mirror), -1, dtype=np.int32)
+        number[self._half] = np.arange(len(self._half))
+        self._number = number
+        self._original = np.where(double.copied, double.mirror, np.arange(len(double.mirror)))
+        self._kept = np.flatnonzero((number[surface.edges] >= 0).all(axis=1))
+        self._edges = number[surface.edges[self._kept]]
+        self._on_rim = double.on_boundary[self._half]
+        self._rim = np.flatnonzero(self._on_rim)
+        self._along = np.flatnonzero(self._on_rim[self._edges].all(axis=1))  # edges of the boundary
+        self._share = np.where(self._on_rim, 0.5, 1.0)
+        self._factor = self._made(surface.scaled_vertices[self._half])
         self._points: wp.array | None = None
-        self._normals = np.zeros((self._count, 2))
+        self._normals = np.zeros((len(self._half), 2))
+
+    def _made(self, places: Floats) -> SaddlePointFactor:
+        """What factorises the systems of the half, whose vertices are at these places."""
+        return saddle_factor(places, self._edges)
 
     def at(self, points: wp.array) -> None:
         """Take the tangent bases of a symmetric map, vec3d, shape [W], for the matrices to come."""
         self._points = points
         up = np.zeros((len(points), 3))
-        up[self._rim, 2] = 1.0
-        self._normals = self._coordinates(up)[: self._count]
+        up[self._half[self._rim], 2] = 1.0
+        self._normals = self._coordinates(up)[self._half]
 
     def factorise(self, diagonal: Floats, off_diagonal: Floats, gradients: Floats, compliance: Floats) -> None:
         """Factorise a matrix of the double, see :meth:`omtwarp.solvers.cholesky.saddle.SaddleFactor.factorise`.
@@ -162,43 +244,54 @@ class MirrorFactor:
         Raises:
             NotPositiveDefinite: it is not definite on the half.
         """
-        count, rim = self._count, self._rim
-        # Across the boundary nothing moves: what would is projected out of the matrix, and given a pivot of its own.
-        normal = self._normals[rim]
+        own, others = self._halved(diagonal, off_diagonal)
+        slopes = gradients[:, self._kept].copy()
+        slopes[:, self._along] *= 0.5
+        # The areas of the first end by the second one's coordinates come first.
+        for row, end in ((1, self._edges[:, 0]), (0, self._edges[:, 1])):
+            touching = np.flatnonzero(self._on_rim[end])
+            across = self._normals[end[touching]]
+            slopes[row, touching] -= across * np.einsum("ea,ea->e", across, slopes[row, touching])[:, None]
+        self._factor.factorise(own, others, slopes, compliance[self._half] * self._share)
+
+    def _halved(self, diagonal: Floats, off_diagonal: Floats) -> tuple[Floats, Floats]:
+        """Blocks of the half's vertices and edges from those of the double.
+
+        Across the boundary nothing moves: what would is projected out, and given a pivot of its own.
+        """
+        rim, normal = self._rim, self._normals[self._rim]
         outer = normal[:, :, None] * normal[:, None, :]
         projection = np.eye(2) - outer
-        own = diagonal[:count] * self._share[:, None, None]
+        own = diagonal[self._half] * self._share[:, None, None]
         own[rim] = projection @ own[rim] @ projection + np.trace(own[rim], axis1=1, axis2=2)[:, None, None] * outer
         others = off_diagonal[self._kept].copy()
         others[self._along] *= 0.5
-        slopes = gradients[:, self._kept].copy()
-        slopes[:, self._along] *= 0.5
-        i, j = self._edges.T
-        for end, transposed in ((i, False), (j, True)):
-            touching = np.flatnonzero(self._double.on_boundary[end])
+        for end, transposed in ((self._edges[:, 0], False), (self._edges[:, 1], True)):
+            touching = np.flatnonzero(self._on_rim[end])
             across = self._normals[end[touching]]
             blocks = others[touching].transpose(0, 2, 1) if transposed else others[touching]
             blocks = blocks - across[:, :, None] * np.einsum("ea,eab->eb", across, blocks)[:, None, :]
             others[touching] = blocks.transpose(0, 2, 1) if transposed else blocks
-            # The areas of the first end by the second one's coordinates come first.
-            row = 0 if transposed else 1
-            slopes[row, touching] -= across * np.einsum("ea,ea->e", across, slopes[row, touching])[:, None]
-        self._factor.factorise(own, others, slopes, compliance[:count] * self._share)
+        return own, others
 
     def solve(self, first: Floats, second: Floats) -> tuple[Floats, Floats]:
         """Solve for coordinates, shape [W, 2], and multipliers, shape [W], of symmetric right-hand sides."""
-        count = self._count
-        right = first[:count] * self._share[:, None]
-        right = right - self._normals * np.einsum("va,va->v", self._normals, right)[:, None]
-        u, q = self._factor.solve(right, second[:count] * self._share)
-        coordinates = np.zeros((len(first), 2))
-        coordinates[:count] = u
-        step = wp.empty(len(first), dtype=wp.vec3d, device=self._device)
+        u, q = self._factor.solve(self._tangential(first), second[self._half] * self._share)
+        return self._mirrored(u), q[self._number[self._original]]
+
+    def _tangential(self, first: Floats) -> Floats:
+        """Right-hand sides of the half's coordinates, without what points across the boundary."""
+        right = first[self._half] * self._share[:, None]
+        return right - self._normals * np.einsum("va,va->v", self._normals, right)[:, None]
+
+    def _mirrored(self, u: Floats) -> Floats:
+        """Coordinates of the double's vertices, shape [W, 2], from those of the half's."""
+        coordinates = np.zeros((len(self._double.mirror), 2))
+        coordinates[self._half] = u
+        step = wp.empty(len(coordinates), dtype=wp.vec3d, device=self._device)
         inputs = [self._points, wp.array(coordinates, dtype=wp.float64, device=self._device)]
-        wp.launch(from_tangent, dim=len(first), inputs=inputs, outputs=[step], device=self._device)
-        return self._coordinates(folded(self._double, step.numpy())), np.concatenate(
-            [q, q[self._double.mirror[count:]]]
-        )
+        wp.launch(from_tangent, dim=len(coordinates), inputs=inputs, outputs=[step], device=self._device)
+        return self._coordinates(folded(self._double, step.numpy()))
 
     def _coordinates(self, tangent: Floats) -> Floats:
         """Tangent vectors, shape [W, 3], in the bases of the map, shape [W, 2]."""
@@ -206,6 +299,37 @@ class MirrorFactor:
         inputs = [self._points, vectors(tangent, self._device)]
         wp.launch(to_tangent, dim=len(tangent), inputs=inputs, outputs=[out], device=self._device)
         return out.numpy()
+
+
+class MirrorCellFactor(MirrorFactor):
+    """As its base for multipliers that belong to cells, each of them on one side of the boundary.
+
+    Args:
+        double, surface, device: as of :class:`MirrorFactor`.
+        cells: the vertices of every cell, the copies in the second half, shape [N, K].
+    """
+
+    def __init__(self, double: Double, surface: Surface, device: wp.Device, cells: NDArray[np.int32]):
+        self._cells = cells[: len(cells) // 2]
+        super().__init__(double, surface, device)
+
+    def _made(self, places: Floats) -> SaddlePointFactor:
+        self._own_cells = self._number[self._cells]
+        return saddle_factor_of_cells(places, self._edges, self._own_cells)
+
+    def factorise(self, diagonal: Floats, off_diagonal: Floats, gradients: Floats, compliance: Floats) -> None:
+        """Factorise a matrix of the double, see :class:`omtwarp.solvers.cholesky.cell_saddle.CellSaddleFactor`."""
+        own, others = self._halved(diagonal, off_diagonal)
+        count = len(self._own_cells)
+        across = self._normals[self._own_cells]  # zero but at the boundary
+        slopes = gradients[:count]
+        slopes = slopes - across * np.einsum("cka,cka->ck", across, slopes)[:, :, None]
+        self._factor.factorise(own, others, slopes, compliance[:count])
+
+    def solve(self, first: Floats, second: Floats) -> tuple[Floats, Floats]:
+        """Solve for coordinates, shape [W, 2], and multipliers, shape [N], of symmetric right-hand sides."""
+        u, q = self._factor.solve(self._tangential(first), second[: len(self._own_cells)])
+        return self._mirrored(u), np.concatenate([q, q])
 
 
 class SymmetricSteps(FlipFreeSteps):
@@ -240,4 +364,14 @@ class SymmetricSteps(FlipFreeSteps):
         return own if own.any() else None
 
 
-__all__ = ["MirrorFactor", "SymmetricEnergy", "SymmetricSteps", "folded", "folded_map", "symmetric_optimal_map"]
+__all__ = [
+    "MirrorCellFactor",
+    "MirrorFactor",
+    "SymmetricCellEnergy",
+    "SymmetricEnergy",
+    "SymmetricSteps",
+    "folded",
+    "folded_map",
+    "symmetric_exact_map",
+    "symmetric_optimal_map",
+]

@@ -73,7 +73,14 @@ def exact_map(
     where = resolve_device(device)
     given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
     energy = CellEnergy(quartered, vectors(x, where), where, shape_weight)
-    found = minimise(energy, given, gain=gain, iterations=iterations, progress=progress)
+    return minimise_cells(energy, given, gain=gain, iterations=iterations, progress=progress)
+
+
+def minimise_cells(
+    energy: CellEnergy, sphere: Numbers, *, gain: float, iterations: int, progress: Progress | None
+) -> OptimalMap:
+    """Minimise an energy of cells, and make their areas right to 1e-6; arguments and result as of :func:`exact_map`."""
+    found = minimise(energy, sphere, gain=gain, iterations=iterations, progress=progress)
     history = list(found.history)
 
     def tell(number: int, terms: MapTerms) -> None:

@@ -212,10 +212,23 @@ def saddle_factor(points: NDArray[np.float64], edges: NDArray[np.int32]) -> Sadd
 
 def cell_saddle_factor(surface: Surface, cells: NDArray[np.int32]) -> SaddlePointFactor:
     """Solve with a multiplier for every cell, a group of vertices; shape [N, K]."""
+    return saddle_factor_of_cells(surface.scaled_vertices, surface.edges, cells)
+
+
+def saddle_factor_of_cells(
+    points: NDArray[np.float64], edges: NDArray[np.int32], cells: NDArray[np.int32]
+) -> SaddlePointFactor:
+    """Make the factorisation that is asked for, of saddle-point matrices on the edges and cells of any mesh.
+
+    Args:
+        points: positions of the vertices, shape [V, 3]; they only say which are near one another.
+        edges: every edge (i, j) once, shape [E, 2].
+        cells: the vertices of every cell, shape [N, K].
+    """
     if solves_with_scipy():
         multipliers = np.repeat(np.arange(len(cells)), cells.shape[1])
-        return SparseSaddleFactor(surface.vertex_count, surface.edges, multipliers, cells.ravel())
-    return CellSaddleFactor(surface.scaled_vertices, surface.edges, cells)
+        return SparseSaddleFactor(len(points), edges, multipliers, cells.ravel())
+    return CellSaddleFactor(points, edges, cells)
 
 
 __all__ = [
@@ -226,6 +239,7 @@ __all__ = [
     "cell_saddle_factor",
     "mesh_factor",
     "saddle_factor",
+    "saddle_factor_of_cells",
     "surface_factor",
     "surface_saddle_factor",
 ]

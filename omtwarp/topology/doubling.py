@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.topology.boundary import boundary_half_edges
 
 
@@ -97,17 +98,19 @@ class Double:
         faces: those of the surface first, then the copies, turned over, int32, shape [2F, 3].
         mirror: the copy of every vertex, shape [W]; a vertex of the boundary is its own.
         on_boundary: which vertices those are, shape [W].
+        copied: which vertices belong to the copy alone, shape [W].
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     mirror: NDArray[np.int64]
     on_boundary: NDArray[np.bool_]
+    copied: NDArray[np.bool_]
 
     @property
-    def half_count(self) -> int:
-        """Number of vertices of the surface itself, with its boundary."""
-        return int(np.count_nonzero(self.mirror >= np.arange(len(self.mirror))))
+    def half(self) -> NDArray[np.int64]:
+        """The vertices of the surface itself, with its boundary, ascending, shape [H]."""
+        return np.flatnonzero(~self.copied)
 
 
 def double(vertices: NDArray[np.float64], faces: NDArray) -> Double:
@@ -129,7 +132,31 @@ def double(vertices: NDArray[np.float64], faces: NDArray) -> Double:
         np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32),
         np.concatenate([copy, inside]),
         np.concatenate([on_boundary, np.zeros(len(inside), dtype=bool)]),
+        np.arange(count + len(inside)) >= count,
     )
 
 
-__all__ = ["Double", "SplitSurface", "double", "split_chords"]
+def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
+    """The double whose triangles are the parts of another's.
+
+    Args:
+        whole: a surface and its mirror copy, W vertices and 2F faces.
+        quartered: the same with every triangle cut into four, the surface's own first.
+    """
+    count, ends = len(whole.mirror), quartered.ends.astype(np.int64)
+    images = np.sort(whole.mirror[ends], axis=1)
+    keys, wanted = ends.min(axis=1) * count + ends.max(axis=1), images[:, 0] * count + images[:, 1]
+    order = np.argsort(keys)
+    image = order[np.searchsorted(keys, wanted, sorter=order)]
+    own = np.zeros(len(ends), dtype=bool)
+    own[quartered.middles[: len(quartered.middles) // 2] - count] = True
+    return Double(
+        quartered.surface.vertices,
+        quartered.surface.faces,
+        np.concatenate([whole.mirror, count + image]),
+        np.concatenate([whole.on_boundary, image == np.arange(len(ends))]),
+        np.concatenate([whole.copied, ~own]),
+    )
+
+
+__all__ = ["Double", "SplitSurface", "double", "quartered_double", "split_chords"]

@@ -11,7 +11,7 @@ from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
-from omtwarp.open_surfaces.planar import flipped_in_plane, mend_in_plane
+from omtwarp.open_surfaces.planar import flipped_in_plane, mend_in_plane, mend_on_sphere
 from omtwarp.topology.boundary import boundary_loops
 
 
@@ -172,6 +172,50 @@ def test_flipped_triangles_of_the_plane_are_mended():
     assert left == 0 and not flipped_in_plane(mended, faces).any() and np.array_equal(mended[held], flat[held])
 
 
+def thick_ring(around: int = 24, across: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """A ring torus of near-equilateral triangles."""
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
+    turn, roll = 2.0 * np.pi * i / around, 2.0 * np.pi * (j + 0.5 * (i % 2)) / across
+    wide = 1.0 + 0.5 * np.cos(roll)
+    points = np.stack([wide * np.cos(turn), wide * np.sin(turn), 0.5 * np.sin(roll)], axis=1)
+    here, beside = across * i + j, across * i + (j + 1) % across
+    after = across * ((i + 1) % around) + j
+    beyond = across * ((i + 1) % around) + (j + 1) % across
+    even = (i % 2 == 0)[:, None]
+    first = np.where(even, np.stack([here, after, beside], 1), np.stack([here, after, beyond], 1))
+    second = np.where(even, np.stack([after, beyond, beside], 1), np.stack([here, beyond, beside], 1))
+    return points, np.concatenate([first, second])
+
+
+def test_exact_areas_of_parts_and_of_handles_cut_open():
+    ball, (points, triangles) = shapes.icosphere(4), thick_ring()
+    vertices = np.concatenate([ball.vertices + 5.0, points])
+    faces = np.concatenate([ball.faces, triangles + ball.vertex_count])
+    result = omtwarp.map_surface((vertices, faces), domain="sphere", exact=True, optimality=False, device="cpu")
+    assert result.certificate.bijective and len(result.faces) == 4 * len(faces)
+    images = np.bincount(result.face_origin, spherical_areas(result.sphere, result.faces))
+    own, part = triangle_areas(vertices, faces), result.part[::4]
+    for number in range(2):
+        shares = [areas[part == number] / areas[part == number].sum() for areas in (images, own)]
+        assert np.abs(shares[0] / shares[1] - 1.0).max() < 3e-6
+    halves = result.vertices[result.split_edges].mean(axis=1)
+    assert np.allclose(result.vertices[result.vertex_origin < 0], halves)
+
+
+def test_flipped_triangles_of_a_large_cap_are_mended():
+    ball = shapes.icosphere(6)
+    places, faces = without(ball, ball.vertices[:, 2] > -0.8)
+    rim = np.zeros(len(places), dtype=bool)
+    rim[boundary_loops(faces, len(places))[0]] = True
+    moved = places.copy()
+    for vertex in (5, 60, 61, 150):
+        moved[vertex] += 2.0 * np.linalg.norm(places[faces[0, 0]] - places[faces[0, 1]]) * np.roll(places[vertex], 1)
+    moved /= np.linalg.norm(moved, axis=1)[:, None]
+    assert count_flips(moved, faces) > 3
+    mended = mend_on_sphere(moved, faces, rim)
+    assert count_flips(mended, faces) == 0 and np.array_equal(mended[rim], moved[rim])
+
+
 @pytest.mark.parametrize(
     ("mesh", "options", "words"),
     [
@@ -207,6 +251,23 @@ def test_exact_areas_of_a_surface_with_a_filled_hole():
     images = np.bincount(result.face_origin, areas)
     shares = triangle_areas(vertices, faces) / triangle_areas(result.filled_vertices, result.filled_faces).sum()
     assert np.abs(images / (4.0 * np.pi * shares) - 1.0).max() < 2e-6
+
+
+def test_exact_areas_of_a_hemisphere():
+    """Every triangle keeps its share of the area to 1e-6, and the boundary stays on the equator to the last bit."""
+    ball = shapes.blob(seed=2, amplitude=0.2, degree=4, sphere=320)
+    vertices, faces = without(ball, ball.vertices[:, 2] > -0.2)
+    result = omtwarp.map_surface((vertices, faces), domain="hemisphere", exact=True, device="cpu")
+    assert result.certificate.bijective and result.domain == "hemisphere"
+    images = np.bincount(result.face_origin, spherical_areas(result.sphere, result.faces), len(faces))
+    own = triangle_areas(vertices, faces)
+    assert np.abs(images / (2.0 * np.pi * own / own.sum()) - 1.0).max() < 2e-6
+    rim = boundary_loops(result.faces, len(result.vertices))[0]
+    assert (result.sphere[rim, 2] == 0.0).all() and result.sphere[:, 2].min() == 0.0
+    assert np.array_equal(result.vertices[: len(vertices)], vertices)
+    assert np.allclose(result.vertices[result.vertex_origin < 0], result.vertices[result.split_edges].mean(axis=1))
+    with pytest.raises(omtwarp.OmtwarpError, match="sphere and the hemisphere"):
+        omtwarp.map_surface((vertices, faces), domain="disk", exact=True, device="cpu")
 
 
 def spherical_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -45,7 +45,7 @@ def test_half_system_has_the_symmetric_solution_of_the_whole_one(solver):
         ]
         points = vectors(sphere, where)
         steps, changes = [], []
-        multipliers = rng.normal(size=glued.half_count)[np.minimum(np.arange(len(sphere)), glued.mirror)]
+        multipliers = rng.normal(size=len(glued.half))[np.minimum(np.arange(len(sphere)), glued.mirror)]
         for energy in energies:
             terms = energy.terms(points)
             blocks, others, slopes = energy.blocks(points, terms, 1.0, 1e-3)
