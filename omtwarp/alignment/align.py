@@ -161,24 +161,28 @@ def align(
     moving, fixed = as_points(given, "the map"), as_points(to, "the template")
     if set(features or {}) != set(to_features or {}):
         raise OmtwarpError("features have to be given for both sides, with the same names")
-    same = moving.grid.triangles.shape == fixed.grid.triangles.shape and np.array_equal(
-        moving.grid.triangles, fixed.grid.triangles
-    )
-    if by == "vertices" and not same:
+    by_vertices = by == "vertices" or (by == "auto" and _same_faces(moving, fixed) and not features)
+    if by_vertices and not _same_faces(moving, fixed):
         raise OmtwarpError("the two meshes have different faces: align them by features")
-    by_vertices = by == "vertices" or (by == "auto" and same and not features)
-    candidates = [
-        _by_vertices(moving, fixed) if by_vertices else _by_features(moving, fixed, features, to_features, degree)
-    ]
-    if mirror:
-        image = mirror_image(moving)
+
+    def aligned(points: SpherePoints) -> Alignment:
         if by_vertices:
-            other = _by_vertices(image, fixed)
-        else:
-            other = _by_features(image, fixed, features, to_features, degree)
-        rotation = other.rotation @ MIRROR
-        candidates.append(Alignment(rotation, other.sphere, other.method, other.score, other.runner_up, mirrored=True))
-    return max(candidates, key=lambda one: one.score)
+            return _by_vertices(points, fixed)
+        return _by_features(points, fixed, features, to_features, degree)
+
+    found = aligned(moving)
+    if not mirror:
+        return found
+    image = aligned(mirror_image(moving))
+    if not image.score > found.score:
+        return found
+    return replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
+
+
+def _same_faces(one: SpherePoints, other: SpherePoints) -> bool:
+    """Whether two spheres have the same triangles."""
+    first, second = one.grid.triangles, other.grid.triangles
+    return first.shape == second.shape and np.array_equal(first, second)
 
 
 def turned_map(result: MapResult, alignment: Alignment) -> MapResult:

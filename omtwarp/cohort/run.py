@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,15 +95,7 @@ def run_cohort(
     workers = core_count() if workers is None else workers
     if workers < 1:
         raise OmtwarpError(f"{workers} workers: there must be one at least")
-    known = vars(MapOptions())
-    unknown = [name for name in options if name not in known]
-    if unknown:
-        raise OmtwarpError(f"unknown option '{unknown[0]}': use {', '.join(known)}")
-    chosen = known | options
-    parsed = vars(MapOptions.parse(**chosen))
-    asked = {name: str(value) if isinstance(value, str) else value for name, value in parsed.items()} | {
-        "repair": repair
-    }
+    asked = _asked(options) | {"repair": repair}
     target = Path(folder).absolute()
     make_folders(target)
     jobs = [
@@ -120,18 +112,13 @@ def run_cohort(
     ]
     mine = [] if collect else jobs[part - 1 :: parts]
     todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]
-    failed = 0
     if todo:
         with _only_driver(target, part, parts):
             if retry:
                 for job in todo:
                     forget_failure(job)
-            done = len(mine) - len(todo)
-            for record in executor_for(executor, target, workers).records(todo):
-                done += 1
-                failed += record["status"] != OK
-                if progress is not None:
-                    progress("cohort", done, len(mine), {"failed": failed})
+            records = executor_for(executor, target, workers).records(todo)
+            _follow(records, len(mine) - len(todo), len(mine), progress)
     complete_journal(jobs, target)
     from omtwarp.cohort.page import write_page  # loads Warp, which a driver does not need while it waits
 
@@ -139,6 +126,29 @@ def run_cohort(
     table = write_table(rows, target)
     page = write_page(rows, target)
     return CohortResult(dict(Counter(row["status"] for row in rows)), len(todo), table, page)
+
+
+def _asked(options: dict[str, Any]) -> dict[str, Any]:
+    """All options of a map, those given in place of the defaults, ready for JSON.
+
+    Raises:
+        OmtwarpError: one is unknown, or has an unknown value.
+    """
+    known = vars(MapOptions())
+    unknown = [name for name in options if name not in known]
+    if unknown:
+        raise OmtwarpError(f"unknown option '{unknown[0]}': use {', '.join(known)}")
+    parsed = vars(MapOptions.parse(**(known | options)))
+    return {name: str(value) if isinstance(value, str) else value for name, value in parsed.items()}
+
+
+def _follow(records: Iterable[dict[str, Any]], done: int, total: int, progress: Progress | None) -> None:
+    """Wait for the records of items that are worked on, and tell how far the cohort is after each."""
+    failed = 0
+    for count, record in enumerate(records, done + 1):
+        failed += record["status"] != OK
+        if progress is not None:
+            progress("cohort", count, total, {"failed": failed})
 
 
 def _row(item: Item, job: Job) -> dict[str, Any]:

@@ -65,9 +65,7 @@ def resample_map(
     """
     from omtwarp.commands._progress import progress_bar
     from omtwarp.commands._work import report_text, start_device
-    from omtwarp.mesh.data import DATA_SUFFIXES, from_npy, read_data
     from omtwarp.mesh.neuro import require_same_structure
-    from omtwarp.mesh.write import SUFFIXES, write_mesh
     from omtwarp.resampling import file_points, resample
     from omtwarp.spheres import is_named
 
@@ -75,47 +73,93 @@ def resample_map(
     stream = str(output) == "-"
     if stream and (as_json or data is None):
         raise OmtwarpError("'-o -' writes data to standard output: it needs --data, and goes without --json")
-    inputs = [here, there, surface, None if data is None or str(data) == "-" else data]
-    if not stream:
-        check_output(output, DATA_SUFFIXES if data is not None else SUFFIXES, *inputs)
-    for extra, suffixes in ((sphere, SUFFIXES), (matrix, (".npz",))):
-        if extra is not None:
-            check_output(extra, suffixes, *inputs)
+    _check_outputs(output, sphere, matrix, data, [here, there, surface])
     require_same_structure(here if surface is None else surface, there)
-    given: VertexData | None = None
-    if data is not None:
-        from_stream = str(data) == "-"
-        given = from_npy(io.BytesIO(sys.stdin.buffer.read()), "data") if from_stream else read_data(data)
-        if not from_stream:
-            require_same_structure(data, there)
+    given = None if data is None else _read(data, there)
     as_labels = labels or (given is not None and given.is_labels)
     chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
     start_device(device)
     with progress_bar(quiet or stream) as progress:
+
+        def notify(done: int) -> None:
+            if progress is not None:
+                progress("resample", done, 3, {})
+
         ends = [file_points(source, surface), file_points(to, None)]
-        if progress is not None:
-            progress("resample", 1, 3, {})
+        notify(1)
         found = resample(*ends, method=chosen, device=device)
-        if progress is not None:
-            progress("resample", 2, 3, {})
+        notify(2)
         if given is not None:
             _write(output, found, given, as_labels)
         else:
-            if found.target.grid.faces is None:
-                raise OmtwarpError(f"{to} has no triangles that a surface could have: give --data, or another target")
-            write_mesh(output, found.surface(), found.target.grid.faces, like=surface)
-        if sphere is not None:
-            write_mesh(sphere, found.target.grid.points, found.target.grid.triangles, spherical=True)
-        if matrix is not None:
-            found.save(matrix)
-        if progress is not None:
-            progress("resample", 3, 3, {})
+            _write_surface(output, found, surface, to)
+        _write_extras(found, sphere, matrix)
+        notify(3)
     if as_json:
         print(report_text(_record(found, output, given)), end="")
     elif not quiet and not stream:
         kind = "labels" if as_labels else "data"
         what = "the surface" if given is None else f"{kind} with {given.values.shape[1]} column(s)"
         print(f"{output}: {what}, {chosen}, from {found.matrix.shape[1]} to {found.matrix.shape[0]} points")
+
+
+def _check_outputs(
+    output: Path, sphere: Path | None, matrix: Path | None, data: Path | None, meshes: list[Path | None]
+) -> None:
+    """Make sure that every output can be written and replaces no input.
+
+    Raises:
+        OmtwarpError: one of them cannot.
+    """
+    from omtwarp.mesh.data import DATA_SUFFIXES
+    from omtwarp.mesh.write import SUFFIXES
+
+    inputs = [*meshes, None if data is None or str(data) == "-" else data]
+    if str(output) != "-":
+        check_output(output, SUFFIXES if data is None else DATA_SUFFIXES, *inputs)
+    for extra, suffixes in ((sphere, SUFFIXES), (matrix, (".npz",))):
+        if extra is not None:
+            check_output(extra, suffixes, *inputs)
+
+
+def _read(data: Path, target: Path | None) -> VertexData:
+    """Read data from a file, or from standard input where it is ``-``.
+
+    Raises:
+        OmtwarpError: it cannot be read, or is of another structure of the brain than the target.
+    """
+    from omtwarp.mesh.data import from_npy, read_data
+    from omtwarp.mesh.neuro import require_same_structure
+
+    if str(data) == "-":
+        return from_npy(io.BytesIO(sys.stdin.buffer.read()), "data")
+    given = read_data(data)
+    require_same_structure(data, target)
+    return given
+
+
+def _write_surface(output: Path, found: Resampling, like: Path | None, target: str) -> None:
+    """Write the surface with the target's triangles.
+
+    Raises:
+        OmtwarpError: the target has none.
+    """
+    from omtwarp.mesh.write import write_mesh
+
+    faces = found.target.grid.faces
+    if faces is None:
+        raise OmtwarpError(f"{target} has no triangles that a surface could have: give --data, or another target")
+    write_mesh(output, found.surface(), faces, like=like)
+
+
+def _write_extras(found: Resampling, sphere: Path | None, matrix: Path | None) -> None:
+    """Write the target's sphere and the matrix where they are asked for."""
+    from omtwarp.mesh.write import write_mesh
+
+    if sphere is not None:
+        write_mesh(sphere, found.target.grid.points, found.target.grid.triangles, spherical=True)
+    if matrix is not None:
+        found.save(matrix)
 
 
 def _write(output: Path, found: Resampling, given: VertexData, as_labels: bool) -> None:

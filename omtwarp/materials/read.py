@@ -133,35 +133,65 @@ def _from_ply(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
     face = np.repeat(np.arange(len(sizes)), sizes)[rows[:, 0]]
     faces = corners[rows].astype(np.int32)
     vertex, sides = columns["vertex"], columns["face"]
-    named: list[Path] = []
-    pictures: list[Bytes | None] = []
-    for line in data[: data.find(b"end_header")].decode("utf-8", "replace").splitlines():
-        words = line.strip().split(None, 2)
-        if len(words) == 3 and words[:2] == ["comment", "TextureFile"]:
-            there = _beside(file, words[2])
-            notes += [f"the picture '{words[2]}' is not there"] * (there is None)
-            pictures.append(None if there is None else _as_bytes(read_image(there)))
-            named += [] if there is None else [there]
-    uv, doubled = None, False
-    listed = sides.get("texcoord")
-    pair = next((pair for pair in _PLY_COORDINATES if set(pair) <= set(vertex)), None)
-    if isinstance(listed, tuple) and np.array_equal(listed[0], 2 * sizes):
-        uv = np.asarray(listed[1], dtype=np.float64).reshape(-1, 2)[rows]
-    elif pair is not None:
-        uv = np.stack([_numbers(vertex[name]) for name in pair], axis=1)[faces]
-        doubled = True
+    pictures, named, missing = _ply_pictures(data, file)
+    uv, doubled = _ply_coordinates(vertex, sides, sizes, rows, faces)
     number = np.zeros(len(faces), dtype=np.int32)
     if len(pictures) > 1 and "texnumber" in sides:
         number = np.clip(_numbers(sides["texnumber"])[face], 0, len(pictures) - 1).astype(np.int32)
     materials = tuple(Material(f"material-{k}", picture=one) for k, one in enumerate(pictures)) or (Material(),)
-    colors = None
-    if {"red", "green", "blue"} <= set(vertex):
-        channels = [name for name in ("red", "green", "blue", "alpha") if name in vertex]
-        values = np.stack([_numbers(vertex[name]) for name in channels], axis=1)
-        scale = 255.0 if np.asarray(vertex["red"]).dtype.kind == "f" and values.max(initial=0.0) <= 1.0 else 1.0
-        colors = _opaque(np.rint(np.clip(values * scale, 0, 255)).astype(np.uint8))
-    mesh = PaintedMesh(points, faces, uv, materials, number, colors, tuple(notes), source_files=tuple(named))
+    mesh = PaintedMesh(
+        points, faces, uv, materials, number, _ply_colors(vertex), (*notes, *missing), source_files=tuple(named)
+    )
     return joined_seams(mesh) if doubled else mesh
+
+
+def _ply_pictures(data: bytes, file: Path) -> tuple[list[Bytes | None], list[Path], list[str]]:
+    """The pictures that the header of a PLY file names, None for one that is not there; their files; and notes."""
+    pictures: list[Bytes | None] = []
+    named: list[Path] = []
+    notes: list[str] = []
+    for line in data[: data.find(b"end_header")].decode("utf-8", "replace").splitlines():
+        words = line.strip().split(None, 2)
+        if len(words) == 3 and words[:2] == ["comment", "TextureFile"]:
+            there = _beside(file, words[2])
+            if there is None:
+                notes.append(f"the picture '{words[2]}' is not there")
+                pictures.append(None)
+            else:
+                named.append(there)
+                pictures.append(_as_bytes(read_image(there)))
+    return pictures, named, notes
+
+
+def _ply_coordinates(
+    vertex: dict[str, Column], sides: dict[str, Column], sizes: NDArray, rows: NDArray, faces: Ints
+) -> tuple[Floats | None, bool]:
+    """The texture coordinates of a PLY file's triangles, shape [F, 3, 2], and whether they are its vertices'.
+
+    Args:
+        vertex: columns of the vertices.
+        sides: columns of the polygons.
+        sizes: how many corners each polygon has.
+        rows: which of the polygons' corners are a triangle's, shape [F, 3].
+        faces: the vertices there.
+    """
+    listed = sides.get("texcoord")
+    pair = next((pair for pair in _PLY_COORDINATES if set(pair) <= set(vertex)), None)
+    if isinstance(listed, tuple) and np.array_equal(listed[0], 2 * sizes):
+        return np.asarray(listed[1], dtype=np.float64).reshape(-1, 2)[rows], False
+    if pair is not None:
+        return np.stack([_numbers(vertex[name]) for name in pair], axis=1)[faces], True
+    return None, False
+
+
+def _ply_colors(vertex: dict[str, Column]) -> Bytes | None:
+    """The colours at a PLY file's vertices with their opacity, shape [V, 4], None where there are none."""
+    if not {"red", "green", "blue"} <= set(vertex):
+        return None
+    channels = [name for name in ("red", "green", "blue", "alpha") if name in vertex]
+    values = np.stack([_numbers(vertex[name]) for name in channels], axis=1)
+    scale = 255.0 if np.asarray(vertex["red"]).dtype.kind == "f" and values.max(initial=0.0) <= 1.0 else 1.0
+    return _opaque(np.rint(np.clip(values * scale, 0, 255)).astype(np.uint8))
 
 
 def _numbers(column: Column) -> Floats:

@@ -59,37 +59,12 @@ def read_obj(text: bytes, triangulate: bool) -> Wavefront:
         OmtwarpError: no triangles, or faces with more corners.
         ValueError: words where numbers belong.
     """
-    joined = text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
-    points: list[list[bytes]] = []
-    coordinates: list[list[bytes]] = []
-    corners: list[bytes] = []
-    before: list[tuple[int, int]] = []
-    sizes: list[int] = []
-    used: list[int] = []
-    names: dict[str, int] = {}
-    libraries: list[str] = []
-    current = ""
-    for match in _STATEMENT.finditer(joined):
-        kind, rest = match.group(1) or b"usemtl", match.group(2) or b""
-        if kind == b"v":
-            points.append(rest.split())
-        elif kind == b"vt":
-            coordinates.append(rest.split()[:2])
-        elif kind == b"f":
-            words = rest.split()
-            corners += words
-            sizes.append(len(words))
-            before.append((len(points), len(coordinates)))
-            used.append(names.setdefault(current, len(names)))
-        elif kind == b"usemtl":
-            current = rest.decode("utf-8", "replace").strip()
-        else:
-            libraries.append(rest.decode("utf-8", "replace").strip())
-    if not sizes:
+    found = _statements(text)
+    if not found.sizes:
         raise OmtwarpError("not a triangle mesh: no faces in it")
-    counts = np.array(sizes)
-    split = [word.split(b"/") for word in corners]
-    ahead = np.repeat(np.array(before), counts, axis=0)
+    counts = np.array(found.sizes)
+    split = [word.split(b"/") for word in found.corners]
+    ahead = np.repeat(np.array(found.before), counts, axis=0)
     vertex = np.array([int(parts[0]) for parts in split], dtype=np.int64)
     vertex = np.where(vertex < 0, vertex + ahead[:, 0], vertex - 1)
     which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
@@ -98,24 +73,74 @@ def read_obj(text: bytes, triangulate: bool) -> Wavefront:
     rows, notes = fans(np.arange(len(vertex)), counts, triangulate)
     face = np.repeat(np.arange(len(counts)), counts)[rows[:, 0]]
     uv = None
-    if given.any() and coordinates:
-        table = np.array([[*row, b"0"][:2] for row in coordinates], dtype=np.float64)
+    if given.any() and found.coordinates:
+        table = np.array([[*row, b"0"][:2] for row in found.coordinates], dtype=np.float64)
         if which[given].max() >= len(table) or which[given].min() < 0:
             raise OmtwarpError(f"a face asks for texture coordinates {which[given].max() + 1} of {len(table)}")
         at_corner = np.full((len(vertex), 2), np.nan)
         at_corner[given] = table[which[given]]
         uv = at_corner[rows]
+    points = found.points
     colored = bool(points) and all(len(row) >= 6 for row in points)
     return Wavefront(
         vertices=np.array([row[:3] for row in points], dtype=np.float64),
         faces=vertex[rows].astype(np.int32),
         uv=uv,
-        face_material=np.array(used, dtype=np.int32)[face],
-        names=list(names),
-        libraries=libraries,
+        face_material=np.array(found.used, dtype=np.int32)[face],
+        names=list(found.names),
+        libraries=found.libraries,
         colors=np.array([row[3:6] for row in points], dtype=np.float64) if colored else None,
         notes=notes,
     )
+
+
+@dataclass
+class _Statements:
+    """The statements of an OBJ file, sorted by what they say.
+
+    Attributes:
+        points: words behind ``v``.
+        coordinates: the first two words behind ``vt``.
+        corners: words behind ``f``, of all faces one after another.
+        sizes: how many of them each face has.
+        before: how many points and coordinates stand before each face, from which negative numbers count.
+        used: number of each face's material.
+        names: number of every material used, by its name.
+        libraries: words behind ``mtllib``.
+    """
+
+    points: list[list[bytes]] = field(default_factory=list)
+    coordinates: list[list[bytes]] = field(default_factory=list)
+    corners: list[bytes] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
+    before: list[tuple[int, int]] = field(default_factory=list)
+    used: list[int] = field(default_factory=list)
+    names: dict[str, int] = field(default_factory=dict)
+    libraries: list[str] = field(default_factory=list)
+
+
+def _statements(text: bytes) -> _Statements:
+    """Sort the statements of an OBJ file."""
+    found = _Statements()
+    joined = text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
+    current = ""
+    for match in _STATEMENT.finditer(joined):
+        kind, rest = match.group(1) or b"usemtl", match.group(2) or b""
+        if kind == b"v":
+            found.points.append(rest.split())
+        elif kind == b"vt":
+            found.coordinates.append(rest.split()[:2])
+        elif kind == b"f":
+            words = rest.split()
+            found.corners += words
+            found.sizes.append(len(words))
+            found.before.append((len(found.points), len(found.coordinates)))
+            found.used.append(found.names.setdefault(current, len(found.names)))
+        elif kind == b"usemtl":
+            current = rest.decode("utf-8", "replace").strip()
+        else:
+            found.libraries.append(rest.decode("utf-8", "replace").strip())
+    return found
 
 
 def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Material]:

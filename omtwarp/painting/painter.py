@@ -23,7 +23,7 @@ from omtwarp.texturing.image import as_bytes, as_floats, read_image
 from omtwarp.texturing.patterns import PATTERNS, Pattern
 from omtwarp.texturing.projection import rotation_matrix
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
-from omtwarp.texturing.textured import SphereMap, texture, vertex_normals
+from omtwarp.texturing.textured import SphereMap, as_map, texture, vertex_normals
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -125,26 +125,6 @@ def paint(
         assert own is not None  # checked above
         return job.on_own_coordinates(source, projection, rotate, size)
     return job.on_atlas(source, projection, atlas, rotate, size)
-
-
-def as_map(result: Any) -> tuple[Floats, Ints, Floats]:
-    """Vertices [V, 3], faces [F, 3] and sphere [V, 3] of a map in any of its forms.
-
-    Raises:
-        OmtwarpError: something else.
-    """
-    known = all(hasattr(result, name) for name in ("vertices", "faces", "sphere"))
-    if not known and not isinstance(result, tuple | list):
-        raise OmtwarpError(f"cannot use a {type(result).__name__}: give a result of map_to_sphere, or its arrays")
-    parts = result if isinstance(result, tuple | list) else (result.vertices, result.faces, result.sphere)
-    if len(parts) != 3:
-        raise OmtwarpError("give a result of map_to_sphere, or vertices, faces and sphere")
-    vertices, faces, sphere = parts
-    return (
-        np.ascontiguousarray(vertices, dtype=np.float64),
-        np.ascontiguousarray(faces, dtype=np.int32),
-        np.ascontiguousarray(sphere, dtype=np.float64),
-    )
 
 
 @dataclass(frozen=True)
@@ -424,4 +404,4 @@ def _weights(points: Floats, corners: Floats) -> Floats:
     return np.stack([1.0 - v - w, v, w], axis=2)
 
 
-__all__ = ["SIZE", "as_map", "paint"]
+__all__ = ["SIZE", "paint"]

@@ -12,7 +12,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
-from omtwarp.painting.painter import SIZE, as_map
+from omtwarp.painting.painter import SIZE
 from omtwarp.painting.texels import PADDING, bake_materials
 from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import mesh_grid
@@ -20,7 +20,7 @@ from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.baking import bake_to_uv, own_at_parts, picture_source, sphere_layout
 from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.seams import unwrap
-from omtwarp.texturing.textured import SphereMap
+from omtwarp.texturing.textured import SphereMap, as_map
 
 Map = SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]
 

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Floats, Material
 from omtwarp.materials.painted import PaintedMesh
-from omtwarp.painting.painter import as_map
 from omtwarp.texturing.atlas import CUBE_FRAMES
-from omtwarp.texturing.textured import SphereMap
+from omtwarp.texturing.textured import SphereMap, as_map
 
 MARGIN = 1.0 / 128.0
 """Free room around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""

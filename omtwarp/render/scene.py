@@ -152,39 +152,55 @@ class SurfaceView:
     def __post_init__(self) -> None:
         self.vertices = np.asarray(self.vertices, dtype=np.float64)
         self.faces = np.asarray(self.faces)
-        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or self.faces.ndim != 2 or self.faces.shape[1] != 3:
+        self._check_triangles()
+        self.faces = self.faces.astype(np.int32)
+        self._check_appearance()
+        self._take_values(len(self.vertices), len(self.faces))
+
+    def _check_triangles(self) -> None:
+        """Make sure that vertices and faces are triangles that can be drawn.
+
+        Raises:
+            OmtwarpError: they are not.
+        """
+        vertices, faces = np.asarray(self.vertices), np.asarray(self.faces)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
             raise OmtwarpError(
-                f"a surface needs vertices [V, 3] and faces [F, 3], not {self.vertices.shape} and {self.faces.shape}"
+                f"a surface needs vertices [V, 3] and faces [F, 3], not {vertices.shape} and {faces.shape}"
             )
-        count, triangles = len(self.vertices), len(self.faces)
+        count, triangles = len(vertices), len(faces)
         if count == 0 or triangles == 0:
             raise OmtwarpError(f"nothing to draw: {count} vertices and {triangles} faces")
-        if not np.issubdtype(self.faces.dtype, np.integer):
-            raise OmtwarpError(f"faces must be integers, not {self.faces.dtype}")
-        self.faces = self.faces.astype(np.int32)
-        wrong = np.flatnonzero(((self.faces < 0) | (self.faces >= count)).any(axis=1))
+        if not np.issubdtype(faces.dtype, np.integer):
+            raise OmtwarpError(f"faces must be integers, not {faces.dtype}")
+        wrong = np.flatnonzero(((faces < 0) | (faces >= count)).any(axis=1))
         if wrong.size:
             raise OmtwarpError(f"{wrong.size} faces name vertices that do not exist, the first is face {wrong[0]}")
-        bad = np.flatnonzero(~np.isfinite(self.vertices).all(axis=1))
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         if bad.size:
             raise OmtwarpError(
                 f"{bad.size} vertices have NaN or infinite coordinates, the first is vertex {bad[0]}: remove them"
             )
-        given = [
-            name
-            for name, present in (
-                ("image", self.image is not None),
-                ("colors", self.colors is not None),
-                ("scalar", self.scalar is not None),
-                ("materials", self.materials is not None),
-            )
-            if present
-        ]
+
+    def _check_appearance(self) -> None:
+        """Make sure that one appearance at most is given, and an image with where it lies.
+
+        Raises:
+            OmtwarpError: more than one, or an image without coordinates.
+        """
+        given = [name for name in ("image", "colors", "scalar", "materials") if getattr(self, name) is not None]
         if len(given) > 1:
             raise OmtwarpError(f"a surface has one appearance, but {' and '.join(given)} were given")
+        if self.image is not None and (self.sphere is None) == (self.uv is None):
+            raise OmtwarpError("an image needs either points on the sphere (sphere=) or texture coordinates (uv=)")
+
+    def _take_values(self, count: int, triangles: int) -> None:
+        """Bring what lies on the surface into arrays of one value per vertex, triangle or corner.
+
+        Raises:
+            OmtwarpError: other shapes or values.
+        """
         if self.image is not None:
-            if (self.sphere is None) == (self.uv is None):
-                raise OmtwarpError("an image needs either points on the sphere (sphere=) or texture coordinates (uv=)")
             self.image = as_image(self.image)
         if self.materials is not None:
             which = np.asarray(self.face_material)
@@ -388,71 +404,98 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
     vertices, faces = _arrays(view)
     centre, radius = normalisation(view if whole is None else whole)
     positions = (vertices - centre) / radius
-    image, tint, repeat, mipmaps, kind = None, (1.0, 1.0, 1.0), True, True, "color"
-    per_face, repeat_rows = False, False
-    if view.image is not None:
-        image = view.image
-        if view.color is not None:
-            red, green, blue = (float(channel) for channel in parse_color(view.color))
-            tint = (red, green, blue)
-        if view.sphere is not None:
-            kind, value = "sphere", np.asarray(view.sphere)
-        else:
-            kind, value = "uv", np.asarray(view.uv)
-            # Tiling upwards is rare, and where there is none the top row must not bleed into the bottom one.
-            repeat_rows = bool(value[..., 1].min() < -1e-6 or value[..., 1].max() > 1.0 + 1e-6)
-    elif view.scalar is not None:
-        kind, repeat, mipmaps = "uv", False, False
-        image, value = _scalar_lookup(view.scalar)
-        per_face = len(value) == len(faces) and len(value) != len(vertices)
-    elif view.colors is not None:
-        value = np.asarray(view.colors)
-        per_face = len(value) == len(faces) and len(value) != len(vertices)
-    else:
-        value = np.broadcast_to(parse_color(CLAY if view.color is None else view.color), (len(vertices), 3))
-    if value.ndim == 3:
-        corner_value = value.reshape(-1, value.shape[-1])
-    elif per_face:
-        corner_value = np.repeat(value, 3, axis=0)
-    else:
-        corner_value = None
+    look = _look_of(view)
+    value = look.value
+    corner_value = _corner_values(value, len(vertices), len(faces))
     normals = welded_normals(positions, _arrays(whole or view)[1]) if view.smooth else None
     if corner_value is not None or normals is None or edges:
-        flat = faces.ravel()
-        corner_value = value[flat] if corner_value is None else corner_value
-        corner_positions = positions[flat]
-        if normals is None:
-            a, b, c = (corner_positions[k::3] for k in range(3))
-            normal = np.cross(b - a, c - a)
-            normal /= np.maximum(np.linalg.norm(normal, axis=1), np.finfo(float).tiny)[:, None]
-            corner_normals = np.repeat(normal, 3, axis=0)
-        else:
-            corner_normals = normals[flat]
-        positions, normals, value = corner_positions, corner_normals, corner_value
-        faces = np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
-    elif kind == "sphere" and (parts := smooth_parts(len(faces))) > 1:
+        value = value[faces.ravel()] if corner_value is None else corner_value
+        positions, normals, faces = _own_corners(positions, normals, faces)
+    elif look.kind == "sphere" and (parts := smooth_parts(len(faces))) > 1:
         # What lies between the vertices is looked up where the smooth map has it.
         from omtwarp.texturing.smooth import smooth_map
 
         divided = smooth_map(vertices, faces, value, parts)
         positions, faces, value = divided.weights @ positions, divided.faces, divided.sphere
-        normals = divided.weights @ normals
-        normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+        normals = _unit(divided.weights @ normals)
     if value.shape[1] == 2:
         value = np.column_stack([value, np.zeros(len(value))])
     return Part(
         positions=np.ascontiguousarray(positions, dtype=np.float32),
         normals=np.ascontiguousarray(normals, dtype=np.float32),
         faces=np.ascontiguousarray(faces, dtype=np.int32),
-        kind=kind,
+        kind=look.kind,
         value=np.ascontiguousarray(value, dtype=np.float32),
-        image=image,
-        tint=tint,
-        repeat=repeat,
-        repeat_rows=repeat_rows,
-        mipmaps=mipmaps,
+        image=look.image,
+        tint=look.tint,
+        repeat=look.repeat,
+        repeat_rows=look.repeat_rows,
+        mipmaps=look.mipmaps,
         edges=edges,
     )
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What a part shows, in the terms of :class:`Part`; a value per vertex [V, C], face [F, C] or corner [F, 3, C]."""
+
+    kind: str
+    value: NDArray
+    image: NDArray[np.uint8] | None = None
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    repeat: bool = True
+    repeat_rows: bool = False
+    mipmaps: bool = True
+
+
+def _look_of(view: SurfaceView) -> _Look:
+    """What a surface without materials shows: its image, its scalar, its colours, or one colour."""
+    if view.image is not None:
+        tint = (1.0, 1.0, 1.0)
+        if view.color is not None:
+            red, green, blue = (float(channel) for channel in parse_color(view.color))
+            tint = (red, green, blue)
+        if view.sphere is not None:
+            return _Look("sphere", np.asarray(view.sphere), view.image, tint)
+        value = np.asarray(view.uv)
+        # Tiling upwards is rare, and where there is none the top row must not bleed into the bottom one.
+        repeat_rows = bool(value[..., 1].min() < -1e-6 or value[..., 1].max() > 1.0 + 1e-6)
+        return _Look("uv", value, view.image, tint, repeat_rows=repeat_rows)
+    if view.scalar is not None:
+        image, value = _scalar_lookup(view.scalar)
+        return _Look("uv", value, image, repeat=False, mipmaps=False)
+    if view.colors is not None:
+        return _Look("color", np.asarray(view.colors))
+    color = parse_color(CLAY if view.color is None else view.color)
+    return _Look("color", np.broadcast_to(color, (len(_arrays(view)[0]), 3)))
+
+
+def _corner_values(value: NDArray, vertex_count: int, face_count: int) -> NDArray | None:
+    """Values per corner [F, 3, C] or face [F, C] as rows of corners [3F, C]; None for values per vertex."""
+    if value.ndim == 3:
+        return value.reshape(-1, value.shape[-1])
+    if len(value) == face_count and len(value) != vertex_count:
+        return np.repeat(value, 3, axis=0)
+    return None
+
+
+def _own_corners(
+    positions: NDArray[np.float64], normals: NDArray[np.float64] | None, faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
+    """Give every corner a row of its own; without normals at the vertices it has that of its triangle."""
+    flat = faces.ravel()
+    corners = positions[flat]
+    if normals is None:
+        a, b, c = (corners[k::3] for k in range(3))
+        corner_normals = np.repeat(_unit(np.cross(b - a, c - a)), 3, axis=0)
+    else:
+        corner_normals = normals[flat]
+    return corners, corner_normals, np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors [N, 3] with length one; zero stays zero."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
 
 
 def _arrays(view: SurfaceView) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

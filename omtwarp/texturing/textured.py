@@ -139,7 +139,7 @@ def texture(
             raise OmtwarpError("projection, atlas, rotation and seam are of textures on the sphere: a torus has none")
         on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=size)
         return on_its_own
-    vertices, faces, sphere = _map_of(result)
+    vertices, faces, sphere = as_map(result)
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     check_projection(projection)
@@ -149,19 +149,7 @@ def texture(
         if size != "auto":
             raise OmtwarpError(f"texture size '{size}': give texels, or auto")
         size = sharp_size(vertices, faces, sphere, make_atlas(atlas).name).size
-    source: Any
-    texels = None
-    if image is None:
-        chosen = "circles" if pattern is None else pattern
-        source = by_name(chosen) if isinstance(chosen, str) else chosen
-        layout = make_atlas(atlas, size, seam=seam)
-    else:
-        source = read_image(image)
-        size = _natural_size(source, atlas) if size is None else size
-        layout = make_atlas(atlas, size, seam=seam)
-        unchanged = isinstance(layout, Equirectangular) and projection == "equirectangular"
-        if unchanged and source.shape[:2] == (layout.height, layout.width):
-            layout, texels = _shifted(source, seam)
+    source, layout, texels = _source(image, pattern, projection, atlas, size, seam)
     cut = unwrap(sphere, faces, layout, rotation=rotation)
     if texels is None:
         parts = _parts(layout, len(faces)) if smooth else 1
@@ -193,6 +181,26 @@ def texture(
         original_sphere=sphere,
         source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
     )
+
+
+def _source(
+    image: str | os.PathLike[str] | Image | ArrayLike | None,
+    pattern: str | Pattern | None,
+    projection: str,
+    atlas: str,
+    size: int | tuple[int, int] | None,
+    seam: float,
+) -> tuple[NDArray | Pattern, Atlas, NDArray[np.uint8] | None]:
+    """What a texture shows, its layout, and its texels where the picture is to be kept to the byte."""
+    if image is None:
+        chosen = "circles" if pattern is None else pattern
+        return by_name(chosen) if isinstance(chosen, str) else chosen, make_atlas(atlas, size, seam=seam), None
+    picture = read_image(image)
+    layout = make_atlas(atlas, _natural_size(picture, atlas) if size is None else size, seam=seam)
+    unchanged = isinstance(layout, Equirectangular) and projection == "equirectangular"
+    if unchanged and picture.shape[:2] == (layout.height, layout.width):
+        return picture, *_shifted(picture, seam)
+    return picture, layout, None
 
 
 def _parts(layout: Atlas, face_count: int) -> int:
@@ -248,15 +256,21 @@ def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, NDArray[np
     return layout, np.roll(as_bytes(picture), -columns, axis=1)
 
 
-def _map_of(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[Floats, Ints, Floats]:
+def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[Floats, Ints, Floats]:
+    """Vertices [V, 3], faces [F, 3] and unit vectors [V, 3] of a map in any of its forms.
+
+    Raises:
+        OmtwarpError: it is no map, or one with points at the centre of the sphere.
+    """
+    parts: tuple[Any, ...]
     if isinstance(result, (tuple, list)) and len(result) == 3:
-        parts = result
+        parts = tuple(result)
     else:
         try:
-            parts = (result.vertices, result.faces, result.sphere)
+            parts = (result.vertices, result.faces, result.sphere)  # type: ignore[union-attr]
         except AttributeError as error:
             raise OmtwarpError(
-                f"cannot texture a {type(result).__name__}: give a result of map_to_sphere, or its arrays"
+                f"cannot use a {type(result).__name__}: give a result of map_to_sphere, or vertices, faces and sphere"
             ) from error
     vertices = real_numbers(parts[0], "vertices", (None, 3))
     sphere = real_numbers(parts[2], "sphere points", (len(vertices), 3))

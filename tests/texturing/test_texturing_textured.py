@@ -351,7 +351,7 @@ def test_bad_maps_are_named(surface):
     centre = sphere.copy()
     centre[[3, 9]] = 0
     for bad, message in (
-        (3, "cannot texture a int"),
+        (3, "cannot use a int"),
         ((vertices, faces, sphere[:-1]), "sphere points"),
         ((vertices, faces + 1, sphere), "642 in row 497 is out of range"),
         ((vertices, faces[:, :2], sphere), r"faces: shape \[1280, 2\]"),
