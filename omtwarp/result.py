@@ -42,6 +42,7 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "target": (np.float64, ("V",)),
     "vertex_origin": (np.int64, ("V",)),
     "face_origin": (np.int64, ("F",)),
+    "vertex_of_file": (np.int64, ("N",)),
 }
 # A point's distance from the sphere: what single precision leaves, many times over.
 UNIT_LENGTH = 1e-5
@@ -103,6 +104,8 @@ class MapResult(Shown):
         target: the density asked for at the images of the vertices, mean 1, where one was given, shape [V].
         vertex_origin: after a repair, the index of every vertex in the mesh before it, -1 for new ones; int64 [V].
         face_origin: the same of the faces, int64 [F].
+        vertex_of_file: the vertex that each vertex of the file was, where the file held copies along the seams of a
+            texture and the command line joined them; int64, shape [N].
         history: one record per iteration of the transport flow: ``iteration``, ``cost``, ``curl``, ...
         report: everything worth knowing about how the map was made, ready for JSON.
 
@@ -127,6 +130,7 @@ class MapResult(Shown):
     target: Array | None = None
     vertex_origin: NDArray[np.int64] | None = None
     face_origin: NDArray[np.int64] | None = None
+    vertex_of_file: NDArray[np.int64] | None = None
     history: list[Record] = field(default_factory=list)
     report: dict[str, Any] = field(default_factory=dict)
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, locked, read_record, write_record
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.repair import repair
+from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.pipeline import map_to_sphere
 from omtwarp.result import MapResult
@@ -41,7 +41,7 @@ def run_item(job: Job) -> dict[str, Any]:
 def _map(job: Job) -> dict[str, Any]:
     options = dict(job.options)
     mended = options.pop("repair", False)
-    mesh = read_mesh(Path(job.path), triangulate=mended)
+    mesh = read_joined_mesh(Path(job.path), triangulate=mended)
     vertices, faces = mesh.vertices, mesh.faces
     if mended:
         repaired = repair(vertices, faces)

@@ -29,13 +29,18 @@ class Input:
         surface: the mesh, examined.
         sizes: how many vertices and faces the file had.
         notes: what reading and mending did, in words.
-        origins: ``vertex_origin`` [V] and ``face_origin`` [F] (indices in the file, -1 for new faces) after mending.
+        origins: ``vertex_origin`` [V] and ``face_origin`` [F] (indices in the file, -1 for new faces) after mending,
+            or after copies of vertices along seams were joined.
+        vertex_of_file: the vertex that each of the file's is, shape [N], where copies were joined and nothing mended.
+        file_faces: the file's faces, in its own vertices, shape [F, 3], beside that.
     """
 
     surface: Surface
     sizes: tuple[int, int] = (0, 0)
     notes: list[str] = field(default_factory=list)
     origins: dict[str, NDArray] = field(default_factory=dict)
+    vertex_of_file: NDArray | None = None
+    file_faces: NDArray | None = None
 
 
 def say(text: str) -> None:
@@ -54,13 +59,18 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     Raises:
         OmtwarpError: whatever is wrong with the file or the mesh, in one line.
     """
-    from omtwarp.mesh.read import read_mesh
+    import numpy as np
+
+    from omtwarp.mesh.seams import read_joined_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import as_arrays, require_valid
 
-    mesh = read_mesh(path, triangulate=repair)
-    notes, origins = list(mesh.notes), {}
+    mesh = read_joined_mesh(path, triangulate=repair)
+    notes, origins, vertex_of_file = list(mesh.notes), {}, mesh.vertex_of_file
     vertices, faces = mesh.vertices, mesh.faces
+    sizes = len(mesh.file.vertices), len(faces)
+    if vertex_of_file is not None:
+        origins = {"vertex_origin": mesh.vertex_origin, "face_origin": np.arange(len(faces))}
     if repair:
         from omtwarp.mesh.repair import repair as mend
 
@@ -68,14 +78,26 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
         if mended.actions:
             vertices, faces = mended.vertices, mended.faces
             notes += mended.actions
-            origins = {"vertex_origin": mended.vertex_origin, "face_origin": mended.face_origin}
+            origins = {
+                "vertex_origin": composed(mended.vertex_origin, mesh.vertex_origin),
+                "face_origin": mended.face_origin,
+            }
+            vertex_of_file = None
     for note in notes:
         say(f"{path}: {note}")
     if any_surface:
-        return Input(Surface(*as_arrays(vertices, faces)), (len(mesh.vertices), len(mesh.faces)), notes, origins)
-    surface = Surface(*require_valid(vertices, faces, str(path)))
-    surface.checked = True
-    return Input(surface, (len(mesh.vertices), len(mesh.faces)), notes, origins)
+        surface = Surface(*as_arrays(vertices, faces))
+    else:
+        surface = Surface(*require_valid(vertices, faces, str(path)))
+        surface.checked = True
+    return Input(surface, sizes, notes, origins, vertex_of_file, mesh.file.faces)
+
+
+def composed(origin: NDArray | None, before: NDArray) -> NDArray:
+    """Where vertices or faces come from after two steps, -1 where either made them; the first step is ``before``."""
+    import numpy as np
+
+    return before if origin is None else np.where(origin >= 0, before[origin], -1)
 
 
 def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list[Path | None]:

@@ -71,13 +71,13 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> dict[str, Any]:
     Raises:
         OmtwarpError: the file cannot be read, or the repaired mesh cannot be written.
     """
-    from omtwarp.mesh.read import read_mesh
+    from omtwarp.mesh.seams import read_joined_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import check
     from omtwarp.mesh.write import write_mesh
     from omtwarp.verdict import foretell
 
-    given = read_mesh(mesh, triangulate=repair)
+    given = read_joined_mesh(mesh, triangulate=repair)
     vertices, faces = given.vertices, given.faces
     defects = before = check(vertices, faces)
     facts: dict[str, Any] = {

@@ -111,7 +111,8 @@ def map_mesh(
 
     OUTPUT.npz holds vertices, faces, sphere, conformal and density (float64, in the input's order). A mesh suffix
     (.ply, .obj, .off, .stl, .glb, .vtk, GIFTI's .surf.gii, FreeSurfer's lh.sphere) holds the sphere with the input's
-    faces.
+    faces. Copies of vertices along seams of a texture are joined: the .npz holds each once, and says in vertex_of_file
+    which one each of the file's is; a mesh has all of them.
 
     With --exact the map is that of the mesh with its triangles cut into four, and OUTPUT.npz says which triangle every
     part comes from (face_origin) and which vertices are new (vertex_origin is -1).
@@ -123,6 +124,7 @@ def map_mesh(
     --components; "omtwarp check" says what each would do with it.
     """
     from omtwarp.commands._work import (
+        composed,
         each,
         make_map,
         outputs_of,
@@ -174,6 +176,10 @@ def map_mesh(
             device=device,
         )
         require_bijective(result)
+        shape = None
+        if sound.vertex_of_file is not None and result.vertex_origin is None and any_surface is None:
+            result = replace(result, vertex_of_file=sound.vertex_of_file)
+            shape = sound.file_faces
         if sound.origins:
             vertices, faces = sound.origins["vertex_origin"], sound.origins["face_origin"]
             result = replace(
@@ -183,7 +189,7 @@ def map_mesh(
             )
         assert target is not None
         with staged(target) as file:
-            save(result, file, like=mesh, radius=radius, beside=beside)
+            save(result, file, like=mesh, radius=radius, beside=beside, file_faces=shape)
         report_target = reports[targets.index(target)]
         if report_target is not None:
             source = {"path": str(mesh), "notes": sound.notes}
@@ -242,20 +248,31 @@ def surface_options(
     }
 
 
-def composed(origin: NDArray | None, before: NDArray) -> NDArray:
-    """Where vertices or faces come from after two steps, -1 where either made them; the first step is a repair's."""
-    import numpy as np
-
-    return before if origin is None else np.where(origin >= 0, before[origin], -1)
-
-
 def save(
-    result: MapResult | TorusMap, file: Path, like: Path | None = None, radius: float = 1.0, beside: bool = False
+    result: MapResult | TorusMap,
+    file: Path,
+    like: Path | None = None,
+    radius: float = 1.0,
+    beside: bool = False,
+    file_faces: NDArray | None = None,
 ) -> None:
-    """Write a map as .npz, or its sphere as a mesh; of a map to a torus the textured surface, or a ring torus."""
+    """Write a map as .npz, or its sphere as a mesh; of a map to a torus the textured surface, or a ring torus.
+
+    Args:
+        result: the map.
+        file: where to.
+        like: the mesh that was mapped.
+        radius: of the sphere, as a mesh.
+        beside: write the surface, with the sphere beside it.
+        file_faces: the faces of ``like`` where copies of its vertices were joined: a mesh is written with the copies.
+    """
     from omtwarp.mesh.write import write_mesh
     from omtwarp.torus.torus_map import TorusMap
 
+    of_file: NDArray | slice = slice(None)
+    faces = result.faces
+    if file_faces is not None:
+        faces, of_file = file_faces, getattr(result, "vertex_of_file", of_file)
     if file.suffix.lower() == ".npz":
         result.save(file)
     elif isinstance(result, TorusMap) and file.suffix.lower() == ".glb":
@@ -263,10 +280,10 @@ def save(
     elif isinstance(result, TorusMap):
         write_mesh(file, radius * result.ring(), result.faces, like=like)
     elif beside:
-        places = dict(zip(("px", "py", "pz"), radius * image_of(result).T, strict=True))
-        write_mesh(file, result.vertices, result.faces, beside=places)
+        places = dict(zip(("px", "py", "pz"), radius * image_of(result)[of_file].T, strict=True))
+        write_mesh(file, result.vertices[of_file], faces, beside=places)
     else:
-        write_mesh(file, radius * image_of(result), result.faces, spherical=True, like=like)
+        write_mesh(file, radius * image_of(result)[of_file], faces, spherical=True, like=like)
 
 
 def image_of(result: MapResult) -> NDArray:

@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from omtwarp.errors import OmtwarpError
 
@@ -18,6 +19,20 @@ Bytes = NDArray[np.uint8]
 WHITE = (1.0, 1.0, 1.0, 1.0)
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 SAME_PLACE = 1e-5
+ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of another mesh"
+
+
+def linear(color: Floats) -> Floats:
+    """Colours with opacity from sRGB to linear light (IEC 61966-2-1), shape [..., 4]; the opacity stays."""
+    rgb = color[..., :3]
+    light = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return np.concatenate([light, color[..., 3:]], axis=-1)
+
+
+def encoded(light: Floats) -> Floats:
+    """Linear light as sRGB (IEC 61966-2-1), both from 0 to 1; the inverse of :func:`linear` for colours alone."""
+    clipped = np.clip(light, 0.0, 1.0)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,23 +171,21 @@ class PaintedArrays:
         Args:
             vertices: of the copy, shape [W, 3].
             faces: of the copy, shape [G, 3].
-            face_origin: the triangle of this mesh that each of the copy was, -1 for a new one, shape [G]; the same
-                number by default. New triangles get the first material, and coordinates of triangles beside them.
+            face_origin: the triangle of this mesh that each of the copy was, -1 for a new one, shape [G]; by default
+                that with its corners at the same places, in whatever order the two list them. New triangles get the
+                first material, and coordinates of triangles beside them.
 
         Raises:
             OmtwarpError: the copy's triangles are not where this mesh's are.
         """
         points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
-        origin = np.arange(len(triangles)) if face_origin is None else np.asarray(face_origin)
-        if face_origin is None and len(triangles) != len(self.faces):
-            raise OmtwarpError(f"the map has {len(triangles)} faces, and the mesh {len(self.faces)}: it is another's")
+        origin = self._same_triangles(points, triangles) if face_origin is None else np.asarray(face_origin)
         kept = np.flatnonzero(origin >= 0)
         here, there = points[triangles[kept]], self.vertices[self.faces[origin[kept]]]
         apart = np.linalg.norm(here[:, :, None] - there[:, None, :], axis=3)
         corner = apart.argmin(axis=2)
-        extent = float(np.ptp(self.vertices, axis=0).max())
-        if len(kept) and apart.min(axis=2).max() > SAME_PLACE * extent:
-            raise OmtwarpError("the map's vertices are not where the mesh's are: it is a map of another mesh")
+        if len(kept) and apart.min(axis=2).max() > self._same_place:
+            raise OmtwarpError(ELSEWHERE)
         materials = np.zeros(len(triangles), dtype=np.int32)
         materials[kept] = self.material_of[origin[kept]]
         uv = None
@@ -189,5 +202,40 @@ class PaintedArrays:
             colors[triangles[kept]] = self.vertex_colors[self.faces[origin[kept, None], corner]]
         return replace(self, vertices=points, faces=triangles, uv=uv, face_material=materials, vertex_colors=colors)
 
+    @property
+    def _same_place(self) -> float:
+        """How far apart two copies of a vertex may lie."""
+        return SAME_PLACE * float(np.ptp(self.vertices, axis=0).max(initial=0.0))
 
-__all__ = ["Material", "PaintedArrays"]
+    def _same_triangles(self, points: Floats, triangles: Ints) -> Ints:
+        """The triangle of this mesh at the place of each of a copy's, shape [G].
+
+        Raises:
+            OmtwarpError: some are at the place of none.
+        """
+        if len(triangles) == len(self.faces):  # in the same order, mostly
+            apart = np.abs(points[triangles] - self.vertices[self.faces]).max(initial=0.0)
+            if apart <= self._same_place:
+                return np.arange(len(triangles), dtype=np.int32)
+        places, number = np.unique(points + 0.0, axis=0, return_inverse=True)
+        distance, nearest = cKDTree(places).query(self.vertices)
+        unused = len(places)  # of vertices that are nowhere in the copy
+        here = np.where(distance <= self._same_place, nearest, unused)[self.faces]
+        if (here == unused).all():
+            raise OmtwarpError(ELSEWHERE)
+        keys, wanted = np.sort(here, axis=1), np.sort(number.reshape(-1)[triangles], axis=1)
+        _, key = np.unique(np.concatenate([keys, wanted]), axis=0, return_inverse=True)
+        key = key.reshape(-1)
+        found = np.full(int(key.max(initial=-1)) + 1, -1, dtype=np.int32)
+        found[key[: len(keys)][::-1]] = np.arange(len(keys), dtype=np.int32)[::-1]  # the first of several wins
+        origin = found[key[len(keys) :]]
+        lost = int((origin < 0).sum())
+        if lost:
+            raise OmtwarpError(
+                f"{lost} of the map's {len(triangles)} faces are not in the mesh, first face "
+                f"{int(np.argmax(origin < 0))}: give the mesh that was mapped"
+            )
+        return origin
+
+
+__all__ = ["Material", "PaintedArrays", "encoded", "linear"]

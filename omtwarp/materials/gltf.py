@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials.base import Bytes, Floats, Ints, Material, PaintedArrays
+from omtwarp.materials.base import Bytes, Floats, Ints, Material, PaintedArrays, linear
 from omtwarp.materials.tangents import corner_tangents
 from omtwarp.texturing.export import (
     ARRAY_BUFFER,
@@ -138,7 +138,7 @@ def _primitive(
     if tangents is not None:
         attributes["TANGENT"] = binary.accessor(tangents.reshape(-1, 4)[first].astype(np.float32))
     if mesh.vertex_colors is not None:
-        attributes["COLOR_0"] = binary.accessor(_linear(mesh.vertex_colors[vertex] / 255.0).astype(np.float32))
+        attributes["COLOR_0"] = binary.accessor(linear(mesh.vertex_colors[vertex] / 255.0).astype(np.float32))
     return {"attributes": attributes, "indices": binary.accessor(inverse.reshape(-1).astype(np.uint32))}
 
 
@@ -169,7 +169,7 @@ class _Pictures:
 
 def _material(material: Material, pictures: _Pictures, with_uv: bool) -> dict[str, Any]:
     """A material in the words of glTF; its pictures only where there are coordinates to look them up."""
-    color = _linear(np.array(material.color))
+    color = linear(np.array(material.color))
     surface: dict[str, Any] = {
         "baseColorFactor": [float(x) for x in color],
         "metallicFactor": material.metallic,
@@ -195,13 +195,6 @@ def _material(material: Material, pictures: _Pictures, with_uv: bool) -> dict[st
         if picture is not None:
             place[slot] = pictures.texture(picture, f"{material.name}-{ending}")
     return entry
-
-
-def _linear(color: Floats) -> Floats:
-    """Colours with opacity from sRGB to linear light (IEC 61966-2-1), shape [..., 4]; the opacity stays."""
-    rgb = color[..., :3]
-    light = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    return np.concatenate([light, color[..., 3:]], axis=-1)
 
 
 __all__ = ["glb_bytes"]

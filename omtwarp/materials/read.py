@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.materials.base import Bytes, Floats, Ints, Material
+from omtwarp.materials.base import Bytes, Floats, Ints, Material, encoded
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.materials.wavefront import read_mtl, read_obj
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.read import fans, read_mesh, utf8
-from omtwarp.mesh.scenes import load_scene, scene_formats
+from omtwarp.mesh.scenes import gltf_header, load_scene, scene_formats
+from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.texturing.image import read_image
+
+Factors = dict[tuple[str | None, tuple[int, ...]], Floats]
 
 # Names under which programs write texture coordinates at the vertices of a PLY file.
 _PLY_COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
@@ -66,7 +69,8 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
             elif suffix == "ply":
                 found = _from_ply(data, file, triangulate)
             else:
-                found = _from_scene(load_scene(data, file, suffix))
+                factors = base_color_factors(gltf_header(data, suffix)) if suffix in ("glb", "gltf") else None
+                found = _from_scene(load_scene(data, file, suffix), factors)
     except OmtwarpError as error:
         raise OmtwarpError(str(error) if str(error).startswith(str(file)) else f"{file}: {error}") from None
     except MemoryError:
@@ -205,8 +209,13 @@ def _numbers(column: Column) -> Floats:
     return np.asarray(column, dtype=np.float64)
 
 
-def _from_scene(scene: Any) -> PaintedMesh:
-    """Take all geometries of a scene together, where the scene puts them."""
+def _from_scene(scene: Any, factors: Factors | None) -> PaintedMesh:
+    """Take all geometries of a scene together, where the scene puts them.
+
+    Args:
+        scene: of trimesh's.
+        factors: of a glTF file's materials, whose colours are linear; None for other formats.
+    """
     order = list(scene.geometry)
     placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
     placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order
@@ -223,7 +232,7 @@ def _from_scene(scene: Any) -> PaintedMesh:
         triangles = np.asarray(mesh.faces, dtype=np.int32)
         if np.linalg.det(matrix[:3, :3]) < 0:
             triangles = triangles[:, ::-1]
-        material, uv, color = _appearance(mesh)
+        material, uv, color = _appearance(mesh, factors)
         key = id(getattr(mesh.visual, "material", mesh))
         if key not in numbers:
             numbers[key] = len(materials)
@@ -253,12 +262,28 @@ def _from_scene(scene: Any) -> PaintedMesh:
     return joined_seams(mesh)
 
 
-def _appearance(mesh: Any) -> tuple[Material, Floats | None, Bytes | None]:
+def base_color_factors(header: Any) -> Factors:
+    """Factors of a glTF file's materials, by name and by what trimesh makes of them, which is rounded to bytes."""
+    from trimesh.visual.color import to_rgba
+
+    found: Factors = {}
+    for material in header.get("materials", []) if isinstance(header, dict) else []:
+        factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
+        if factor is not None and len(factor) == 4:
+            exact = np.clip(np.asarray(factor, dtype=np.float64), 0.0, 1.0)
+            found[material.get("name"), tuple(to_rgba(exact).tolist())] = exact
+    return found
+
+
+def _appearance(mesh: Any, factors: Factors | None) -> tuple[Material, Floats | None, Bytes | None]:
     """The material, the coordinates [V, 2] and the colours [V, 4] of a mesh of trimesh's."""
     visual = mesh.visual
     kind = getattr(visual, "kind", None)
     if kind == "vertex":
-        return Material(), None, _opaque(np.asarray(visual.vertex_colors, dtype=np.uint8))
+        colors = _opaque(np.asarray(visual.vertex_colors, dtype=np.uint8))
+        if factors is not None:
+            colors[:, :3] = np.rint(255.0 * encoded(colors[:, :3] / 255.0))
+        return Material(), None, colors
     if kind == "face":
         return Material(color=_color(np.asarray(visual.main_color) / 255.0)), None, None
     if kind != "texture":
@@ -277,7 +302,8 @@ def _appearance(mesh: Any) -> tuple[Material, Floats | None, Bytes | None]:
     if factor is not None:
         values = np.asarray(factor)
         scaled = values / 255.0 if values.dtype.kind in "iu" else values.astype(np.float64)
-        color = _color(np.concatenate([_encoded(scaled[:3]), scaled[3:4]]))
+        scaled = (factors or {}).get((source.name, tuple(values.tolist())), scaled)
+        color = _color(np.concatenate([encoded(scaled[:3]), scaled[3:4]]))
     emission = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor, dtype=np.float64)
     material = Material(
         name=name,
@@ -292,13 +318,17 @@ def _appearance(mesh: Any) -> tuple[Material, Floats | None, Bytes | None]:
         roughness_picture=_pil(source.metallicRoughnessTexture),
         emission_picture=_pil(source.emissiveTexture),
     )
-    return material, coordinates, None
+    return material, coordinates, _vertex_colors(mesh)
 
 
-def _encoded(linear: Floats) -> Floats:
-    """Linear light as sRGB, both from 0 to 1 (IEC 61966-2-1)."""
-    clipped = np.clip(linear, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055)
+def _vertex_colors(mesh: Any) -> Bytes | None:
+    """Colours at the vertices of a glTF primitive with a material, shape [V, 4]; in the file they are linear."""
+    given = getattr(mesh.visual, "vertex_attributes", {}).get("color")
+    if given is None or np.ndim(given) != 2 or len(given) != len(mesh.vertices) or given.shape[1] not in (3, 4):
+        return None
+    most = np.iinfo(given.dtype).max if given.dtype.kind in "iu" else 1.0
+    light = np.clip(np.asarray(given, dtype=np.float64) / most, 0.0, 1.0)
+    return _opaque(np.rint(255.0 * np.column_stack([encoded(light[:, :3]), light[:, 3:]])).astype(np.uint8))
 
 
 def _color(values: NDArray) -> tuple[float, float, float, float]:
@@ -328,31 +358,16 @@ def joined_seams(mesh: PaintedMesh) -> PaintedMesh:
 
     Faces keep their numbers and corners; vertices keep their order, without copies.
     """
-    faces = mesh.faces.astype(np.int64)
-    if not len(faces):
+    number = seam_copies(mesh.vertices, mesh.faces) if len(mesh.faces) else None
+    if number is None:
         return mesh
-    ring = np.roll(faces, -1, axis=1)
-    low, high = np.minimum(faces, ring).ravel(), np.maximum(faces, ring).ravel()
-    _, place, times = np.unique(low * len(mesh.vertices) + high, return_inverse=True, return_counts=True)
-    single = times[place.reshape(-1)] == 1
-    boundary = np.zeros(len(mesh.vertices), dtype=bool)
-    boundary[low[single]] = boundary[high[single]] = True
-    at = np.flatnonzero(boundary)
-    if not len(at):
-        return mesh
-    _, first, inverse = np.unique(mesh.vertices[at] + 0.0, axis=0, return_index=True, return_inverse=True)
-    number = np.arange(len(mesh.vertices))
-    number[at] = at[first[inverse.reshape(-1)]]
-    doubled = int((number != np.arange(len(number))).sum())
-    if not doubled:
-        return mesh
-    left = number == np.arange(len(number))
-    after = (np.cumsum(left) - 1)[number]
+    stays, after = compressed(number)
+    doubled = len(stays) - int(stays.sum())
     return replace(
         mesh,
-        vertices=mesh.vertices[left],
-        faces=_as_ints(after[faces]),
-        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[left],
+        vertices=mesh.vertices[stays],
+        faces=_as_ints(after[mesh.faces]),
+        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[stays],
         notes=(*mesh.notes, f"joined {doubled} copies of vertices along seams"),
     )
 

@@ -45,15 +45,15 @@ class MeshFile:
     notes: tuple[str, ...] = ()
 
 
-def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> MeshFile:
+def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, together: bool | None = None) -> MeshFile:
     """Read a mesh.
 
     Args:
         path: a file of any format that trimesh reads (ply, obj, off, stl, glb, gltf, ...), a map or mesh in ``.npz``
             (``vertices``, ``faces``), GIFTI (``.gii``, ``.gii.gz``) or a FreeSurfer surface of any name; the last two
             need nibabel.
-        triangulate: cut faces with more than three corners into triangles, and take several geometries together,
-            instead of refusing them.
+        triangulate: cut faces with more than three corners into triangles instead of refusing them.
+        together: take several geometries of a scene together instead of refusing them; None does as ``triangulate``.
 
     Returns:
         Vertices and faces in the file's order. STL has no vertices of its own: equal corners become one vertex there,
@@ -77,7 +77,9 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> Mes
     suffix = _suffix(file)
     try:
         with warnings.catch_warnings(action="ignore"):  # of what parsers guess; results are looked at below
-            vertices, faces, notes = _reader(suffix, data)(data, file, triangulate)
+            reader = _reader(suffix, data)
+            mended = triangulate if together is None or reader is not _read_scene else together
+            vertices, faces, notes = reader(data, file, mended)
         mesh = MeshFile(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64), tuple(notes))
     except OmtwarpError as error:
         raise OmtwarpError(f"{file}: {error}") from None

@@ -67,7 +67,7 @@ def load_scene(data: bytes, file: Path, suffix: str) -> Any:
             raise OmtwarpError(f"{name}: not written, as the scene is only read")
 
     if suffix in ("glb", "gltf"):
-        _require_plain(_gltf_header(data, suffix))
+        _require_plain(gltf_header(data, suffix))
     if data.startswith(b"PK"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             total = sum(entry.file_size for entry in archive.infolist())
@@ -77,7 +77,7 @@ def load_scene(data: bytes, file: Path, suffix: str) -> Any:
     return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Beside(file.parent), process=False)
 
 
-def _gltf_header(data: bytes, suffix: str) -> Any:
+def gltf_header(data: bytes, suffix: str) -> Any:
     """The JSON of a glTF file (glTF 2.0 specification, section 4.4).
 
     Raises:
@@ -106,4 +106,4 @@ def _require_plain(header: Any) -> None:
         raise OmtwarpError(f"needs {unknown[0]}, which is not read: save it without compression and extensions")
 
 
-__all__ = ["load_scene", "scene_formats"]
+__all__ = ["gltf_header", "load_scene", "scene_formats"]

@@ -33,8 +33,10 @@ ENCODERS = {
 }
 MPEG4 = ["-c:v", "mpeg4", "-q:v", "3"]
 # Players take films of this size for BT.709; ffmpeg itself would convert by BT.601, which shifts the colours.
-BT709 = "scale=out_color_matrix=bt709:out_range=tv"
-BT709_MARKS = ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv"]
+BT709 = (
+    "scale=out_color_matrix=bt709:out_range=tv,"
+    "setparams=colorspace=bt709:color_primaries=bt709:color_trc=bt709:range=tv"
+)
 OPAQUE_FORMATS = (".jpg", ".jpeg", ".mp4")
 
 
@@ -165,7 +167,7 @@ def _mp4(frames: Iterable[Any], file: Path, fps: float) -> None:
     command = [
         program, "-hide_banner", "-loglevel", "error", "-nostdin", "-y",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(Fraction(fps).limit_denominator()),
-        "-i", "-", "-vf", BT709, *_encoder(program), "-pix_fmt", "yuv420p", *BT709_MARKS, "-movflags", "+faststart",
+        "-i", "-", "-vf", BT709, *_encoder(program), "-pix_fmt", "yuv420p", "-movflags", "+faststart",
         str(file),
     ]  # fmt: skip
     # An interruption of this process ends the writing, not ffmpeg, which would leave its own words on the terminal.

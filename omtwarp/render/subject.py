@@ -15,7 +15,7 @@ from PIL import Image
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import holds_array, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
-from omtwarp.materials.base import WHITE
+from omtwarp.materials.base import WHITE, encoded
 from omtwarp.mesh.read import read_mesh as read_triangles
 from omtwarp.mesh.scenes import load_scene, scene_formats
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
@@ -208,7 +208,7 @@ def _file_view(path: Path) -> SurfaceView:
     """A view of a mesh file; of one with several materials, every triangle in its own."""
     from omtwarp.materials.read import read_painted_mesh
 
-    if path.suffix.lower() == ".obj":
+    if path.suffix.lower() in (".obj", ".glb", ".gltf"):
         return painted_view(read_painted_mesh(path, triangulate=True))
     found = read_mesh(path)
     return painted_view(read_painted_mesh(path, triangulate=True)) if found is None else _from_trimesh(found)
@@ -297,7 +297,8 @@ def _from_trimesh(mesh: Any) -> SurfaceView:
 
 
 def _factor(factor: Any) -> tuple[float, float, float] | None:
+    """The sRGB colour of a glTF material's factor, which is linear; None for white."""
     values = np.asarray(factor)
-    scaled = values / 255.0 if np.issubdtype(values.dtype, np.integer) else values
-    red, green, blue = (float(channel) for channel in np.clip(scaled[:3], 0.0, 1.0))
+    scaled = values / 255.0 if np.issubdtype(values.dtype, np.integer) else values.astype(np.float64)
+    red, green, blue = (float(channel) for channel in encoded(scaled[:3]))
     return None if (red, green, blue) == (1.0, 1.0, 1.0) else (red, green, blue)

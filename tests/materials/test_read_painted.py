@@ -1,5 +1,7 @@
 """Meshes keep their texture coordinates, materials and pictures when they are read, and previews show them."""
 
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,7 +10,7 @@ from two_materials import BLUE, RED, two_halves
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials import PaintedMesh, read_painted_mesh
+from omtwarp.materials import Material, PaintedMesh, read_painted_mesh
 
 
 def test_obj_keeps_coordinates_and_materials_in_the_order_of_read_mesh(tmp_path):
@@ -122,6 +124,51 @@ def test_coordinates_follow_a_repair_that_turns_faces(tmp_path):
     assert np.isfinite(after.uv).all() and len(after.faces) == len(mesh.faces)
     with pytest.raises(OmtwarpError, match="another mesh"):
         mesh.on(mesh.vertices + 1.0, mesh.faces)
+
+
+def shuffled(mesh, seed=5):
+    """The same surface with vertices and faces in another order, and every face begun at another corner."""
+    rng = np.random.default_rng(seed)
+    vertex, face = rng.permutation(len(mesh.vertices)), rng.permutation(len(mesh.faces))
+    number = np.empty(len(vertex), dtype=np.int64)
+    number[vertex] = np.arange(len(vertex))
+    return mesh.vertices[vertex], np.roll(number[mesh.faces[face]], 1, axis=1), face
+
+
+def test_coordinates_follow_another_order_of_the_same_triangles(tmp_path):
+    """Matched by their places: every corner has the coordinates and the material of the place where it lies."""
+    path, *_ = two_halves(tmp_path)
+    mesh = read_painted_mesh(path)
+    points, faces, order = shuffled(mesh)
+    rounded = points.astype(np.float32).astype(np.float64)  # as a file in single precision has them
+    after = mesh.on(rounded, faces)
+    np.testing.assert_array_equal(after.face_material, mesh.face_material[order])
+    np.testing.assert_array_equal(after.uv, np.roll(mesh.uv[order], 1, axis=1))
+    with pytest.raises(OmtwarpError, match=r"3 of the map's \d+ faces are not in the mesh, first face 0"):
+        PaintedMesh(mesh.vertices, mesh.faces[order[3:]], uv=None).on(points, faces)
+    with pytest.raises(OmtwarpError, match="another mesh"):
+        mesh.on(points + 1.0, faces)
+
+
+@pytest.mark.parametrize("level", [0, 5, 60, 188, 255])
+def test_colours_of_glb_are_linear(tmp_path, level):
+    """A material's factor and colours at vertices are light in the file, and the colour itself when read and drawn."""
+    ball = omtwarp.shapes.icosphere(3)
+    material = Material("one", (level / 255.0, 0.5, 1.0, 1.0))
+    PaintedMesh(ball.vertices, ball.faces, materials=(material,)).export(tmp_path / "a.glb")
+    light = level / 255.0 / 12.92 if level <= 10 else ((level / 255.0 + 0.055) / 1.055) ** 2.4
+    data = (tmp_path / "a.glb").read_bytes()
+    header = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    written = header["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"]
+    np.testing.assert_allclose(written, [light, ((0.5 + 0.055) / 1.055) ** 2.4, 1.0, 1.0], rtol=1e-12)
+    np.testing.assert_allclose(read_painted_mesh(tmp_path / "a.glb").materials[0].color, material.color, atol=1e-6)
+    for shown in (tmp_path / "a.glb", trimesh.load_mesh(tmp_path / "a.glb")):  # trimesh keeps eight bits of the light
+        drawn = np.asarray(omtwarp.preview(shown, size=(32, 32), light="flat", backend="warp", device="cpu"))
+        np.testing.assert_allclose(drawn[16, 16, :3], [level, 127.5, 255], atol=2 if level != 5 else 8)
+    colors = np.full((len(ball.vertices), 4), (level, 60, 200, 255), dtype=np.uint8)
+    PaintedMesh(ball.vertices, ball.faces, vertex_colors=colors).export(tmp_path / "b.glb")
+    back = read_painted_mesh(tmp_path / "b.glb").vertex_colors.astype(int)
+    np.testing.assert_array_equal(back, colors)
 
 
 def share(picture, color):

@@ -1,0 +1,143 @@
+"""Vertices that a format doubles along the seams of a texture, joined again.
+
+GLB, and other formats with one row of attributes for every vertex, hold a vertex twice where two charts of a texture or
+two materials meet. The surface is closed all the same; only its numbering is not.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.read import MeshFile, read_mesh
+
+Ints = NDArray[np.int64]
+
+# Formats that keep vertices apart where nothing but the surface itself asks for it: in these, equal places that stay
+# open when they are joined may be meant.
+_SHARED = (".ply", ".obj", ".off", ".stl", ".npz", ".vtk", ".gii")
+
+
+@dataclass(frozen=True)
+class JoinedMesh:
+    """A mesh file whose copies of vertices along seams are joined.
+
+    Attributes:
+        vertices: without copies, in the file's order, float64, shape [V, 3].
+        faces: the file's, with the vertices' new numbers, int64, shape [F, 3].
+        file: the mesh as the file has it.
+        vertex_of_file: the vertex that each of the file's is, shape [N]; None where nothing was joined.
+        notes: what had to be decided, in words.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: Ints
+    file: MeshFile
+    vertex_of_file: Ints | None
+    notes: tuple[str, ...]
+
+    @property
+    def vertex_origin(self) -> Ints:
+        """The file's first vertex that each vertex is, shape [V]."""
+        if self.vertex_of_file is None:
+            return np.arange(len(self.vertices))
+        return np.unique(self.vertex_of_file, return_index=True)[1]
+
+
+def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Ints | None:
+    """Find vertices of boundaries that lie at the same place.
+
+    Args:
+        vertices: shape [V, 3].
+        faces: shape [F, 3].
+
+    Returns:
+        For every vertex the first one at its place, shape [V]; None where no two are joined.
+    """
+    single = _boundary_vertices(len(vertices), faces)
+    at = np.flatnonzero(single)
+    if not len(at):
+        return None
+    _, first, inverse = np.unique(vertices[at] + 0.0, axis=0, return_index=True, return_inverse=True)
+    if len(first) == len(at):
+        return None
+    number = np.arange(len(vertices))
+    number[at] = at[first[inverse.reshape(-1)]]
+    return number
+
+
+def _boundary_vertices(count: int, faces: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Which vertices belong to an edge of one triangle alone, shape [V]."""
+    corners = faces.astype(np.int64)
+    ring = np.roll(corners, -1, axis=1)
+    low, high = np.minimum(corners, ring).ravel(), np.maximum(corners, ring).ravel()
+    _, place, times = np.unique(low * count + high, return_inverse=True, return_counts=True)
+    alone = times[place.reshape(-1)] == 1
+    boundary = np.zeros(count, dtype=bool)
+    boundary[low[alone]] = boundary[high[alone]] = True
+    return boundary
+
+
+def compressed(number: Ints) -> tuple[NDArray[np.bool_], Ints]:
+    """Which vertices stay when copies are joined, and the new number of every vertex, both shape [V]."""
+    stays = number == np.arange(len(number))
+    return stays, (np.cumsum(stays) - 1)[number]
+
+
+def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> JoinedMesh:
+    """Read a mesh, and join the copies of vertices that its format makes along seams.
+
+    Several geometries of a scene, a material each, are one mesh where they close one another's boundaries.
+
+    Args:
+        path: a file that :func:`omtwarp.read_mesh` reads.
+        triangulate: as there.
+
+    Raises:
+        OmtwarpError: as there.
+    """
+    shared = Path(path).suffix.lower() in _SHARED
+    try:
+        file, one_mesh = read_mesh(path, triangulate=triangulate), True
+    except OmtwarpError as error:
+        if shared:
+            raise
+        refused = error
+        file, one_mesh = read_mesh(path, triangulate=triangulate, together=True), False
+    number = None
+    if file.faces.size and 0 <= file.faces.min() and file.faces.max() < len(file.vertices):
+        number = seam_copies(file.vertices, file.faces)
+    joined, stays = file.faces, None
+    if number is not None:
+        stays, of_file = compressed(number)
+        joined = of_file[file.faces]
+        open_still = bool(_boundary_vertices(len(file.vertices), joined).any())
+        if open_still and shared:
+            number, joined = None, file.faces
+    if not one_mesh and not _in_one_piece(joined):
+        raise refused  # geometries that do not belong together are the user's to choose from
+    if number is None or stays is None:
+        return JoinedMesh(file.vertices, file.faces, file, None, file.notes)
+    copies = len(stays) - int(stays.sum())
+    note = f"joined {copies} {'copy' if copies == 1 else 'copies'} of vertices along seams"
+    return JoinedMesh(file.vertices[stays], joined, file, of_file, (*file.notes, note))
+
+
+def _in_one_piece(faces: Ints) -> bool:
+    """Whether triangles are connected through their vertices."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    count = int(faces.max()) + 1 if faces.size else 0
+    rows, columns = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(count, count))
+    labels = connected_components(graph, directed=False)[1]
+    return len(np.unique(labels[faces])) <= 1
+
+
+__all__ = ["JoinedMesh", "compressed", "read_joined_mesh", "seam_copies"]
