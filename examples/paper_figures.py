@@ -363,7 +363,7 @@ def cost_curve(path: Path, meshes: Meshes, number: int) -> None:
     moser = result.moser
     if moser is None or result.transported is None:
         raise omtwarp.OmtwarpError("the map has no Moser stage to start the flow from")
-    report = optimality(result.conformal, result.transported, surface.vertex_areas, surface.faces, device=device)
+    report = optimality(surface, result.transported, start=result.conformal, device=device)
     # The report's bound is one for points with masses, the cost here that of whole triangles: they share the gap.
     bound = result.history[-1]["cost"] / (1.0 + report.gap)
     figure, axes = pyplot.subplots(1, 2, figsize=(11, 4), layout="constrained")

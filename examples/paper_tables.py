@@ -149,9 +149,7 @@ def measure(
 
         for entry in rows:
             if entry["method"] in ("moser", "omt"):
-                report = optimality(
-                    result.conformal, maps[entry["method"]], surface.vertex_areas, surface.faces, device=options.device
-                )
+                report = optimality(surface, maps[entry["method"]], start=result.conformal, device=options.device)
                 entry |= {"relative_curl": report.relative_curl, "gap": report.gap}
     maps["start"] = result.conformal
     return rows, maps

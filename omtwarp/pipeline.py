@@ -31,7 +31,7 @@ from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure
-from omtwarp.metrics.optimality import Optimality, displacement_curl, surface_optimality
+from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
 from omtwarp.moser import moser_map
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetrised
 from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
@@ -542,7 +542,8 @@ class _Run:
         """How far gap and curl of a map are above what the shape term may cost; at most 1 where they are not."""
         assert self.source is not None
         self.measured = None
-        curled = (displacement_curl(self.surface, self.source, self.points(sphere)) / MAX_CURL) ** 2
+        curl = relative_curl(self.surface, sphere, start=self.source, device=self.device)
+        curled = (curl / MAX_CURL) ** 2
         small = self.surface.vertex_count <= GAP_ASCENT_VERTICES
         if curled > 1.0 and not small:  # the shape term has to give way whatever the gap is, which takes long to bound
             return float(curled)
@@ -559,8 +560,13 @@ class _Run:
         assert self.source is not None
         few = GAP_ASCENT_STEPS[0 if self.surface.vertex_count <= GAP_ASCENT_VERTICES else 1]
         for steps in (ASCENT_STEPS, few) if improve else (ASCENT_STEPS,):
-            found = surface_optimality(
-                self.surface, self.source, sphere, ascent_steps=steps, device=self.device, progress=self.progress
+            found = optimality(
+                self.surface,
+                sphere,
+                start=self.source,
+                ascent_steps=steps,
+                device=self.device,
+                progress=self.progress,
             )
             if found.gap <= self.largest_gap:
                 break

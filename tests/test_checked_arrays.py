@@ -87,8 +87,8 @@ TAKES_POINTS |= {
     "optimal_map, start": lambda points: omtwarp.optimal_map(SURFACE, SPHERE, start=points),
     "paper_flow, sphere": lambda points: omtwarp.paper_flow(SURFACE, points, start=SPHERE, cycles=1),
     "paper_flow, start": lambda points: omtwarp.paper_flow(SURFACE, SPHERE, start=points, cycles=1),
-    "optimality, conformal": lambda points: omtwarp.optimality(points, SPHERE, np.ones(COUNT), FACES),
-    "optimality, sphere": lambda points: omtwarp.optimality(SPHERE, points, np.ones(COUNT), FACES),
+    "optimality, start": lambda points: omtwarp.optimality(SURFACE, SPHERE, start=points),
+    "optimality, sphere": lambda points: omtwarp.optimality(SURFACE, points, start=SPHERE),
     "conformal_map": lambda points: omtwarp.conformal_map((points, FACES)),
     "barycentric_map": lambda points: omtwarp.barycentric_map((points, FACES)),
     "hierarchical_embedding": lambda points: omtwarp.hierarchical_embedding((points, FACES)),
@@ -111,7 +111,7 @@ TAKES_FACES = {
     "MapResult": lambda faces: MapResult(VERTICES, faces, SPHERE, SPHERE, np.ones(COUNT)),
     "SurfaceMap, filled": lambda faces: surface_map(filled_faces=[[0, 1, 2.5]] if faces is None else faces),
     "TorusMap": lambda faces: torus_map(faces=faces),
-    "optimality": lambda faces: omtwarp.optimality(SPHERE, SPHERE, np.ones(COUNT), faces),
+    "optimality": lambda faces: omtwarp.optimality((VERTICES, faces), SPHERE, start=SPHERE),
     "texture": lambda faces: omtwarp.texture((VERTICES, faces, SPHERE)),
     "align": lambda faces: omtwarp.align((SPHERE, faces), MAP),
     "resample": lambda faces: omtwarp.resample((SPHERE, faces), MAP),
@@ -134,10 +134,8 @@ def in_two_columns(numbers):
 
 TAKES_NUMBERS = {
     "mobius_centring": lambda numbers: omtwarp.mobius_centring(SURFACE, SPHERE, masses=numbers),
-    "optimality, masses": lambda numbers: omtwarp.optimality(SPHERE, SPHERE, numbers, FACES),
-    "optimality, potential": lambda numbers: omtwarp.optimality(
-        SPHERE, SPHERE, np.ones(COUNT), FACES, potential=numbers
-    ),
+    "optimality, masses": lambda numbers: omtwarp.optimality(SURFACE, SPHERE, start=SPHERE, masses=numbers),
+    "optimality, potential": lambda numbers: omtwarp.optimality(SURFACE, SPHERE, start=SPHERE, potential=numbers),
     "optimal_map, multipliers": lambda numbers: omtwarp.optimal_map(
         SURFACE, SPHERE, start=SPHERE, multipliers=numbers, iterations=1
     ),

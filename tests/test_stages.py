@@ -1,5 +1,6 @@
 """Every stage takes a surface in any form and a map of it, refuses what is neither, and tells of itself in one way."""
 
+import inspect
 from dataclasses import FrozenInstanceError
 
 import numpy as np
@@ -32,6 +33,7 @@ MEASURES = {
     "certify": omtwarp.certify,
     "distortion": omtwarp.distortion,
     "transport_cost": lambda *args, **kw: omtwarp.transport_cost(*args, start=START, **kw),
+    "optimality": lambda *args, **kw: omtwarp.optimality(*args, start=START, **kw),
 }
 STAGES = {**FROM_SURFACE, **FROM_MAP}
 
@@ -39,6 +41,15 @@ STAGES = {**FROM_SURFACE, **FROM_MAP}
 def run(name, surface=SURFACE, sphere=START, **options):
     given = (surface,) if name in FROM_SURFACE else (surface, sphere)
     return STAGES[name](*given, device="cpu", **options)
+
+
+@pytest.mark.parametrize("name", sorted({*STAGES, *MEASURES}))
+def test_the_surface_and_the_map_come_first_and_options_by_name(name):
+    function = polish_transport if name == "polish_transport" else getattr(omtwarp, name)
+    parameters = list(inspect.signature(function).parameters.values())
+    by_place = [parameter.name for parameter in parameters if parameter.kind is not parameter.KEYWORD_ONLY]
+    assert by_place == (["surface"] if name in FROM_SURFACE else ["surface", "sphere"])
+    assert "device" in inspect.signature(function).parameters
 
 
 @pytest.mark.parametrize("name", STAGES)

@@ -47,7 +47,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators
 from omtwarp.mesh.arrays import real_numbers, whole_number
-from omtwarp.mesh.checks import as_faces
+from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.optimality_dual import TransportDual
@@ -115,23 +115,26 @@ class Optimality:
 
 
 def optimality(
-    conformal: ArrayLike,
+    surface: MeshLike,
     sphere: ArrayLike,
-    masses: ArrayLike,
-    faces: ArrayLike,
     *,
+    start: ArrayLike,
+    masses: ArrayLike | None = None,
     potential: ArrayLike | None = None,
     ascent_steps: int = ASCENT_STEPS,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Optimality:
-    """Measure how far a map is from the optimal one (squared geodesic cost), from arrays.
+    """Measure how far a map is from the optimal one (squared geodesic cost).
+
+    Sparse systems are solved in the order of elimination that a :class:`Surface` keeps, so that of a surface whose map
+    was just made it takes a fraction of the time that the map took.
 
     Args:
-        conformal: the x_i, unit vectors, shape [V, 3].
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
         sphere: the y_i, unit vectors, shape [V, 3].
-        masses: the m_i, shape [V], positive; scaled to sum to 4π.
-        faces: shape [F, 3], outward.
+        start: the x_i that are transported (the conformal or substitute start), in the same way.
+        masses: the m_i, shape [V], positive; scaled to sum to 4π. The surface's areas around vertices by default.
         potential: ψ at the y_i, shape [V], radians², where it is known better than the map tells.
         ascent_steps: at most this many improvements of the potential; none once the gap is below 1e-4.
         device: where kernels run.
@@ -141,18 +144,18 @@ def optimality(
         The report. The bound holds whatever the map is like; flips make it loose, not wrong.
 
     Raises:
-        OmtwarpError: shapes that do not agree, points that are not finite, or masses that are not positive.
+        OmtwarpError: the mesh or a map cannot be used, or masses that are not positive.
 
     Example:
         >>> import omtwarp
-        >>> from omtwarp.mesh import shapes
-        >>> ball = shapes.icosphere(3)
-        >>> report = omtwarp.optimality(ball.vertices, ball.vertices, ball.vertex_areas, ball.faces)
-        >>> report.gap
+        >>> ball = omtwarp.shapes.icosphere(3)
+        >>> omtwarp.optimality(ball, ball.vertices, start=ball.vertices).gap
         0.0
     """
-    x, y, mass, triangles = _inputs(conformal, sphere, masses, faces)
-    return _measure(Surface(y, triangles), x, y, mass, potential, ascent_steps, device, progress)
+    surface = as_surface(surface)
+    x, y = _points(start, surface, "start"), _points(sphere, surface, "map")
+    mass = _masses(surface.vertex_areas if masses is None else masses, surface.vertex_count)
+    return _measure(surface, x, y, mass, potential, ascent_steps, device, progress)
 
 
 def map_optimality(
@@ -192,49 +195,10 @@ def map_optimality(
         raise OmtwarpError(f"this map has no stage '{stage}'")
     surface = Surface(result.vertices, result.faces)
     source = getattr(result, "source", None)
-    start = result.conformal if source is None else source
-    return surface_optimality(surface, start, points, ascent_steps=ascent_steps, device=device, progress=progress)
-
-
-def surface_optimality(
-    surface: Surface,
-    conformal: ArrayLike,
-    sphere: ArrayLike,
-    *,
-    potential: ArrayLike | None = None,
-    ascent_steps: int = ASCENT_STEPS,
-    device: str | None = "auto",
-    progress: Progress | None = None,
-) -> Optimality:
-    """Measure how far a map of a surface is from optimal; its vertex areas are the masses.
-
-    Sparse systems are solved in the order of elimination that the surface keeps, so that of a surface whose map was
-    just made it takes a fraction of the time that the map took.
-
-    Args:
-        surface: the surface, V vertices.
-        conformal: the x_i, unit vectors, shape [V, 3].
-        sphere: the y_i, unit vectors, shape [V, 3].
-        potential: as of :func:`optimality`.
-        ascent_steps: at most this many improvements of the potential.
-        device: where kernels run.
-        progress: called as ``progress("optimality", step, most steps, {"gap": gap})``.
-
-    Returns:
-        The report.
-
-    Raises:
-        OmtwarpError: as :func:`optimality`.
-
-    Example:
-        >>> from omtwarp.mesh import shapes
-        >>> from omtwarp.metrics.optimality import surface_optimality
-        >>> ball = shapes.icosphere(3)
-        >>> surface_optimality(ball, ball.vertices, ball.vertices).relative_curl
-        0.0
-    """
-    x, y, mass, _ = _inputs(conformal, sphere, surface.vertex_areas, surface.faces)
-    return _measure(surface, x, y, mass, potential, ascent_steps, device, progress)
+    x = _points(result.conformal if source is None else source, surface, "start")
+    y = _points(points, surface, "map")
+    mass = _masses(surface.vertex_areas, surface.vertex_count)
+    return _measure(surface, x, y, mass, None, ascent_steps, device, progress)
 
 
 @blas_threads(1)
@@ -311,22 +275,26 @@ def _excess(cost: float, bound: float) -> float:
     return 0.0 if cost == bound else float("inf")
 
 
-def relative_curl(conformal: ArrayLike, sphere: ArrayLike, faces: ArrayLike, *, device: str | None = "auto") -> float:
-    """||J∇H|| / ||log_y(x)|| on the image mesh: the part of the displacement that no gradient accounts for."""
-    x, y, _, triangles = _inputs(conformal, sphere, np.ones(len(np.asarray(sphere))), faces)
-    return _curl_part(Surface(y, triangles), y, _log_maps(y, x, device), device)[0]
-
-
-def displacement_curl(surface: Surface, conformal: Array | wp.array, sphere: Array | wp.array) -> float:
-    """Measure :func:`relative_curl` in the order of elimination that a surface keeps.
+def relative_curl(
+    surface: MeshLike,
+    sphere: ArrayLike | wp.array,
+    *,
+    start: ArrayLike | wp.array,
+    device: str | None = "auto",
+) -> float:
+    """Measure ||J∇H|| / ||log_y(x)|| on the image mesh: the part of the displacement that no gradient accounts for.
 
     Args:
-        surface: the surface, V vertices.
-        conformal: the x_i, unit vectors, shape [V, 3], or a Warp array of vec3d, whose device is then used.
-        sphere: the y_i, in the same way.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
+        sphere: the y_i, unit vectors, shape [V, 3]; or a Warp array of vec3d.
+        start: the x_i, in the same way.
+        device: where kernels run.
+
+    Raises:
+        OmtwarpError: the mesh or a map cannot be used.
     """
-    device = str(sphere.device) if isinstance(sphere, wp.array) else "cpu"
-    x, y = (p.numpy() if isinstance(p, wp.array) else p for p in (conformal, sphere))
+    surface = as_surface(surface)
+    x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
     return _curl_part(surface, y, _log_maps(y, x, device), device)[0]
 
 
@@ -393,22 +361,23 @@ def _log_maps(base: Array, target: Array, device: str | None) -> Array:
     return out.numpy()
 
 
-def _inputs(
-    conformal: ArrayLike, sphere: ArrayLike, masses: ArrayLike, faces: ArrayLike
-) -> tuple[Array, Array, Array, NDArray[np.int32]]:
-    """Arrays that agree with each other."""
-    y = real_numbers(sphere, "the sphere map", (None, 3))
-    x = real_numbers(conformal, "the conformal map", (len(y), 3))
-    mass = real_numbers(masses, "masses", (len(y),))
-    triangles = as_faces(faces, len(y))
-    for name, points in (("conformal", x), ("sphere", y)):
-        lengths = np.linalg.norm(points, axis=1)
-        bad = ~(np.abs(lengths - 1.0) < 1e-3)
-        if bad.any():
-            raise OmtwarpError(
-                f"{int(bad.sum())} points of the {name} map are not on the unit sphere, first {int(np.argmax(bad))}"
-            )
+def _points(given: ArrayLike, surface: Surface, name: str) -> Array:
+    """Points of the unit sphere, shape [V, 3], normalised once more: the bound's digits rest on their lengths.
+
+    Raises:
+        OmtwarpError: they are no such points.
+    """
+    points = as_sphere(given, surface, name)
+    return np.ascontiguousarray(points / np.linalg.norm(points, axis=1)[:, None])
+
+
+def _masses(given: ArrayLike, count: int) -> Array:
+    """Positive masses, shape [V], scaled to sum to 4π.
+
+    Raises:
+        OmtwarpError: another shape, or masses that are not positive.
+    """
+    mass = real_numbers(given, "masses", (count,))
     if not (mass > 0).all():
         raise OmtwarpError(f"masses must be positive: {int((~(mass > 0)).sum())} are not; remove unused vertices")
-    x, y = (np.ascontiguousarray(p / np.linalg.norm(p, axis=1)[:, None]) for p in (x, y))
-    return x, y, mass / mass.max() * (SPHERE_AREA / (mass / mass.max()).sum()), triangles
+    return mass / mass.max() * (SPHERE_AREA / (mass / mass.max()).sum())

@@ -25,7 +25,7 @@ from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.metrics.optimality import displacement_curl
+from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost, Progress, Record, Scheme, choose
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
@@ -219,7 +219,7 @@ def optimal_transport(
     ended = flow.run(flow.iterations(), most, tolerance, progress)
     converged = ended in SETTLED_ENDINGS
     if converged and cost is Cost.SQUARED:
-        left = displacement_curl(surface, vectors(maps[0], flow.device), flow.points)
+        left = relative_curl(surface, flow.points, start=maps[0], device=str(flow.device))
         converged = left <= OPTIMAL_CURL
         if not converged:
             ended += f", and {left:.3f} of the displacement is curl that it cannot remove"

@@ -10,7 +10,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.shapes import blob
-from omtwarp.metrics.optimality import surface_optimality
+from omtwarp.metrics.optimality import optimality
 from omtwarp.moser import moser_map
 from omtwarp.optimal import optimal_map
 from omtwarp.optimal.cells import CellEnergy, exact_map
@@ -102,8 +102,8 @@ def test_every_triangle_keeps_its_area_and_the_map_is_optimal(mapped):
     areas = solid_angles(found.sphere, cut.surface.faces).reshape(-1, 4).sum(axis=1)
     np.testing.assert_allclose(areas, surface.face_areas, rtol=1e-6)
     assert is_bijective(found.sphere, cut.surface.faces)
-    before = surface_optimality(surface, x, plain.sphere, device="cpu")
-    after = surface_optimality(cut.surface, start, found.sphere, device="cpu")
+    before = optimality(surface, plain.sphere, start=x, device="cpu")
+    after = optimality(cut.surface, found.sphere, start=start, device="cpu")
     assert after.gap < 1.5 * before.gap + 1e-4
     assert [number for _, number, *_ in told] == list(range(1, len(found.history)))
     again = exact_map(cut, cut.on_sphere(plain.sphere), start=start, device="cpu")

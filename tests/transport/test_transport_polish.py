@@ -72,9 +72,7 @@ def test_a_fan_of_large_triangles_does_not_hold_its_rim_back(device):
     x = pushed_north(tilted[:, [2, 0, 1]], 0.5)[:, [1, 2, 0]] @ random_rotation(7).T
     initial = twisted(surface.vertices, 0.25)
     polished = polish_transport(surface, initial, start=x, device=device)
-    before, after = (
-        optimality(x, y, surface.vertex_areas, surface.faces, device=device) for y in (initial, polished.sphere)
-    )
+    before, after = (optimality(surface, y, start=x, device=device) for y in (initial, polished.sphere))
     assert after.relative_curl < 0.1 * before.relative_curl
     assert after.gap < 5e-5 < before.gap
     assert area_excess(surface, polished.sphere) < 4e-4
