@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.policy import solving_with
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import flipped_faces
 from omtwarp.joined_maps import joined
 from omtwarp.measures.weights import face_weights
 from omtwarp.mesh.quarter import PARTS, quarter
@@ -18,16 +18,17 @@ from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
-from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
+from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
+from omtwarp.open_surfaces.packing import pack_caps
 from omtwarp.open_surfaces.planar import mend_in_plane, mend_on_sphere
 from omtwarp.options import Domain, FillArea, MapOptions, Progress, Solver, choose, parse_refinement
 from omtwarp.pipeline import map_double, map_to_sphere
 from omtwarp.result import MapResult
 from omtwarp.surface_map import SurfaceMap
-from omtwarp.topology.boundary import loop_length
+from omtwarp.topology.boundary import boundary_half_edges, boundary_loops, loop_length
 from omtwarp.topology.doubling import Double, double, quartered_double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
-from omtwarp.topology.handles import cut_handles
+from omtwarp.topology.handles import cut_handles, slit_open
 from omtwarp.topology.kind import Part, described, options_for, parts_of
 from omtwarp.torus.mapping import map_to_torus
 from omtwarp.torus.torus_map import TorusMap
@@ -35,6 +36,13 @@ from omtwarp.torus.torus_map import TorusMap
 # Of the surface's area, all fillings together, where they are to be small. With a tenth of that, triangles on both
 # sides of the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.
 SMALL_FILLING = 1e-2
+
+SLITS = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open: loops around handles keep clear of it
+# Where sides of large triangles reach from one cap into another, caps are made smaller, at most so many times.
+GNOMONIC_SHARE = 0.45  # of the sphere: up to this a cap is mended in its gnomonic projection, which half a sphere lacks
+ROUNDS_APART, LESS_COVERED = 6, 0.85
+
+AnyMap = TypeVar("AnyMap", bound=MapResult)
 
 _AT_VERTICES = ("sphere", "conformal", "density", "source", "moser", "transported")  # arrays of a map
 
@@ -47,6 +55,7 @@ def map_surface(
     domain: str = Domain.AUTO,
     fill_area: str = FillArea.NATURAL,
     components: bool = True,
+    together: bool = False,
     cut: bool = True,
     progress: Progress | None = None,
     **options: Any,
@@ -71,6 +80,8 @@ def map_surface(
         fill_area: of filled holes on the sphere: ``natural`` (where left out), that of a minimal surface in the hole;
             ``small``, at most a hundredth of the surface's area.
         components: whether a surface of several parts is taken, each mapped by itself.
+        together: whether all parts lie side by side on one sphere, each on a spherical cap of its own, with areas in
+            proportion to those of the parts; closed parts are slit open. ``domain`` is then left at ``auto``.
         cut: whether a surface with handles is cut along a short loop around each, and both sides filled small.
         progress: called as ``progress(stage, done, total, details)``.
         options: those of :func:`omtwarp.map_to_sphere`: ``method``, ``until``, ``cost``, ``scheme``, ``refine``,
@@ -94,6 +105,9 @@ def map_surface(
     domain, fill_area = choose(Domain, domain), choose(FillArea, fill_area)
     vertices, faces = _arrays(mesh)
     parts = parts_of(vertices, faces)
+    together = together and len(parts) > 1
+    if together and (domain != Domain.AUTO or options.get("exact")):
+        raise OmtwarpError("parts side by side lie on caps: leave domain and exact out")
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
         return map_to_sphere(mesh, progress=progress, **options)
     if options.pop("target", None) is not None:
@@ -106,15 +120,99 @@ def map_surface(
         raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
     if len(parts) > 1 and not components:
         raise OmtwarpError(f"the surface has {len(parts)} parts: components=True maps each by itself")
+    if together:
+        parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
     maps = [
         _map_part(part, domain, fill_area, cut, progress, options, None if shares is None else shares[part.face_origin])
         for part in parts
     ]
+    caps: tuple[Floats, Floats] | None = None
+    if together:
+        maps, centres, sizes = _side_by_side(maps, [_mass(part, shares) for part in parts])
+        caps = centres, sizes
     for each in maps:
         each.report["certificate"] = each.certificate.to_dict()
         if not each.certificate.bijective:
             raise OmtwarpError(f"no map to the {each.domain} that is one to one was found: {each.certificate}")
-    return maps[0] if len(maps) == 1 else joined(maps, len(vertices))
+    return maps[0] if len(maps) == 1 else joined(maps, len(vertices), caps)
+
+
+def _slit(part: Part) -> Part:
+    """A part with a boundary: a closed one is slit open along a path, as long as leaves room to cut its handles."""
+    if part.loops:
+        return part
+    for share in SLITS:
+        cut = slit_open(part.vertices, part.faces, share)
+        try:
+            cut_handles(cut.vertices, cut.faces, part.genus)
+            break
+        except OmtwarpError:
+            continue
+    loops = boundary_loops(cut.faces, len(cut.vertices))
+    return replace(
+        part, vertices=cut.vertices, faces=cut.faces, vertex_origin=part.vertex_origin[cut.vertex_origin], loops=loops
+    )
+
+
+def _mass(part: Part, weights: Floats | None) -> float:
+    """A part's area, in the input's units, times the weights of its faces where there are any."""
+    areas = triangle_areas(part.vertices, part.faces)
+    return float(areas.sum() if weights is None else areas @ weights[part.face_origin])
+
+
+def _side_by_side(maps: list[SurfaceMap], masses: list[float]) -> tuple[list[SurfaceMap], Floats, Floats]:
+    """Maps to hemispheres carried to disjoint caps, so that images have areas in proportion to the parts' masses.
+
+    Returns:
+        The maps, the centres of the caps, shape [P, 3], and their shares of the sphere, shape [P].
+
+    Raises:
+        OmtwarpError: triangles reach from one cap to another, or turn over.
+    """
+    # A cap holds the fillings of the part's other holes, too.
+    own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)).sum() for each in maps]
+    wanted = np.array(masses) / np.array(own)
+    centres, covered = pack_caps(wanted / wanted.sum())
+    for _ in range(ROUNDS_APART):
+        shares = covered * wanted / wanted.sum()
+        placed = [
+            _placed(_on_cap(each, share), centre, share)
+            for each, share, centre in zip(maps, shares, centres, strict=True)
+        ]
+        reach = np.array([_reach(each, centre) for each, centre in zip(placed, centres, strict=True)])
+        apart = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) - reach[:, None] - reach
+        if apart[np.triu_indices(len(maps), 1)].min() > 0.0:
+            return placed, centres, shares
+        covered *= LESS_COVERED
+    raise OmtwarpError("triangles at the rims of parts reach into other parts: use finer meshes, or map each by itself")
+
+
+def _whole(each: SurfaceMap) -> tuple[Floats, NDArray]:
+    """Points on the sphere and faces of a map, with what fills its holes."""
+    points = each.sphere if each.filled_sphere is None else each.filled_sphere
+    return points, each.faces if each.filled_faces is None else each.filled_faces
+
+
+def _placed(each: SurfaceMap, centre: Floats, share: float) -> SurfaceMap:
+    """A map to the cap around the north pole turned to another centre, along a great circle."""
+    # Householder's reflection that exchanges pole and centre, after the one that turns x over: a rotation.
+    across = np.array([0.0, 0.0, 1.0]) - centre
+    length = float(across @ across)
+    turn = np.eye(3) - (2.0 / length) * np.outer(across, across) if length > 0.0 else np.eye(3)
+    frame = turn @ np.diag([-1.0, 1.0, 1.0]) if length > 0.0 else turn
+    about = each.report["surface"] | {"share_of_sphere": share, "centre": centre.tolist()}
+    turned = _turned(each, frame.T)
+    filled = None if each.filled_sphere is None else each.filled_sphere @ frame.T
+    return replace(turned, domain=Domain.CAP, filled_sphere=filled, report=each.report | {"surface": about})
+
+
+def _reach(each: SurfaceMap, centre: Floats) -> float:
+    """The largest angle from a cap's centre to a point of its triangles: sides of those at the rim may bulge."""
+    points, faces = _whole(each)
+    rim = points[boundary_half_edges(faces, len(points))]
+    middle = rim.sum(axis=1)
+    middle /= np.linalg.norm(middle, axis=1)[:, None]
+    return float(np.arccos(np.clip(np.concatenate([rim[:, 0], middle]) @ centre, -1.0, 1.0)).max())
 
 
 def _on_torus(part: Part, progress: Progress | None, options: dict[str, Any]) -> TorusMap:
@@ -364,7 +462,7 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
     )
 
 
-def _turned(closed: MapResult, frame: Floats) -> MapResult:
+def _turned(closed: AnyMap, frame: Floats) -> AnyMap:
     """A map with all its stages turned by a rotation, ``points @ frame``."""
 
     def turned(points: Floats | None) -> Floats | None:
@@ -406,37 +504,62 @@ def _on_hemisphere(
         image = found
         closed = _turned(closed, frame)
     result = _restricted(part, opened, closed, image, domain)
-    return result if domain == "hemisphere" else _projected(part, result, glued.on_boundary, domain)
+    return result if domain == "hemisphere" else _projected(part, result, domain)
 
 
-def _projected(part: Part, result: SurfaceMap, on_boundary: NDArray[np.bool_], domain: str) -> SurfaceMap:
+def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
     """A map to the hemisphere carried to the disk or to a cap, the triangles that this turns over mended."""
-    whole = result.sphere if result.filled_sphere is None else result.filled_sphere
-    faces = result.faces if result.filled_faces is None else result.filled_faces
-    rim, laid = on_boundary[: len(whole)], hemisphere_to_disk(whole)
-    count = len(result.vertices)
+    whole, faces = _whole(result)
     share = 0.5
     if domain == "cap":
         longest = max(part.loops, key=lambda loop: loop_length(part.vertices, loop))
         hole = fill_holes(part.vertices, part.faces, [longest])
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
-        cap = disk_to_cap(laid, share)
-        if flipped_faces(cap, faces).any():
-            cap = mend_on_sphere(cap, faces, rim)
-        if flipped_faces(cap, faces).any():
-            cap = disk_to_cap(mend_in_plane(laid, faces, rim)[0], share)
-        filled = None if result.filled_sphere is None else cap
-        result = replace(result, sphere=cap[:count], filled_sphere=filled)
+        result = _on_cap(result, share)
     else:
-        disk, flips = mend_in_plane(laid, faces, rim)
+        disk, flips = mend_in_plane(hemisphere_to_disk(whole), faces, _rim(faces, len(whole)))
         if flips:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
             )
-        result = replace(result, disk=disk[:count])
+        result = replace(result, disk=disk[: len(result.vertices)])
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
     return replace(result, report=result.report | {"surface": about})
+
+
+def _on_cap(result: SurfaceMap, share: float) -> SurfaceMap:
+    """A map to the hemisphere carried to the cap with a share of the sphere around the north pole.
+
+    Returns:
+        The first that is one to one of: the map as it is projected, the same with flipped triangles mended, on small
+        caps in their gnomonic projection, where sides are straight, and a map mended in the disk before. The last one
+        if none is.
+    """
+    whole, faces = _whole(result)
+    rim, laid = _rim(faces, len(whole)), hemisphere_to_disk(whole)
+    cap = disk_to_cap(laid, share)
+    ways: list[Callable[[], Floats]] = [
+        lambda: cap,
+        lambda: mend_on_sphere(cap, faces, rim),
+        lambda: disk_to_cap(mend_in_plane(laid, faces, rim)[0], share),
+    ]
+    if share < GNOMONIC_SHARE:
+        ways.insert(1, lambda: from_gnomonic(mend_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))
+    for way in ways:
+        points = way()
+        filled = None if result.filled_sphere is None else points
+        found = replace(result, sphere=points[: len(result.vertices)], filled_sphere=filled)
+        if found.certificate.bijective:
+            break
+    return found
+
+
+def _rim(faces: NDArray, count: int) -> NDArray[np.bool_]:
+    """Which vertices lie on the boundary, shape [count]."""
+    rim = np.zeros(count, dtype=bool)
+    rim[boundary_half_edges(faces, count)] = True
+    return rim
 
 
 __all__ = ["map_surface"]

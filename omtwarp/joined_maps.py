@@ -12,7 +12,9 @@ from omtwarp.surface_map import SEVERAL, SurfaceMap
 _PER_VERTEX = ("vertices", "sphere", "conformal", "density", "source", "moser", "transported", "disk")
 
 
-def joined(maps: list[SurfaceMap], vertex_count: int) -> SurfaceMap:
+def joined(
+    maps: list[SurfaceMap], vertex_count: int, caps: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+) -> SurfaceMap:
     """One map of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
 
     The input's vertices and faces keep their order. Vertices that split edges, and copies made by cuts, follow.
@@ -20,6 +22,7 @@ def joined(maps: list[SurfaceMap], vertex_count: int) -> SurfaceMap:
     Args:
         maps: of the parts, with vertices and faces of origins in the input.
         vertex_count: of the input.
+        caps: where parts lie side by side on one sphere, centres and shares of their caps.
     """
     count, numbers, split = vertex_count, [], []
     taken = np.zeros(vertex_count, dtype=bool)
@@ -66,6 +69,8 @@ def joined(maps: list[SurfaceMap], vertex_count: int) -> SurfaceMap:
         face_origin=face_origin[order],
         split_edges=np.concatenate(split),
         part=labels[order],
+        cap_centres=None if caps is None else caps[0],
+        cap_shares=None if caps is None else caps[1],
         **_filling(maps, numbers, count, at_vertices),
     )
     report["stages"][0] |= result.distortion().to_dict() | {"transport_cost": 0.0}

@@ -44,6 +44,8 @@ class SurfaceMap(MapResult):
         face_origin: the input's face that each face is a part of, shape [F].
         split_edges: the two vertices that each vertex of origin -1 lies halfway between, in their order, shape [K, 2].
         part: the part of the surface, each on a sphere of its own, that each face belongs to, shape [F].
+        cap_centres: where parts lie side by side on one sphere, the centre of each part's cap, shape [P, 3].
+        cap_shares: the share of the sphere that each of these caps has, shape [P].
         loops: vertices of the boundary loops that were filled, one loop after the other, shape [N].
         loop_ends: where each loop ends in ``loops``, shape [L].
         loop_pairs: the two sides of each cut, as numbers of loops, shape [G, 2].
@@ -64,6 +66,8 @@ class SurfaceMap(MapResult):
     disk: Array | None = None
     split_edges: NDArray[np.int64] | None = None
     part: NDArray[np.int64] | None = None
+    cap_centres: Array | None = None
+    cap_shares: Array | None = None
     loops: NDArray[np.int64] | None = None
     loop_ends: NDArray[np.int64] | None = None
     loop_pairs: NDArray[np.int64] | None = None
@@ -95,12 +99,13 @@ class SurfaceMap(MapResult):
     def distortion(self, stage: str = "sphere") -> Distortion:
         """Distortion of the map, or of a stage: ``conformal``, ``moser`` or ``transported``.
 
-        Areas are compared within each part, every part scaled to the area of its image, and all parts count alike.
+        Areas are compared within each part, every part scaled to the area of its image, and all parts count alike;
+        where parts lie side by side on one sphere, areas of all are compared.
 
         Raises:
             OmtwarpError: the stage was not run.
         """
-        if self.part is None:
+        if self.part is None or self.cap_centres is not None:
             return super().distortion(stage)
         points = getattr(self, stage, None) if stage in ("sphere", "conformal", "moser", "transported") else None
         if points is None:
@@ -115,7 +120,7 @@ class SurfaceMap(MapResult):
     def certificate(self) -> Certificate:
         """The certificate of the map of the filled surface, computed from its arrays at the first use.
 
-        A boundary that is left, the rim of a hemisphere or of a cap, is closed by a fan of triangles to the south pole;
+        A boundary that is left, the rim of a hemisphere or of a cap, is closed by a fan to the point opposite to it;
         the disk is seen from the centre of the sphere, at height 1. Parts are certified one by one.
         """
         filled = self.filled_faces is not None and self.filled_sphere is not None
@@ -175,7 +180,9 @@ def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:
     rim = boundary_half_edges(own, len(used))
     if len(rim):
         fan = np.stack([rim[:, 1], rim[:, 0], np.full(len(rim), len(used))], axis=1).astype(np.int32)
-        own, places = np.concatenate([own, fan]), np.concatenate([places, [[0.0, 0.0, -1.0]]])
+        across = np.cross(places[rim[:, 0]], places[rim[:, 1]]).sum(axis=0)
+        opposite = -across / max(float(np.linalg.norm(across)), np.finfo(float).tiny)
+        own, places = np.concatenate([own, fan]), np.concatenate([places, [opposite]])
     return certify_triangles(np.asarray(own, dtype=np.int32), places)
 
 
@@ -184,6 +191,8 @@ _LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "disk": (np.float64, ("V", 2)),
     "split_edges": (np.int64, ("K", 2)),
     "part": (np.int64, ("F",)),
+    "cap_centres": (np.float64, ("P", 3)),
+    "cap_shares": (np.float64, ("P",)),
     "loops": (np.int64, ("N",)),
     "loop_ends": (np.int64, ("L",)),
     "loop_pairs": (np.int64, ("G", 2)),

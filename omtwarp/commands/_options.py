@@ -123,6 +123,12 @@ FillAreaOption = Annotated[
 ComponentsOption = Annotated[
     bool, typer.Option("--components", help="Map every part of the surface by itself, each to a sphere of its own.")
 ]
+TogetherOption = Annotated[
+    bool,
+    typer.Option(
+        "--together", help="All parts side by side on one sphere, each on a cap, in proportion to their areas."
+    ),
+]
 CutOption = Annotated[
     bool,
     typer.Option("--cut", help="Cut handles open along short loops and map to the sphere; a texture breaks there."),

@@ -27,6 +27,7 @@ from omtwarp.commands._options import (
     SchemeOption,
     SolverOption,
     StrictOption,
+    TogetherOption,
     TorusOption,
     UntilOption,
     VerboseOption,
@@ -70,6 +71,7 @@ def map_mesh(
     cap: CapOption = False,
     fill_area: FillAreaOption = None,
     components: ComponentsOption = False,
+    together: TogetherOption = False,
     cut: CutOption = False,
     torus: TorusOption = False,
     device: DeviceOption = MapOptions.device,
@@ -145,9 +147,8 @@ def map_mesh(
                 raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
         if report_target is not None:
             check_output(report_target, (".json",), *meshes, target)
-    any_surface = surface_options(
-        hemisphere=hemisphere, disk=disk, cap=cap, fill_area=fill_area, components=components, cut=cut, torus=torus
-    )
+    rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap, torus), strict=True) if given]
+    any_surface = surface_options(rims, fill_area=fill_area, components=components, together=together, cut=cut)
     start_device(device)
     goal = None
     if density is not None:
@@ -228,22 +229,24 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
 
 
 def surface_options(
-    *, hemisphere: bool, disk: bool, cap: bool, fill_area: FillArea | None, components: bool, cut: bool, torus: bool
+    rims: list[Domain], *, fill_area: FillArea | None, components: bool, together: bool, cut: bool
 ) -> dict[str, Any] | None:
     """Options of :func:`omtwarp.map_surface`, None where none was given: the surface has to be a sphere then.
 
     Raises:
         OmtwarpError: more than one domain.
     """
-    rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap, torus), strict=True) if given]
     if len(rims) > 1:
         raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
-    if not (rims or fill_area or components or cut):
+    if together and rims:
+        raise OmtwarpError(f"both --together and --{rims[0]}: parts side by side lie on caps")
+    if not (rims or fill_area or components or together or cut):
         return None
     return {
-        "domain": rims[0] if rims else Domain.SPHERE,
+        "domain": Domain.AUTO if together else rims[0] if rims else Domain.SPHERE,
         "fill_area": fill_area or FillArea.NATURAL,
-        "components": components,
+        "components": components or together,
+        "together": together,
         "cut": cut,
     }
 

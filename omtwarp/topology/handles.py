@@ -21,6 +21,7 @@ from scipy.sparse import csgraph
 from omtwarp.errors import OmtwarpError
 from omtwarp.topology.boundary import boundary_loops
 
+FAR_SWEEPS = 3  # from the farthest vertex to the one farthest from it
 ROOTS = 6  # vertices that loops are sought through: the first, far ones, and one on the best loop so far
 
 
@@ -71,6 +72,40 @@ def cut_handles(
         own += [side for side in boundary_loops(triangles, len(points)) if copies & set(side.tolist())]
         sides.append((own[0], own[1]))
     return CutSurface(points, triangles.astype(np.int32), origin, sides)
+
+
+def slit_open(vertices: NDArray[np.float64], faces: NDArray, share: float = 1.0) -> CutSurface:
+    """Cut a closed surface open along a path between two vertices that are far from each other.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: a connected, oriented, closed manifold mesh, shape [F, 3].
+        share: of the path that is cut, from its end.
+
+    Returns:
+        The surface with one boundary loop, and no ``sides``.
+    """
+    triangles, count = np.asarray(faces, dtype=np.int64), len(vertices)
+    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    one_way = tail < head
+    lengths = np.linalg.norm(vertices[tail[one_way]] - vertices[head[one_way]], axis=1)
+    lengths = np.maximum(lengths, np.finfo(float).eps * lengths.max())
+    graph = sparse.csr_array((lengths, (tail[one_way], head[one_way])), shape=(count, count))
+    root = int(tail[0])
+    for _ in range(FAR_SWEEPS):
+        steps, before = csgraph.dijkstra(graph, directed=False, indices=root, return_predecessors=True)
+        far, last = int(np.argmax(np.where(np.isfinite(steps), steps, -1.0))), root
+        root = far
+    path = [far]
+    while path[-1] != last:
+        path.append(int(before[path[-1]]))
+    if len(path) < 3:  # a path of one edge opens nothing: go on to any neighbour of its end that is not its beginning
+        beside = np.unique(np.concatenate([head[tail == last], tail[head == last]]))
+        path.append(int(beside[~np.isin(beside, path)][0]))
+    kept = path[: max(3, round(share * len(path)))]
+    opened, copied = _cut_along(triangles, np.array(kept), count, closed=False)
+    origin = np.concatenate([np.arange(count), copied])
+    return CutSurface(vertices[origin], opened.astype(np.int32), origin, [])
 
 
 def shortest_handle_loop(vertices: NDArray[np.float64], faces: NDArray) -> NDArray[np.int64] | None:
@@ -188,10 +223,10 @@ class _LoopGraph:
 
 
 def _cut_along(
-    faces: NDArray[np.int64], loop: NDArray[np.int64], count: int
+    faces: NDArray[np.int64], loop: NDArray[np.int64], count: int, closed: bool = True
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Faces cut open along a loop, and the vertices that were copied, in the order of the copies."""
-    ends = np.stack([loop, np.roll(loop, -1)], axis=1)
+    """Faces cut open along a loop or a path, and the vertices that were copied, in the order of the copies."""
+    ends = np.stack([loop, np.roll(loop, -1)], axis=1)[: None if closed else -1]
     cut = np.unique(ends.min(axis=1) * count + ends.max(axis=1))
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     corner = np.arange(len(tail))
@@ -214,4 +249,4 @@ def _cut_along(
     return number[label].reshape(-1, 3), owner[~kept]
 
 
-__all__ = ["CutSurface", "cut_handles", "shortest_handle_loop"]
+__all__ = ["CutSurface", "cut_handles", "shortest_handle_loop", "slit_open"]

@@ -93,6 +93,7 @@ def options_for(parts: list[Part]) -> list[str]:
     loops, genus = max(len(part.loops) for part in parts), max(part.genus for part in parts)
     if len(parts) > 1:
         lines.append(f"--components: map each of the {len(parts)} parts by itself")
+        lines.append("--together: map all parts side by side to one sphere, in proportion to their areas")
     cut = " (with --cut)" if genus else ""
     if loops:
         others = "" if loops == 1 else ", the other holes filled"

@@ -69,6 +69,10 @@ def test_parts(capsys, tmp_path):
     status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--components", "--quiet")
     assert status == 0, err
     assert np.bincount(omtwarp.SurfaceMap.load(tmp_path / "m.npz").part).tolist() == [320, 320]
+    status, out, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together")
+    assert status == 0 and "flips 0, degree 0.97" in out, err
+    status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together", "--disk")
+    assert status == 1 and "both --together and --disk" in err
 
 
 def test_handles(capsys, tmp_path):

@@ -10,7 +10,8 @@ import omtwarp
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import triangle_areas
-from omtwarp.open_surfaces.lambert import disk_to_cap, hemisphere_to_disk
+from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
+from omtwarp.open_surfaces.packing import cap_radius, pack_caps
 from omtwarp.open_surfaces.planar import flipped_in_plane, mend_in_plane, mend_on_sphere
 from omtwarp.topology.boundary import boundary_loops
 
@@ -150,6 +151,55 @@ def test_parts_are_mapped_each_by_itself_in_the_order_of_the_input(tmp_path):
         assert np.array_equal(getattr(again, name), getattr(result, name)), name
     with pytest.raises(omtwarp.OmtwarpError, match="2 parts"):
         omtwarp.map_surface(both, components=False)
+
+
+def test_parts_lie_side_by_side_in_proportion_to_their_areas(tmp_path):
+    ball, (points, faces) = shapes.icosphere(4), face_with_hole()
+    meshes = [(ball.vertices + 5.0, ball.faces), (points, faces), (0.5 * ball.vertices - 5.0, ball.faces)]
+    first = np.cumsum([0] + [len(vertices) for vertices, _ in meshes])
+    vertices = np.concatenate([vertices for vertices, _ in meshes])
+    faces = np.concatenate([faces + start for (_, faces), start in zip(meshes, first, strict=False)])
+    result = omtwarp.map_surface((vertices, faces), together=True, optimality=False, device="cpu")
+    assert result.certificate.bijective and result.domain == "cap" and len(result.faces) == len(faces)
+    own = np.bincount(result.part, triangle_areas(vertices, faces))
+    image = np.bincount(result.part, spherical_areas(result.sphere, result.faces))
+    assert np.abs(image / image.sum() / (own / own.sum()) - 1.0).max() < 0.03  # curved rims of coarse meshes
+    assert result.distortion().flips == 0 and result.distortion().area["surface"] < 2.05
+    # No point of a part lies in another part's cap.
+    of_vertex = np.zeros(len(result.vertices), dtype=int)
+    of_vertex[result.faces] = result.part[:, None]
+    angle = np.arccos(np.clip(result.sphere @ result.cap_centres.T, -1.0, 1.0))
+    inside = angle <= np.arccos(1.0 - 2.0 * result.cap_shares) + 1e-9
+    assert np.array_equal(inside, of_vertex[:, None] == np.arange(3))
+    assert 0.6 < result.cap_shares.sum() < 1.0
+    copies = result.vertex_origin[len(vertices) :]
+    assert np.array_equal(result.vertices[len(vertices) :][copies >= 0], vertices[copies[copies >= 0]])
+    result.save(tmp_path / "together.npz")
+    again = omtwarp.SurfaceMap.load(tmp_path / "together.npz")
+    assert again.certificate.bijective and np.array_equal(again.cap_centres, result.cap_centres)
+    with pytest.raises(omtwarp.OmtwarpError, match="leave domain and exact out"):
+        omtwarp.map_surface((vertices, faces), together=True, domain="disk", device="cpu")
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 30])
+def test_caps_lie_apart_and_cover_most_of_the_sphere(count):
+    shares = np.random.default_rng(count).random(count)
+    shares /= shares.sum()
+    centres, covered = pack_caps(shares)
+    radius = cap_radius(covered * shares)
+    angle = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) + 9.0 * np.eye(count)
+    assert (angle > radius + radius[:, None]).all() and covered > 0.75
+
+
+def test_small_caps_are_mended_where_sides_are_straight():
+    ball = shapes.icosphere(6)
+    places, faces = without(ball, ball.vertices[:, 2] > 0.5)
+    there = to_gnomonic(places, 0.3)
+    assert np.abs(from_gnomonic(there, 0.3) - places).max() < 1e-12
+    middles = places[faces[:, :2]].sum(axis=1)  # of great circles' arcs: they stay on straight lines
+    at = to_gnomonic(middles, 0.3)
+    one, other = there[faces[:, 0]] - at, there[faces[:, 1]] - at
+    assert np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).max() < 1e-12
 
 
 def test_lambert_keeps_area():
