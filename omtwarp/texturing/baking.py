@@ -185,9 +185,9 @@ class _Bend:
     def __init__(
         self, atlas: Atlas, cut: Unwrapped, smooth: SmoothMap, faces: NDArray[np.int32], rotation: Floats, where: Any
     ):
-        turned = smooth.sphere @ rotation
-        layout, part = sphere_layout(cut, atlas, turned[: cut.weights.shape[1]], None, where)
-        linear = smooth.weights @ turned[: cut.weights.shape[1]]
+        turned, given = smooth.sphere @ rotation, smooth.given @ rotation
+        layout, part = sphere_layout(cut, atlas, given, None, where)
+        linear = smooth.weights @ given
         linear /= np.maximum(np.linalg.norm(linear, axis=1, keepdims=True), np.finfo(float).tiny)
         moved = np.linalg.norm(turned - linear, axis=1)[smooth.grid].max(axis=1) > LEAST_MOVED * atlas.texel_angle
         offset, gutter = atlas.parameters
@@ -198,7 +198,7 @@ class _Bend:
             for given, kind in (
                 (np.where(moved, np.arange(len(faces)), NOBODY)[cut.source_face[part]], wp.int32),
                 (faces, wp.int32),
-                (turned[: cut.weights.shape[1]], wp.vec3d),
+                (given, wp.vec3d),
                 (smooth.grid, wp.int32),
                 (turned, wp.vec3d),
             )

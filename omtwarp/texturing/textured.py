@@ -113,9 +113,10 @@ def texture(
         size: width of the texture in texels, or (width, height) for the equirectangular atlas. By default the image's
             own size, or 2048 for a pattern. ``auto`` takes the size, up to 8192, at which no texel covers more than
             1.5 pixels of a picture of 1024 x 1024 that the surface fills, so that nothing is saw-toothed close up.
-        smooth: make the map smooth between the vertices, which stay where they are, so that lines of the texture have
-            no corners at the edges of large triangles. The texture is then made for this mesh alone, and its lines in
-            the picture are bent. False leaves the map linear on triangles; so does an image that is kept to the byte.
+        smooth: make the map smooth between the vertices, and filter out what waves from one vertex to the next, so that
+            lines of the texture have no corners at the edges of large triangles. The texture is then made for this mesh
+            alone, and its lines in the picture are bent. False leaves the map linear on triangles; so does an image
+            that is kept to the byte.
         device: ``auto``, ``cpu`` or ``cuda:N``, for the baking.
 
     Returns:

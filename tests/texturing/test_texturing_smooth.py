@@ -12,7 +12,7 @@ from texturing_shapes import ellipsoid, rotation, stretch_latitude, unit
 from omtwarp.flips.predicates import count_flips, flipped_faces
 from omtwarp.texturing import bake, texture
 from omtwarp.texturing.baking import sample
-from omtwarp.texturing.smooth import grid_points, smooth_map
+from omtwarp.texturing.smooth import FARTHEST, grid_points, smooth_map
 
 
 def ball(subdivisions):
@@ -25,7 +25,7 @@ def ball(subdivisions):
 def errors(subdivisions, parts=4):
     """Largest angle between the map of the ball and what is made of its values at the vertices: smooth, and linear."""
     vertices, faces, exact = ball(subdivisions)
-    divided = smooth_map(vertices, faces, exact(vertices), parts)
+    divided = smooth_map(vertices, faces, exact(vertices), parts, filtered=False)
     truth = exact(divided.weights @ vertices)
     linear = unit(divided.weights @ exact(vertices))
     return np.linalg.norm(divided.sphere - truth, axis=1).max(), np.linalg.norm(linear - truth, axis=1).max()
@@ -57,7 +57,7 @@ def test_lines_have_no_corners_at_edges():
     """Where the derivative jumps at an edge, the mean of two points beside it lies elsewhere than by the exact map."""
     vertices, faces, exact = ball(2)
     sphere = exact(vertices)
-    smooth = smooth_map(vertices, faces, sphere, 16)
+    smooth = smooth_map(vertices, faces, sphere, 16, filtered=False)
     linear = replace(smooth, sphere=unit(smooth.weights @ sphere))
     truth = kinks(replace(smooth, sphere=exact(smooth.weights @ vertices)), faces)
     off, off_linear = (np.linalg.norm(kinks(m, faces) - truth, axis=1) for m in (smooth, linear))
@@ -66,7 +66,7 @@ def test_lines_have_no_corners_at_edges():
 
 def test_points_lie_where_the_weights_say_and_vertices_stay():
     vertices, faces, sphere = ellipsoid(2, seed=1)
-    divided = smooth_map(vertices, faces, sphere, 3)
+    divided = smooth_map(vertices, faces, sphere, 3, filtered=False)
     np.testing.assert_array_equal(divided.sphere[: len(sphere)], sphere)
     np.testing.assert_allclose(np.asarray(divided.weights.sum(axis=1)).ravel(), 1.0, rtol=1e-12)
     share = np.column_stack([3 - grid_points(3).sum(axis=1), grid_points(3)]) / 3.0
@@ -75,6 +75,31 @@ def test_points_lie_where_the_weights_say_and_vertices_stay():
     # Euler's formula: nothing is there twice, and every edge is shared.
     edges = len(np.unique(np.sort(divided.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0))
     assert len(divided.sphere) - edges + len(divided.faces) == 2
+
+
+def test_waves_of_a_few_edges_are_filtered_out_and_the_map_is_kept():
+    """Noise on a map known in closed form: most of it goes, and without noise next to nothing moves."""
+    vertices, faces, exact = ball(3)
+    sphere = exact(vertices)
+    edge = np.linalg.norm(sphere[faces[:, 0]] - sphere[faces[:, 1]], axis=1).mean()
+    noise = np.random.default_rng(0).normal(size=sphere.shape)
+    noise -= np.einsum("ij,ij->i", noise, sphere)[:, None] * sphere
+    noise *= 0.1 * edge / np.linalg.norm(noise, axis=1, keepdims=True)
+    rough = unit(sphere + noise)
+    left = smooth_map(vertices, faces, rough, 2).sphere[: len(sphere)]
+    assert np.linalg.norm(left - sphere, axis=1).mean() < 0.55 * np.linalg.norm(rough - sphere, axis=1).mean()
+    still = smooth_map(vertices, faces, sphere, 2).sphere[: len(sphere)]
+    assert np.linalg.norm(still - sphere, axis=1).max() < 0.01 * edge
+
+
+def test_no_vertex_moves_farther_than_a_fraction_of_its_edges():
+    vertices, faces, sphere = ellipsoid(2, seed=3)
+    rough = unit(sphere + 0.3 * np.random.default_rng(1).normal(size=sphere.shape))
+    moved = np.linalg.norm(smooth_map(vertices, faces, rough, 2).sphere[: len(rough)] - rough, axis=1)
+    corners = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    length = np.linalg.norm(rough[corners[:, 0]] - rough[corners[:, 1]], axis=1)
+    mean = np.bincount(corners.ravel(), np.repeat(length, 2)) / np.bincount(corners.ravel())
+    assert 0.0 < moved.max() and (moved <= 1.05 * FARTHEST * mean).all()
 
 
 @settings(max_examples=25, deadline=None)
@@ -105,13 +130,13 @@ def test_meshes_that_are_no_surfaces_do_no_harm():
     vertices, sphere = np.concatenate([vertices, [[9.0, 9.0, 9.0]]]), np.concatenate([sphere, [[0.0, 0.0, 1.0]]])
     divided = smooth_map(vertices, faces, sphere, 4)
     assert np.isfinite(divided.sphere).all()
-    np.testing.assert_array_equal(divided.sphere[: len(sphere)], sphere)
+    np.testing.assert_array_equal(divided.given, sphere)
 
 
 @pytest.mark.parametrize("atlas", ["cube", "octahedral", "equirectangular"])
 def test_a_smooth_texture_shows_what_the_exact_map_does(atlas):
     """A soft function baked through a coarse mesh, looked up at points inside of its triangles."""
-    vertices, faces, exact = ball(1)
+    vertices, faces, exact = ball(2)
 
     def shade(d):
         return 0.5 + 0.5 * np.sin(5.0 * d)
@@ -129,4 +154,4 @@ def test_a_smooth_texture_shows_what_the_exact_map_does(atlas):
         textured = texture((vertices, faces, exact(vertices)), picture, atlas=atlas, size=size, smooth=smooth)
         seen = sample(textured.image, chord, textured.atlas, device="cpu")
         worst[smooth] = np.quantile(np.abs(seen - shade(exact(place))), 0.99)
-    assert worst[True] < 0.6 * worst[False]
+    assert worst[True] < 0.8 * worst[False]
