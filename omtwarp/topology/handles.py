@@ -1,12 +1,14 @@
-"""Handles of a surface: short loops around them, and cutting along loops.
+"""Handles of a surface: the shortest loops around them, and cutting along loops.
 
-A shortest-path tree of the edges from a root and a spanning tree of the dual graph that avoids it leave 2g edges of a
-surface of genus g. Each closes a loop with the two paths to the root, and no combination of these loops bounds a part
-of the surface [1]_. A dual tree that takes the edges of the longest loops first leaves the shortest loops there are
-through the root [2]_.
+A spanning tree of the edges and a spanning tree of the dual graph that avoids it leave 2g edges of a surface of genus
+g [1]_. Each of these and the dual tree close a loop of triangles, and a closed curve of edges separates the surface
+exactly if it crosses each of these 2g loops an even number of times. What is left of the tree and the 2g edges once
+dead ends are removed cuts the surface open to a disk, so that every curve that does not separate passes through one of
+its vertices. The shortest such curve is hence the least, over these vertices, of the shortest ones through a vertex;
+and the shortest one through a vertex follows two shortest paths from it and one edge [2]_.
 
 .. [1] D. Eppstein, "Dynamic generators of topologically embedded graphs", SODA (2003).
-.. [2] J. Erickson, K. Whittlesey, "Greedy optimal homotopy and homology generators", SODA (2005).
+.. [2] J. Erickson, S. Har-Peled, "Optimally cutting a surface into a disk", Discrete Comput. Geom. 31 (2004).
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.topology.boundary import boundary_loops
 
 FAR_SWEEPS = 3  # from the farthest vertex to the one farthest from it
-ROOTS = 6  # vertices that loops are sought through: the first, far ones, and one on the best loop so far
+ROOTS = 6  # vertices that a short loop is sought through where it need not be the shortest one
+CHUNK = 4_000_000  # edges times roots at once: what bounds the memory
+SHORTER = 1.0 - 1e-12  # of a length, that rounding does not explain
 
 
 @dataclass(frozen=True)
@@ -43,15 +47,21 @@ class CutSurface:
 
 
 def cut_handles(
-    vertices: NDArray[np.float64], faces: NDArray, genus: int, loops: list[NDArray[np.int64]] | None = None
+    vertices: NDArray[np.float64],
+    faces: NDArray,
+    genus: int,
+    loops: list[NDArray[np.int64]] | None = None,
+    *,
+    thorough: bool = True,
 ) -> CutSurface:
-    """Cut a surface along one short loop around each handle; what is left has genus 0.
+    """Cut a surface along one loop around each handle, the shortest there is each time; what is left has genus 0.
 
     Args:
         vertices: float64, shape [V, 3].
         faces: a connected, oriented manifold mesh, shape [F, 3].
         genus: number of its handles.
-        loops: where to cut, closed loops of vertices that do not touch; short ones are sought by default.
+        loops: where to cut, closed loops of vertices that do not touch; they are sought by default.
+        thorough: whether those sought are to be the shortest: see :func:`shortest_handle_loop`.
 
     Raises:
         OmtwarpError: the mesh is too coarse for loops that do not touch.
@@ -59,7 +69,7 @@ def cut_handles(
     points, triangles, origin = vertices, np.asarray(faces, dtype=np.int64), np.arange(len(vertices))
     sides = []
     for number in range(genus):
-        loop = shortest_handle_loop(points, triangles) if loops is None else loops[number]
+        loop = shortest_handle_loop(points, triangles, thorough=thorough) if loops is None else loops[number]
         if loop is None:
             raise OmtwarpError(
                 f"no loop around handle {number + 1} of {genus} keeps clear of holes and other cuts: use a finer mesh"
@@ -108,50 +118,50 @@ def slit_open(vertices: NDArray[np.float64], faces: NDArray, share: float = 1.0)
     return CutSurface(vertices[origin], opened.astype(np.int32), origin, [])
 
 
-def shortest_handle_loop(vertices: NDArray[np.float64], faces: NDArray) -> NDArray[np.int64] | None:
-    """A short closed loop of edges that does not separate a surface and touches no boundary.
+def shortest_handle_loop(
+    vertices: NDArray[np.float64], faces: NDArray, *, thorough: bool = True
+) -> NDArray[np.int64] | None:
+    """Find the shortest closed loop of edges that does not separate a surface and touches no boundary.
 
     Args:
         vertices: float64, shape [V, 3].
         faces: a connected, oriented manifold mesh, shape [F, 3].
+        thorough: whether it is to be the shortest; otherwise the shortest through any of a few vertices is taken.
 
     Returns:
         The vertices of the loop, in order; None where there is no such loop.
     """
     graph = _LoopGraph(vertices, np.asarray(faces, dtype=np.int64))
-    best: tuple[float, NDArray[np.int64]] | None = None
-    allowed = np.flatnonzero(~graph.forbidden)
-    if not len(allowed):
-        return None
-    distance = np.full(len(vertices), np.inf)
-    root = int(allowed[0])
-    for number in range(ROOTS):
-        found = graph.shortest_loop(root, distance)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found
-        reached = allowed[np.isfinite(distance[allowed])]
-        root = int(reached[np.argmax(distance[reached])]) if len(reached) else root
-        if best is not None and number == ROOTS - 2:
-            root = int(best[1][len(best[1]) // 2])
-    return None if best is None else best[1]
+    roots = graph.roots()
+    first = np.unique(roots[:: max(1, len(roots) // ROOTS)])
+    graph.search(first)
+    if thorough or graph.loop is None:
+        graph.search(np.setdiff1d(roots, first))
+    return graph.loop
 
 
 class _LoopGraph:
-    """The edges of a surface and of its dual, boundary loops taken as faces of the dual."""
+    """The edges of a surface and of its dual, in which the hole in each boundary loop is a face.
+
+    Attributes:
+        length: of the shortest loop found so far; infinite before one is found.
+        loop: its vertices in order.
+    """
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]):
+        self.length = float(np.inf)
+        self.loop: NDArray[np.int64] | None = None
         self.count = len(vertices)
         tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-        keys = np.minimum(tail, head) * self.count + np.maximum(tail, head)
-        unique, edge = np.unique(keys, return_inverse=True)
-        self.edges = np.stack([unique // self.count, unique % self.count], axis=1)
-        self.lengths = np.linalg.norm(vertices[self.edges[:, 0]] - vertices[self.edges[:, 1]], axis=1)
-        self.lengths = np.maximum(self.lengths, np.finfo(float).eps * self.lengths.max())
+        self._keys, edge = np.unique(self._key(tail, head), return_inverse=True)
+        self.edges = np.stack([self._keys // self.count, self._keys % self.count], axis=1)
+        lengths = np.linalg.norm(vertices[self.edges[:, 0]] - vertices[self.edges[:, 1]], axis=1)
+        self.lengths = np.maximum(lengths, np.finfo(float).eps * lengths.max())
         self.forbidden = np.zeros(self.count, dtype=bool)
         loops = boundary_loops(faces, self.count)
         order = np.argsort(edge, kind="stable")
-        starts = np.searchsorted(edge[order], np.arange(len(unique) + 1))
-        self.dual = np.full((len(unique), 2), -1, dtype=np.int64)
+        starts = np.searchsorted(edge[order], np.arange(len(self._keys) + 1))
+        self.dual = np.full((len(self._keys), 2), -1, dtype=np.int64)
         self.dual[:, 0] = order[starts[:-1]] // 3
         double = np.diff(starts) == 2
         self.dual[double, 1] = order[starts[:-1][double] + 1] // 3
@@ -161,65 +171,123 @@ class _LoopGraph:
             around[loop] = len(faces) + number
         self.dual[~double, 1] = around[self.edges[~double, 0]]
         self.dual_count = len(faces) + len(loops)
+        self._before, cotree, self._left = self._tree_and_cotree()
+        self._crossed = self._crossings(cotree)
 
-    def shortest_loop(self, root: int, distance: NDArray[np.float64]) -> tuple[float, NDArray[np.int64]] | None:
-        """The shortest handle loop through a root and its length; ``distance`` takes the least from all roots."""
-        free = ~self.forbidden[self.edges].any(axis=1)
+    def roots(self) -> NDArray[np.int64]:
+        """Vertices, none on the boundary, of which every loop that does not separate passes through one."""
+        marked = np.zeros(self.count, dtype=bool)
+        for end in self.edges[self._left].ravel().tolist():
+            while end >= 0 and not marked[end]:
+                marked[end] = True
+                end = int(self._before[end])
+        return np.flatnonzero(marked & ~self.forbidden)
+
+    def search(self, roots: NDArray[np.int64]) -> None:
+        """Take the shortest loop through each of the roots, where it is shorter than the one found so far."""
+        free = np.flatnonzero(~self.forbidden[self.edges].any(axis=1))
         a, b = self.edges[free].T
-        graph = sparse.csr_array((self.lengths[free], (a, b)), shape=(self.count, self.count))
-        steps, before = csgraph.dijkstra(graph, directed=False, indices=root, return_predecessors=True)
-        np.minimum(distance, steps, out=distance)
-        in_tree = self._tree_edges(before)
-        through = steps[self.edges[:, 0]] + steps[self.edges[:, 1]] + self.lengths
-        # First the edges that no loop may use, then those of the longest loops; the minimum tree takes low ranks first.
-        wanted = np.where(np.isfinite(through) & free, through, np.inf)
-        others = np.flatnonzero(~in_tree & (self.dual[:, 0] != self.dual[:, 1]))
-        others = others[np.argsort(-wanted[others], kind="stable")]
-        low, high = self.dual[others].min(axis=1), self.dual[others].max(axis=1)
-        _, first = np.unique(low * self.dual_count + high, return_index=True)
-        chosen = np.sort(first)
-        weights = np.arange(1.0, len(chosen) + 1.0)
-        links = sparse.csr_array((weights, (low[chosen], high[chosen])), shape=(self.dual_count, self.dual_count))
-        taken = np.round(csgraph.minimum_spanning_tree(links).data).astype(np.int64) - 1
+        paths = sparse.csr_array((self.lengths[free], (a, b)), shape=(self.count, self.count))
+        size = max(1, CHUNK // max(len(free), 1))
+        for start in range(0, len(roots), size):
+            group = roots[start : start + size]
+            # A loop through a root lies within half its length of it.
+            steps, before = csgraph.dijkstra(
+                paths, directed=False, indices=group, return_predecessors=True, limit=0.5 * self.length
+            )
+            place, parity = self._parities(steps, before)
+            through = steps[:, a] + steps[:, b] + self.lengths[free]
+            row, edge = np.nonzero(through < SHORTER * self.length)
+            turned = parity[place[row, a[edge]]] ^ parity[place[row, b[edge]]] ^ self._crossed[free[edge]]
+            around = np.flatnonzero(turned.any(axis=1))
+            if len(around):
+                best = around[np.argmin(through[row[around], edge[around]])]
+                self._take(free[edge[best]], before[row[best]])
+
+    def _key(self, tail: NDArray, head: NDArray) -> NDArray[np.int64]:
+        return np.minimum(tail, head).astype(np.int64) * self.count + np.maximum(tail, head)
+
+    def _number(self, tail: NDArray, head: NDArray) -> NDArray[np.int64]:
+        """The edges with these ends."""
+        return np.searchsorted(self._keys, self._key(tail, head))
+
+    def _tree_and_cotree(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Find shortest paths, a tree of the dual that avoids their edges, and what is left.
+
+        Returns:
+            The vertex before each on its path, negative at the root, shape [V]; the edges that the dual tree crosses;
+            the edges in neither tree.
+        """
+        graph = sparse.csr_array((self.lengths, self.edges.T), shape=(self.count, self.count))
+        steps, before = csgraph.dijkstra(graph, directed=False, indices=0, return_predecessors=True)
+        child = np.flatnonzero(before >= 0)
         left = np.ones(len(self.edges), dtype=bool)
-        left[in_tree] = False
-        left[others[chosen[taken]]] = False
-        candidates = np.flatnonzero(left & np.isfinite(wanted))
-        if not len(candidates):
-            return None
-        edge = candidates[np.argmin(wanted[candidates])]
-        paths = []
-        for end in self.edges[edge]:
-            path = [int(end)]
-            while path[-1] != root:
+        left[self._number(child, before[child])] = False
+        # The tree of the dual takes the edges of the longest loops first, which leaves short ones.
+        others = np.flatnonzero(left & (self.dual[:, 0] != self.dual[:, 1]))
+        through = steps[self.edges[others]].sum(axis=1) + self.lengths[others]
+        others = others[np.argsort(-through, kind="stable")]
+        low, high = self.dual[others].min(axis=1), self.dual[others].max(axis=1)
+        chosen = np.sort(np.unique(low * self.dual_count + high, return_index=True)[1])
+        ranks = np.arange(1.0, len(chosen) + 1.0)
+        links = sparse.csr_array((ranks, (low[chosen], high[chosen])), shape=(self.dual_count, self.dual_count))
+        ranks = csgraph.minimum_spanning_tree(links).data
+        cotree = others[chosen[np.round(ranks).astype(np.int64) - 1]]
+        left[cotree] = False
+        return before.astype(np.int64), cotree, np.flatnonzero(left)
+
+    def _crossings(self, cotree: NDArray[np.int64]) -> NDArray[np.uint64]:
+        """Which of the 2g loops of triangles cross each edge, as bits, shape [E, words]."""
+        crossed = np.zeros((len(self.edges), max(1, -(-len(self._left) // 64))), dtype=np.uint64)
+        size = self.dual_count
+        # The edge that each link of the dual tree crosses, found by the link's two ends.
+        links = sparse.csr_array((cotree + 1, self.dual[cotree].T), shape=(size, size))
+        _, before = csgraph.breadth_first_order(links, 0, directed=False)
+        upwards = np.full(size, -1, dtype=np.int64)
+        one, other = self.dual[cotree].T
+        down = before[other] == one
+        upwards[np.where(down, other, one)] = cotree
+        for number, edge in enumerate(self._left.tolist()):
+            word, bit = number // 64, np.uint64(1) << np.uint64(number % 64)
+            crossed[edge, word] ^= bit
+            for face in self.dual[edge].tolist():
+                while upwards[face] >= 0:
+                    crossed[upwards[face], word] ^= bit
+                    face = int(before[face])
+        return crossed
+
+    def _parities(self, steps: NDArray[np.float64], before: NDArray) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
+        """Which of the loops of triangles the path from each root to each vertex that it reaches crosses oddly.
+
+        Returns:
+            A number for each root and vertex, -1 where there is no path, shape [R, V]; and bits by that number.
+        """
+        row, vertex = np.nonzero(np.isfinite(steps))
+        place = np.full(steps.shape, -1, dtype=np.int64)
+        place[row, vertex] = np.arange(len(row))
+        last = before[row, vertex]
+        begin = last < 0
+        parent = np.where(begin, np.arange(len(row)), place[row, np.maximum(last, 0)])
+        parity = self._crossed[self._number(vertex, np.where(begin, vertex, last)) % len(self.edges)]
+        parity[begin] = 0
+        while not begin[parent].all():  # every round doubles the stretch of the path that is added up
+            parity ^= parity[parent]
+            parent = parent[parent]
+        return place, parity
+
+    def _take(self, edge: int, before: NDArray) -> None:
+        """Keep the loop of an edge and the paths to its ends, from where these part."""
+        paths: list[list[int]] = []
+        for end in self.edges[edge].tolist():
+            path = [end]
+            while before[path[-1]] >= 0:
                 path.append(int(before[path[-1]]))
             paths.append(path)
         while len(paths[0]) > 1 and len(paths[1]) > 1 and paths[0][-2] == paths[1][-2]:
             for path in paths:
                 path.pop()
-        loop = np.array(paths[0] + paths[1][-2::-1], dtype=np.int64)
-        ends = np.stack([loop, np.roll(loop, -1)], axis=1)
-        return float(self._length(ends)), loop
-
-    def _length(self, ends: NDArray[np.int64]) -> float:
-        keys = self.edges[:, 0] * self.count + self.edges[:, 1]
-        return float(self.lengths[np.searchsorted(keys, ends.min(axis=1) * self.count + ends.max(axis=1))].sum())
-
-    def _tree_edges(self, before: NDArray) -> NDArray[np.bool_]:
-        """The edges of the shortest paths, and one edge for each vertex that no path may use, shape [E]."""
-        keys = self.edges[:, 0] * self.count + self.edges[:, 1]
-        child = np.flatnonzero(before >= 0)
-        low, high = np.minimum(child, before[child]), np.maximum(child, before[child])
-        tree = np.zeros(len(self.edges), dtype=bool)
-        tree[np.searchsorted(keys, low * self.count + high)] = True
-        # A spanning tree in which the edges above weigh least contains them all.
-        weights = np.where(tree, 1.0, 2.0)
-        graph = sparse.csr_array((weights, self.edges.T), shape=(self.count, self.count))
-        spanning = csgraph.minimum_spanning_tree(graph).tocoo()
-        low, high = np.minimum(spanning.row, spanning.col), np.maximum(spanning.row, spanning.col)
-        tree = np.zeros(len(self.edges), dtype=bool)
-        tree[np.searchsorted(keys, low.astype(np.int64) * self.count + high)] = True
-        return tree
+        self.loop = np.array(paths[0] + paths[1][-2::-1], dtype=np.int64)
+        self.length = float(self.lengths[self._number(self.loop, np.roll(self.loop, -1))].sum())
 
 
 def _cut_along(

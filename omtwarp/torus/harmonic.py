@@ -205,7 +205,7 @@ def quantised(values: Floats) -> Floats:
 
 def _two_loops(points: Floats, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Integers at corners, shape [F, 3] each, that jump by one across two loops that cross once."""
-    cut = cut_handles(points, faces, 1)
+    cut = cut_handles(points, faces, 1, thorough=False)  # any two loops will do
     one, other = cut.sides[0]
     count = len(cut.vertices)
     edges = Surface(cut.vertices, cut.faces).edges

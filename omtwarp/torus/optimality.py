@@ -2,10 +2,9 @@
 
 As :mod:`omtwarp.metrics.optimality` on the sphere. The displacement y - x of an optimal map is a gradient in the image.
 For any periodic function ψ, with φ(x) = min over z of |x - z|²/2 - ψ(z), every plan that takes {x_i, m_i} to {y_i, m_i}
-costs at least 2 Σ m_i (φ(x_i) + ψ(y_i)), with z running over the images y_j and more points. ψ is fitted to the
-displacements along edges, quadratic on each image triangle. The best image is found for all x at once, as the nearest
-neighbour in space with sqrt(2 max ψ - 2 ψ(z)) for height (F. Aurenhammer, "Power diagrams", SIAM J. Computing 16,
-1987); then a grid in the triangles around it is searched, without which curl of less than half an edge could not show.
+costs at least 2 Σ m_i (φ(x_i) + ψ(y_i)). ψ is fitted to the displacements along edges and improved by steps that raise
+the bound; on each image triangle it is quadratic, and z runs over all of them: in a plane the least value on a triangle
+is found exactly, and a branch of triangles is left out only where it is proven to hold none that matters.
 """
 
 from __future__ import annotations
@@ -15,14 +14,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from omtwarp.device.start import wp
+from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.solvers.mesh_factor import surface_factor
+from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH, LONGER, SHORTER, TRIALS
+from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, space_order
+from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
+from omtwarp.torus.optimality_kernels import best_images, build_nodes, vec7d
 
 Floats = NDArray[np.float64]
 
-GRID = 4  # parts of an edge of an image triangle, between which the potential's minimum is sought
+NARROWEST = 1e-3  # of an edge's lengths and of the median interval: turned triangles make empty ones
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class TorusOptimality:
         lower_bound: what no rearrangement can go below, same unit.
         gap: cost / lower_bound - 1.
         wrapped: vertices that a copy of their image is nearer to; none for an optimal map.
+        ascent_steps: improvements of the potential that were made.
     """
 
     relative_curl: float
@@ -42,13 +46,24 @@ class TorusOptimality:
     lower_bound: float
     gap: float
     wrapped: int
+    ascent_steps: int
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON; None for one that is not finite."""
         return {name: value if np.isfinite(value) else None for name, value in vars(self).items()}
 
 
-def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, lattice: Floats) -> TorusOptimality:
+@blas_threads(1)
+def torus_optimality(
+    surface: Surface,
+    x: Floats,
+    y: Floats,
+    shift: Floats,
+    lattice: Floats,
+    *,
+    potential: Floats | None = None,
+    ascent_steps: int = ASCENT_STEPS,
+) -> TorusOptimality:
     """Measure how far a map to a torus of area 4π is from optimal.
 
     Args:
@@ -57,20 +72,39 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
         y: their images in the universal cover, shape [V, 2].
         shift: what is added at the corners of triangles, shape [F, 3, 2].
         lattice: vectors that the torus repeats along, as rows, shape [2, 2].
+        potential: ψ at the images, shape [V], where it is known; the fitted one where that gives a better bound.
+        ascent_steps: at most this many improvements of the potential; none once the gap is below 1e-4.
     """
-    faces, mass = surface.faces, surface.vertex_areas
     moved = y - x
-    corner = y[faces] + shift
-    cost = float(mass @ (moved**2).sum(axis=1))
-    potential = _potential(surface, x, y, shift)
-    nearest = _transform(surface, x, y, corner, potential, lattice)
-    excess = 0.5 * (moved**2).sum(axis=1) - potential - nearest
-    lower = max(cost - 2.0 * float(mass @ excess), 0.0)
+    cost = float(surface.vertex_areas @ (moved**2).sum(axis=1))
+    curl = _relative_curl(surface, y[surface.faces] + shift, moved)
+    dual = _Dual(surface, x, y, shift, lattice)
+    best = dual.bound(dual.fitted())
+    if potential is not None:
+        given = dual.bound(potential)
+        best = given if given.excess < best.excess else best
+    length, taken = None, 0
+    for _ in range(ascent_steps):
+        if 2.0 * best.excess <= GOOD_ENOUGH * cost:
+            break
+        direction, slope = dual.ascent_direction(best)
+        if not slope > 0.0:
+            break
+        length = best.excess / slope if length is None else length
+        for _ in range(TRIALS):
+            trial = dual.bound(best.potential + length * direction)
+            if trial.excess < best.excess:
+                break
+            length *= SHORTER
+        else:
+            break
+        best, length, taken = trial, LONGER * length, taken + 1
+    lower = max(cost - 2.0 * best.excess, 0.0)
     gap = cost / lower - 1.0 if lower > 0.0 else (0.0 if cost == 0.0 else float("inf"))
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
     other = ((moved[:, None] + steps) ** 2).sum(axis=2).min(axis=1)
     wrapped = int((other < (moved**2).sum(axis=1) * (1.0 - 1e-9)).sum())
-    return TorusOptimality(_relative_curl(surface, corner, moved), cost, lower, gap, wrapped)
+    return TorusOptimality(curl, cost, lower, gap, wrapped, taken)
 
 
 def _edge_ends(surface: Surface, shift: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
@@ -86,94 +120,134 @@ def _edge_ends(surface: Surface, shift: Floats) -> tuple[NDArray[np.int64], NDAr
     return a, b, apart
 
 
-def _potential(surface: Surface, x: Floats, y: Floats, shift: Floats) -> Floats:
-    """ψ at the images: on each edge in the middle of what no swap of partners allows, in the least squares."""
-    a, b, apart = _edge_ends(surface, shift)
-    along, before = y[b] - y[a] + apart, x[b] - x[a] + apart
-    wanted = 0.5 * (along * (y[a] - x[a] + y[b] - x[b])).sum(axis=1)
-    width = (along * before).sum(axis=1)
-    width = np.maximum(width, 1e-3 * np.linalg.norm(along, axis=1) * np.linalg.norm(before, axis=1) + 1e-300)
-    weights = 1.0 / width
-    weights /= weights.mean()
-    return _fitted(surface, a, b, weights, weights * wanted)
-
-
-def _fitted(surface: Surface, a: NDArray[np.int64], b: NDArray[np.int64], weights: Floats, flow: Floats) -> Floats:
-    """Solve the graph Laplacian for what flows along the edges from a to b, shape [V]."""
-    count = surface.vertex_count
-    diagonal: Floats = (np.bincount(a, weights, count) + np.bincount(b, weights, count)).astype(np.float64)
-    right: Floats = (np.bincount(b, flow, count) - np.bincount(a, flow, count)).astype(np.float64)
-    return _solved(surface, diagonal, -weights, right)
-
-
-def _solved(surface: Surface, diagonal: Floats, off_diagonal: Floats, right: Floats) -> Floats:
-    factor = surface_factor(surface)
+def _factorise(factor: MeshFactor, diagonal: Floats, off_diagonal: Floats) -> None:
+    """Factorise a graph Laplacian, one vertex tied to its place."""
     held = diagonal * (1.0 + 1e-12)
     held[0] *= 2.0
     factor.factorise(held, off_diagonal)
-    return factor.solve(right)
 
 
-def _transform(surface: Surface, x: Floats, y: Floats, corner: Floats, potential: Floats, lattice: Floats) -> Floats:
-    """Minimum of |x - z|²/2 - ψ(z), shape [V]: over all images, then over a grid around the best of them."""
-    top = float(potential.max())
-    heights = np.sqrt(2.0 * (top - potential))
-    moved = y - x
-    worst = 0.5 * (moved**2).sum(axis=1) - potential  # what its own image gives every x
-    reach = float(np.sqrt(2.0 * (worst + top).max()))  # no image farther than this is better than that
-    back = np.linalg.inv(lattice)
-    around = np.linalg.norm(back, axis=0) * reach  # in multiples of the lattice's vectors
-    home, places = (points @ back % 1.0 for points in (x, y))
-    copies, owners = [], []
-    far = np.ceil(around).astype(int) + 1
-    for i in range(-far[0], far[0] + 1):
-        for j in range(-far[1], far[1] + 1):
-            shifted = places + (i, j)
-            inside = np.flatnonzero(((shifted >= -around) & (shifted <= 1.0 + around)).all(axis=1))
-            copies.append(np.concatenate([shifted[inside] @ lattice, heights[inside, None]], axis=1))
-            owners.append(inside)
-    sought = np.concatenate([home @ lattice, np.zeros((len(x), 1))], axis=1)
-    stacked, owner = np.concatenate(copies), np.concatenate(owners)
-    distance, found = cKDTree(stacked).query(sought)
-    least = 0.5 * distance**2 - top
-    # The triangles around the best image, in a cover in which that lies where it was found.
-    best, image = stacked[found, :2] - sought[:, :2], owner[found]
-    offsets, corners = surface.vertex_corners
-    count = np.diff(offsets)[image]
-    which = np.repeat(np.arange(len(x)), count)
-    within = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
-    at = corners[offsets[image][which] + within]
-    face, place = at // 3, at % 3
-    points, values = _grid(corner, moved[surface.faces], potential[surface.faces])
-    for k in range(points.shape[1]):
-        apart = best[which] + points[face, k] - corner[face, place]
-        value = 0.5 * (apart**2).sum(axis=1) - values[face, k]
-        np.minimum.at(least, which, value)
-    return least
+@dataclass(frozen=True)
+class _Bound:
+    """A potential at the images, and what the best image of every point leaves of the cost.
 
-
-def _grid(corner: Floats, slope: Floats, own: Floats) -> tuple[Floats, Floats]:
-    """Points inside and on the edges of the image triangles, shape [F, K, 2], and ψ there, shape [F, K].
-
-    ψ is quadratic on a triangle; the slope that displacements give it along an edge makes its value in the middle.
+    Attributes:
+        potential: ψ at the y_i, shape [V].
+        excess: Σ m_i (|x_i - y_i|²/2 - ψ(y_i) - φ(x_i)), never negative.
+        leaf: the triangle that the best image of x_i lies in, in the tree's order, shape [V]; -1 where that is y_i.
+        shares: its barycentric coordinates there, shape [V, 3].
     """
-    middles = []
-    for k in range(3):
-        n = (k + 1) % 3
-        along = corner[:, n] - corner[:, k]
-        middles.append(0.5 * (own[:, k] + own[:, n]) + 0.125 * ((slope[:, k] - slope[:, n]) * along).sum(axis=1))
-    points, values = [], []
-    for i in range(GRID):
-        for j in range(GRID + 1 - i):
-            share = np.array([i, j, GRID - i - j]) / GRID
-            if share.max() == 1.0:
-                continue
-            points.append(np.einsum("k,fkc->fc", share, corner))
-            value = own @ (share * (2.0 * share - 1.0))
-            for k in range(3):
-                value = value + 4.0 * share[k] * share[(k + 1) % 3] * middles[k]
-            values.append(value)
-    return np.stack(points, axis=1), np.stack(values, axis=1)
+
+    potential: Floats
+    excess: float
+    leaf: NDArray[np.int32]
+    shares: Floats
+
+
+class _Dual:
+    """Kantorovich's dual problem of a map to a torus.
+
+    Args:
+        surface, x, y, shift, lattice: as of :func:`torus_optimality`.
+    """
+
+    def __init__(self, surface: Surface, x: Floats, y: Floats, shift: Floats, lattice: Floats):
+        self.surface, self.mass, self.lattice = surface, surface.vertex_areas, lattice
+        moved = y - x
+        self.own = 0.5 * (moved**2).sum(axis=1)
+        self.tolerance = TOLERANCE * float(self.mass @ self.own) / float(self.mass.sum())
+        back = np.linalg.inv(lattice)
+        self._home = _on_host(x - np.floor(x @ back) @ lattice, wp.vec2d)
+        corner = y[surface.faces] + shift
+        middle = corner.mean(axis=1)
+        corner -= (np.floor(middle @ back) @ lattice)[:, None]
+        # Triangles near each other in the plane next to each other in the tree.
+        self._order = space_order(np.concatenate([corner.mean(axis=1), np.zeros((len(corner), 1))], axis=1))
+        self._corner = np.ascontiguousarray(corner[self._order])
+        self._faces = surface.faces[self._order]
+        slope = moved[self._faces]
+        along = np.roll(self._corner, -1, axis=1) - self._corner
+        # |z|²/2 - ψ(z) on an edge: the first is what it is, and ψ has the slopes y - x at the ends of the edge.
+        bulges = -0.5 * (along**2).sum(axis=2) - 0.5 * ((slope - np.roll(slope, -1, axis=1)) * along).sum(axis=2)
+        self._bulges = _on_host(bulges, wp.vec3d)
+        self._corners = _on_host(self._corner, wp.vec2d)
+        self._slopes = _on_host((self._corner - slope).mean(axis=1), wp.vec2d)
+        self._half_squares = 0.5 * (self._corner**2).sum(axis=2)
+        self._leaves = leaf_count(len(corner))
+        self._fit = _EdgeFit(surface, x, y, shift)
+
+    def fitted(self) -> Floats:
+        """ψ from the displacements along edges."""
+        return self._fit.solve(self._fit.flow)
+
+    def bound(self, potential: Floats) -> _Bound:
+        """The best image of every point, over all of the torus."""
+        count = len(self.own)
+        mesh = [self._corners, _on_host(self._half_squares - potential[self._faces], wp.vec3d), self._bulges]
+        nodes = wp.empty(2 * self._leaves, dtype=vec7d, device="cpu")
+        inputs = [*mesh, self._slopes, len(self._faces), self._leaves]
+        wp.launch(build_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
+        own = self.own - potential
+        seeds, copies = _on_host(own, wp.float64), _on_host(self._copies(potential), wp.vec2d)
+        found = [wp.empty(count, dtype=kind, device="cpu") for kind in (wp.float64, wp.int32, wp.vec3d)]
+
+        def arguments(part: slice) -> Arguments:
+            queries = [self._home[part], seeds[part], copies, *mesh, nodes, self._leaves, self.tolerance]
+            return queries, [array[part] for array in found]
+
+        launch_parts(best_images, count, arguments, wp.get_device("cpu"))
+        proven, leaf, shares = (array.numpy() for array in found)
+        return _Bound(potential, float(self.mass @ (own - proven)), leaf, shares)
+
+    def ascent_direction(self, current: _Bound) -> tuple[Floats, float]:
+        """A change of ψ that raises the bound, and the bound's slope along it.
+
+        The slope in ψ is a vertex's own mass less what the best images put there; the matrix is that of the fit.
+        """
+        gone = current.leaf >= 0
+        mass = self.mass[gone]
+        corners = self._faces[current.leaf[gone]]
+        slope = np.where(gone, self.mass, 0.0)
+        slope -= np.bincount(corners.ravel(), (mass[:, None] * current.shares[gone]).ravel(), len(slope))
+        direction = self._fit.solve(slope)
+        return direction, float(direction @ slope)
+
+    def _copies(self, potential: Floats) -> Floats:
+        """Sums of the lattice's vectors that a best image may be shifted by, the shortest first, shape [N, 2]."""
+        reach = float(np.sqrt(2.0 * (self.own - potential + potential.max()).max()))  # nothing farther is better
+        far = np.ceil(np.linalg.norm(np.linalg.inv(self.lattice), axis=0) * reach).astype(int) + 1
+        steps = [(i, j) for i in range(-far[0], far[0] + 1) for j in range(-far[1], far[1] + 1)]
+        vectors = np.array(steps) @ self.lattice
+        return vectors[np.argsort((vectors**2).sum(axis=1), kind="stable")]
+
+
+def _on_host(values: Floats, dtype: Any) -> wp.array:
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
+
+
+class _EdgeFit:
+    """The least-squares problem for ψ, whose matrix also stands for the second derivative of the bound.
+
+    On each edge ψ's difference is to lie in the middle of what no swap of partners allows; what it may deviate by, the
+    width of the interval, is the reciprocal of the weight.
+    """
+
+    def __init__(self, surface: Surface, x: Floats, y: Floats, shift: Floats):
+        a, b, apart = _edge_ends(surface, shift)
+        along, before = y[b] - y[a] + apart, x[b] - x[a] + apart
+        wanted = 0.5 * (along * (y[a] - x[a] + y[b] - x[b])).sum(axis=1)
+        width = (along * before).sum(axis=1)
+        narrow = NARROWEST * np.linalg.norm(along, axis=1) * np.linalg.norm(before, axis=1)
+        weights = 1.0 / np.maximum(width, np.maximum(narrow, NARROWEST * float(np.median(np.abs(width)))) + 1e-300)
+        weights /= weights.mean()
+        flow, count = weights * wanted, surface.vertex_count
+        self.flow: Floats = (np.bincount(b, flow, count) - np.bincount(a, flow, count)).astype(np.float64)
+        diagonal: Floats = (np.bincount(a, weights, count) + np.bincount(b, weights, count)).astype(np.float64)
+        self._factor = surface_factor(surface)
+        _factorise(self._factor, diagonal, -weights)
+
+    def solve(self, right: Floats) -> Floats:
+        return self._factor.solve(right)
 
 
 def _relative_curl(surface: Surface, corner: Floats, moved: Floats) -> float:
@@ -196,7 +270,9 @@ def _relative_curl(surface: Surface, corner: Floats, moved: Floats) -> float:
     a, b = surface.edges.T.astype(np.int64)
     count = surface.vertex_count
     diagonal: Floats = (np.bincount(a, weights, count) + np.bincount(b, weights, count)).astype(np.float64)
-    stream = _solved(surface, diagonal, -weights, right)
+    factor = surface_factor(surface)
+    _factorise(factor, diagonal, -weights)
+    stream = factor.solve(right)
     return float(np.sqrt(max(float(stream @ right), 0.0) / norm))
 
 

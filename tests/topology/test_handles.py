@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from scipy import sparse
+from scipy.sparse import csgraph
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
@@ -26,6 +28,44 @@ def test_loop_on_a_ring_torus_is_its_short_circle():
     edges = {tuple(sorted(edge)) for edge in torus.edges_unique.tolist()}
     assert all(tuple(sorted(pair)) in edges for pair in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True))
     assert shortest_handle_loop(*_arrays(shapes.icosphere(4))) is None
+
+
+def test_loops_of_two_tubes_are_their_circumferences():
+    """Paths of edges are longer than the circle by what the mesh leaves them, and shorter than one more ring of it."""
+    tube = 0.35
+    vertices, faces = _arrays(shapes.rings(2, tube=tube, cell=0.14))
+    cut = cut_handles(vertices, faces, 2)
+    lengths = [length_of(cut.vertices, side) for side, _ in cut.sides]
+    assert all(0.97 < each / (2.0 * np.pi * tube) < 1.1 for each in lengths), lengths
+
+
+def test_no_shorter_loop_is_left():
+    """Every shorter loop of two shortest paths and an edge cuts a piece off."""
+    surface = shapes.rings(1, tube=0.5, cell=0.33)
+    vertices, faces = _arrays(surface)
+    loop = shortest_handle_loop(vertices, faces)
+    edges = surface.edges.astype(np.int64)
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    graph = sparse.csr_array((lengths, edges.T), shape=(len(vertices), len(vertices)))
+    sides = surface.edge_corners // 3
+    number = {(a, b): k for k, (a, b) in enumerate(edges.tolist())}
+    cuts = set()
+    for root in np.random.default_rng(2).permutation(len(vertices))[:8].tolist():
+        steps, before = csgraph.dijkstra(graph, directed=False, indices=root, return_predecessors=True)
+        through = steps[edges[:, 0]] + steps[edges[:, 1]] + lengths
+        for edge in np.flatnonzero(through < length_of(vertices, loop) * (1.0 - 1e-9)).tolist():
+            odd = {edge}
+            for end in edges[edge].tolist():
+                while end != root:
+                    odd ^= {number[min(end, int(before[end])), max(end, int(before[end]))]}
+                    end = int(before[end])
+            cuts.add(frozenset(odd))
+    cuts = {cut for cut in cuts if len(cut) > 2}
+    for cut in cuts:
+        kept = np.delete(sides, list(cut), axis=0)
+        dual = sparse.csr_array((np.ones(len(kept)), kept.T), shape=(len(faces), len(faces)))
+        assert csgraph.connected_components(dual, directed=False)[0] > 1
+    assert len(cuts) > 100
 
 
 def _arrays(surface: omtwarp.Surface) -> tuple[np.ndarray, np.ndarray]:
@@ -61,9 +101,9 @@ def test_cuts_keep_clear_of_holes():
 
 def test_pretzel_is_mapped_and_its_texture_breaks_at_the_cuts_only():
     surface = shapes.rings(2, cell=0.3)
-    result = omtwarp.map_surface(surface, refine="area", device="cpu")
+    result = omtwarp.map_surface(surface, optimality=False, device="cpu")
     assert result.report["certificate"]["bijective"] and result.distortion().flips == 0
-    assert result.distortion().area["surface"] < 2.1  # coarse: areas are kept around vertices
+    assert result.distortion().area["surface"] < 2.15  # coarse: areas are kept around vertices
     assert result.loop_pairs.tolist() == [[0, 1], [2, 3]]
     assert np.array_equal(result.vertex_origin[result.faces], surface.faces)
     copies = np.bincount(result.vertex_origin)
