@@ -21,7 +21,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH, LONGER, SHORTER, TRIALS
 from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, space_order
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
-from omtwarp.torus.optimality_kernels import best_images, build_nodes, vec7d
+from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec7d
 
 Floats = NDArray[np.float64]
 
@@ -186,7 +186,7 @@ class _Dual:
         mesh = [self._corners, _on_host(self._half_squares - potential[self._faces], wp.vec3d), self._bulges]
         nodes = wp.empty(2 * self._leaves, dtype=vec7d, device="cpu")
         inputs = [*mesh, self._slopes, len(self._faces), self._leaves]
-        wp.launch(build_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
+        wp.launch(build_plane_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
         own = self.own - potential
         seeds, copies = _on_host(own, wp.float64), _on_host(self._copies(potential), wp.vec2d)
         found = [wp.empty(count, dtype=kind, device="cpu") for kind in (wp.float64, wp.int32, wp.vec3d)]

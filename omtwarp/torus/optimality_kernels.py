@@ -29,7 +29,7 @@ def height_at(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, heights: wp.ve
 
 
 @wp.kernel
-def build_nodes(
+def build_plane_nodes(
     corners: wp.array2d[wp.vec2d],
     heights: wp.array[wp.vec3d],
     bulges: wp.array[wp.vec3d],
