@@ -58,6 +58,17 @@ html_theme = "furo"
 html_title = f"omtwarp {release}"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
+html_js_files = ["versions.js"]
+html_sidebars = {
+    "**": [
+        "sidebar/brand.html",
+        "versions.html",
+        "sidebar/search.html",
+        "sidebar/scroll-start.html",
+        "sidebar/navigation.html",
+        "sidebar/scroll-end.html",
+    ]
+}
 html_math_renderer = "mathml"  # drawn by the browser itself: nothing to load, nothing to wait for
 html_show_sphinx = False
 html_copy_source = False

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import typer
 
 GROUPS = {
-    "Output": ("output", "report", "json_output", "as_json", "quiet", "verbose", "title"),
+    "Input": (
+        "finished", "map_of_source", "map_of_target", "surface", "to_surface", "data", "labels", "feature",
+        "to_feature", "sizes", "shapes", "subdivisions", "subdivide", "shape", "subdivide", "faces",
+    ),
+    "Output": (
+        "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
+        "matrix", "reconstruction",
+    ),
     "Map": (
         "method", "until", "cost", "scheme", "refine", "exact", "weights", "density", "target_floor", "optimality",
-        "hemisphere", "disk", "cap", "fill_area", "components", "cut", "torus",
+        "hemisphere", "disk", "cap", "fill_area", "components", "together", "cut", "torus",
+    ),
+    "Method": (
+        "to", "by", "aligned", "mirror", "grid", "degree", "scale", "fit", "permutations", "seed", "transport",
     ),
     "Texture": (
         "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",
@@ -20,7 +31,10 @@ GROUPS = {
         "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",
         "frames", "fps", "seconds", "captions", "backend",
     ),
-    "Computation": ("device", "devices", "solver", "repair", "strict"),
+    "Computation": (
+        "device", "devices", "solver", "repair", "strict", "executor", "workers", "shard", "time_limit", "memory_limit",
+        "retry", "collect", "repeats", "kernels", "cold",
+    ),
 }  # fmt: skip
 """Options by the heading that help shows them under; others are shown last."""
 
@@ -34,6 +48,7 @@ class Command(typer.core.TyperCommand):
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
+                record = _plain(record[0]), record[1]
                 heading = next((name for name, members in GROUPS.items() if parameter.name in members), "Other")
                 rows.setdefault("Arguments" if parameter.param_type_name == "argument" else heading, []).append(record)
         for heading in ("Arguments", *GROUPS, "Other"):
@@ -47,3 +62,10 @@ class Command(typer.core.TyperCommand):
             with formatter.section("Examples"):
                 for line in self.epilog.splitlines():
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+
+
+def _plain(usage: str) -> str:
+    """An option or argument without the words of Python's types: a choice by its values, a number as NUMBER."""
+    usage = re.sub(r"(?<=[A-Z.\]]) <[^<>]*>$", "", usage)  # of an argument, which has its name
+    usage = re.sub(r"<(?:float|int)(?: range)?>$", "NUMBER", usage)
+    return re.sub(r"<([^<>]*\|[^<>]*)>$", r"\1", usage)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from omtwarp.mesh.surface import Surface
     from omtwarp.result import MapResult
+    from omtwarp.torus.torus_map import TorusMap
 
 
 @dataclass
@@ -46,6 +47,14 @@ class Input:
 def say(text: str) -> None:
     """Print one line of progress, apart from the output of a command."""
     print(f"omtwarp: {one_line(text)}", file=sys.stderr)
+
+
+def tell(facts: dict[str, Any], line: str, *, as_json: bool, quiet: bool) -> None:
+    """Print what a command made on standard output: its facts as JSON, or a line for readers."""
+    if as_json:
+        print(report_text(facts), end="")
+    elif not quiet:
+        print(line)
 
 
 def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = False) -> Input:
@@ -239,6 +248,7 @@ def map_from(
     quiet: bool,
     device: str,
     torus: bool = False,
+    verbose: bool = False,
     **options: Any,
 ) -> Any:
     """The map that a command works on: a finished one, or one made now from a mesh.
@@ -250,6 +260,7 @@ def map_from(
         quiet: whether to draw no progress.
         device: where kernels run.
         torus: whether a map to a torus will do.
+        verbose: whether to say what every stage of a new map did.
         options: those of :func:`omtwarp.map_to_sphere`.
 
     Raises:
@@ -268,4 +279,16 @@ def map_from(
         raise OmtwarpError("nothing to work on: give a mesh, or a finished map with --map")
     sound = read_sound_mesh(mesh, repair)
     start_device(device)
-    return make_map(sound.surface, quiet=quiet, device=device, **options)
+    result = make_map(sound.surface, quiet=quiet, device=device, **options)
+    if verbose:
+        say_stages(result)
+    return result
+
+
+def say_stages(result: MapResult | TorusMap) -> None:
+    """Say what every stage of a map did, a line each."""
+    for stage in result.report["stages"]:
+        words = [f"{stage['seconds']:.2f} s"] if "seconds" in stage else []
+        words += [f"{kind} {stage[kind]['surface']:.4f}" for kind in ("area", "angle")]
+        words += [f"flips {stage['flips']}"] if "flips" in stage else []
+        say(f"{stage['name']}: {', '.join(words)}")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption
+from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption
 from omtwarp.files import check_output, staged, written_by_omtwarp
 from omtwarp.limits import MOST_DEMO_FACES
 from omtwarp.options import MapOptions
@@ -25,10 +25,12 @@ def demo(
         int, typer.Option(min=2000, max=MOST_DEMO_FACES, help="Roughly how many faces the shape has.")
     ] = 20000,
     device: DeviceOption = MapOptions.device,
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
-    from omtwarp.commands._work import make_map, report_text, start_device
+    from omtwarp.commands._work import make_map, report_text, say_stages, start_device
     from omtwarp.commands.map import facts_of, save, summary
     from omtwarp.errors import OmtwarpError
     from omtwarp.mesh.shapes import demo_shape
@@ -46,7 +48,7 @@ def demo(
     start = time.perf_counter()
 
     def notify(text: str) -> None:
-        if not quiet:
+        if not quiet and not as_json:
             print(f"{time.perf_counter() - start:6.1f} s  {text}", flush=True)
 
     from omtwarp.render import comparison, preview
@@ -60,6 +62,9 @@ def demo(
         save(result, file)
     with staged(report_file) as file:
         file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
+    if verbose:
+        say_stages(result)
+    facts = facts_of(result, map_file, report_file)
     notify(summary(facts_of(result, map_file)))
     globe = texture(result, pattern="globe", rotate=[180.0, 0.0, 0.0], device=device)  # Africa on its flank
     globe.export(model_file)
@@ -70,6 +75,8 @@ def demo(
         notify(f"{file_to_be}")
     comparison(result, comparison_file, image=rasterize("circles", 2048, device=device), **POSE, device=device)
     notify(f"{comparison_file}: the conformal map beside the area-preserving one")
+    if as_json:
+        print(report_text(facts | {"output": str(output), "files": [str(file) for file in files]}), end="")
 
 
 def _refuse_other_files(files: list[Path]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated
@@ -21,6 +20,7 @@ from omtwarp.commands._options import (
     RepairOption,
     SchemeOption,
     SolverOption,
+    VerboseOption,
     as_size,
     picture_size,
 )
@@ -77,11 +77,12 @@ def film_map(
     solver: SolverOption = MapOptions.solver,
     repair: RepairOption = False,
     as_json: JsonOption = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Film a map without a display: it flows from conformal to optimal, then the surface turns into its sphere."""
     from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import map_from, start_device
+    from omtwarp.commands._work import map_from, start_device, tell
     from omtwarp.render.films import film
     from omtwarp.render.output import check_target
     from omtwarp.texturing import read_image
@@ -98,6 +99,7 @@ def film_map(
         repair=repair,
         quiet=quiet,
         device=device,
+        verbose=verbose,
         method=method,
         cost=cost,
         scheme=scheme,
@@ -132,9 +134,7 @@ def film_map(
             progress=notify,
         )
     length = output.stat().st_size
-    if as_json:
-        print(json.dumps({"output": str(output), "frames": frames, "bytes": length}))
-    elif not quiet:
-        print(
-            f"{output}: a film of {frames} frames, {length / 1e6:.1f} MB, drawn in {time.perf_counter() - begun:.1f} s"
-        )
+    facts = {"output": str(output), "frames": frames, "bytes": length}
+    seconds_drawn = time.perf_counter() - begun
+    line = f"{output}: a film of {frames} frames, {length / 1e6:.1f} MB, drawn in {seconds_drawn:.1f} s"
+    tell(facts, line, as_json=as_json, quiet=quiet)

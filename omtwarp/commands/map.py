@@ -133,7 +133,7 @@ def map_mesh(
         read_sound_mesh,
         report_text,
         require_bijective,
-        say,
+        say_stages,
         start_device,
     )
     from omtwarp.mesh.write import SUFFIXES
@@ -198,8 +198,7 @@ def map_mesh(
                 file.write_text(report_text({"input": source, **result.report, "history": result.history}), "utf-8")
         found.append(facts_of(result, target, report_target))
         if verbose:
-            for line in stage_lines(result):
-                say(line)
+            say_stages(result)
         if not quiet and not as_json:
             print(summary(found[-1]))
 
@@ -328,14 +327,3 @@ def summary(facts: dict[str, Any]) -> str:
     if facts["gap"] is not None:
         line += f", cost within {facts['gap']:.3%} of the least"
     return line if facts["report"] is None else f"{line}; report {facts['report']}"
-
-
-def stage_lines(result: MapResult | TorusMap) -> list[str]:
-    """Describe every stage of a map in a line."""
-    lines = []
-    for stage in result.report["stages"]:
-        words = [f"{stage['seconds']:.2f} s"] if "seconds" in stage else []
-        words += [f"{kind} {stage[kind]['surface']:.4f}" for kind in ("area", "angle")]
-        words += [f"flips {stage['flips']}"] if "flips" in stage else []
-        lines.append(f"{stage['name']}: {', '.join(words)}")
-    return lines

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption, SizeOption, as_size, size_text
+from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, SizeOption, as_size, size_text
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -78,9 +78,11 @@ def preview_mesh(
     fps: Annotated[float, typer.Option(help="Frames per second of the turntable.")] = FILM_RATE,
     backend: Annotated[Backend, typer.Option(help="OpenGL or the ray caster.")] = Backend.AUTO,
     device: DeviceOption = "auto",
+    as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Draw a surface without a display."""
+    from omtwarp.commands._work import tell
     from omtwarp.render import Camera, preview
 
     check_output(output, PICTURES, subject, finished, image)
@@ -90,7 +92,7 @@ def preview_mesh(
     if not shown.is_file():
         raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
     camera = Camera(zoom=zoom, field_of_view=field_of_view, projection=projection.value)
-    preview(
+    drawn = preview(
         shown,
         output,
         size=as_size(size),
@@ -108,5 +110,7 @@ def preview_mesh(
         backend=backend.value,
         device=device,
     )
-    if not quiet:
-        print(f"{output}: drawn")
+    first, count = (drawn[0], len(drawn)) if isinstance(drawn, list) else (drawn, 1)
+    facts = {"output": str(output), "width": first.width, "height": first.height, "frames": count}
+    facts |= {"bytes": output.stat().st_size}
+    tell(facts, f"{output}: drawn, {first.width} x {first.height} pixels", as_json=as_json, quiet=quiet)

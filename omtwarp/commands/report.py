@@ -10,6 +10,7 @@ import typer
 from omtwarp.commands._options import (
     CostOption,
     DeviceOption,
+    JsonOption,
     MapOption,
     MethodOption,
     OptionalMesh,
@@ -19,6 +20,7 @@ from omtwarp.commands._options import (
     SchemeOption,
     SolverOption,
     UntilOption,
+    VerboseOption,
 )
 from omtwarp.commands._streams import output_file
 from omtwarp.commands.texture import PatternName
@@ -50,10 +52,12 @@ def report_on_map(
     device: DeviceOption = MapOptions.device,
     solver: SolverOption = MapOptions.solver,
     repair: RepairOption = False,
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file."""
-    from omtwarp.commands._work import map_from, start_device
+    from omtwarp.commands._work import map_from, start_device, tell
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report
     from omtwarp.texturing import read_image
@@ -71,6 +75,7 @@ def report_on_map(
         quiet=quiet,
         device=device,
         torus=True,
+        verbose=verbose,
         method=method,
         until=until,
         cost=cost,
@@ -88,5 +93,7 @@ def report_on_map(
         up=up,
         device=device,
     )
-    if not quiet:
-        print(f"{output}: a report of {target.stat().st_size / 1e6:.1f} MB, to be opened in a browser")
+    length = target.stat().st_size
+    facts = {"output": str(output), "bytes": length, "vertices": len(result.vertices), "faces": len(result.faces)}
+    line = f"{output}: a report of {length / 1e6:.1f} MB, to be opened in a browser"
+    tell(facts, line, as_json=as_json, quiet=quiet)

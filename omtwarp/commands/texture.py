@@ -12,6 +12,7 @@ import typer
 from omtwarp.commands._options import (
     CostOption,
     DeviceOption,
+    JsonOption,
     MapOption,
     MethodOption,
     OptionalMesh,
@@ -21,6 +22,7 @@ from omtwarp.commands._options import (
     SchemeOption,
     SolverOption,
     UntilOption,
+    VerboseOption,
 )
 from omtwarp.commands._streams import output_file
 from omtwarp.errors import OmtwarpError
@@ -129,13 +131,15 @@ def texture_mesh(
     device: DeviceOption = MapOptions.device,
     solver: SolverOption = MapOptions.solver,
     repair: RepairOption = False,
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Texture a surface through its map to the sphere, with a picture or a pattern.
 
     Of a map to a torus the texture closes up both ways: a picture that repeats, circles or a checker.
     """
-    from omtwarp.commands._work import map_from, require_bijective, start_device
+    from omtwarp.commands._work import map_from, require_bijective, start_device, tell
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.export import SUFFIXES
     from omtwarp.texturing.sharpness import sharp_size
@@ -157,6 +161,7 @@ def texture_mesh(
             detail,
             bool(repair),
             quiet,
+            as_json,
             {"method": method, "until": until, "cost": cost, "scheme": scheme, "refine": refine, "solver": solver},
             image=image,
             pattern=pattern.value if pattern else None,
@@ -184,6 +189,7 @@ def texture_mesh(
         quiet=quiet,
         device=device,
         torus=True,
+        verbose=verbose,
         method=method,
         until=until,
         cost=cost,
@@ -211,12 +217,18 @@ def texture_mesh(
         size=width,
         device=device,
     )
-    *beside, _ = textured.export(output, keep=(mesh, finished, image))
-    if not quiet:
-        texels = f"{textured.image.shape[1]} x {textured.image.shape[0]} texels{blurred}"
-        print(f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured, {texels}")
-        if beside:
-            print(f"with {' and '.join(str(file) for file in beside)}")
+    files = textured.export(output, keep=(mesh, finished, image))
+    height, width = textured.image.shape[:2]
+    facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(result.vertices)}
+    facts |= {"faces": len(result.faces), "pictures": [{"what": "colour", "width": width, "height": height}]}
+    line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured, "
+    line += f"{width} x {height} texels{blurred}{_with_files(files)}"
+    tell(facts, line, as_json=as_json, quiet=quiet)
+
+
+def _with_files(files: list[Path]) -> str:
+    """The files that lie beside the one that was asked for, which is the last."""
+    return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
 def _paint(
@@ -226,6 +238,7 @@ def _paint(
     detail: Path | None,
     repair: bool,
     quiet: bool,
+    as_json: bool,
     mapping: dict[str, Any],
     *,
     image: Path | None,
@@ -234,7 +247,7 @@ def _paint(
 ) -> None:
     """Texture a mesh in its own coordinates, with its own materials, or with bakes."""
     from omtwarp.commands._painted import painted_map
-    from omtwarp.commands._work import map_from, require_bijective, say, start_device
+    from omtwarp.commands._work import map_from, require_bijective, say, start_device, tell
     from omtwarp.errors import OmtwarpWarning
     from omtwarp.mesh.read import read_mesh
     from omtwarp.painting import paint
@@ -261,23 +274,27 @@ def _paint(
         made = paint(result, painted, picture, detail=fine, device=device, **options)
     for warning in caught:
         say(f"warning: {warning.message}")
-    *beside, _ = made.export(output, keep=(mesh, finished, image, detail))
-    if not quiet:
-        print(f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {_looks(made)}")
-        if beside:
-            print(f"with {' and '.join(str(file) for file in beside)}")
+    files = made.export(output, keep=(mesh, finished, image, detail))
+    pictures = _pictures(made)
+    facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(result.vertices)}
+    facts |= {"faces": len(result.faces), "pictures": pictures}
+    sizes = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
+    looks = ", ".join(dict.fromkeys(sizes)) or "no picture"
+    line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {looks}{_with_files(files)}"
+    tell(facts, line, as_json=as_json, quiet=quiet)
 
 
-def _looks(made: PaintedMesh) -> str:
-    """The pictures that a mesh's materials have, in words."""
-    sizes = []
+def _pictures(made: PaintedMesh) -> list[dict[str, Any]]:
+    """The pictures that a mesh's materials have: of which, what it shows, and its size."""
+    found = []
     for material in made.materials:
         for slot in ("picture", "occlusion_picture", "normal_picture"):
             picture = getattr(material, slot)
             if picture is not None:
                 name = {"picture": "colour", "occlusion_picture": "occlusion", "normal_picture": "normals"}[slot]
-                sizes.append(f"{material.name} {name} {picture.shape[1]} x {picture.shape[0]}")
-    return ", ".join(dict.fromkeys(sizes)) or "no picture"
+                height, width = picture.shape[:2]
+                found.append({"material": material.name, "what": name, "width": width, "height": height})
+    return found
 
 
 def rotation(text: str) -> str | list[float] | None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption, RepairOption
+from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.files import check_output
@@ -40,10 +40,12 @@ def transfer(
     size: Annotated[int | None, typer.Option(min=16, help="Width of the texture in texels.")] = None,
     repair: RepairOption = False,
     device: DeviceOption = MapOptions.device,
+    as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned."""
     from omtwarp.commands._painted import painted_map
+    from omtwarp.commands._work import tell
     from omtwarp.painting import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
@@ -60,6 +62,8 @@ def transfer(
         size=size,
         device=device,
     )
-    made.export(output, keep=(source, target, map_of_source, map_of_target))
-    if not quiet:
-        print(f"{output}: {len(other.vertices)} vertices, {len(other.faces)} faces, with the texture of {source}")
+    files = made.export(output, keep=(source, target, map_of_source, map_of_target))
+    facts: dict[str, Any] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
+    facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
+    line = f"{output}: {len(other.vertices)} vertices, {len(other.faces)} faces, with the texture of {source}"
+    tell(facts, line, as_json=as_json, quiet=quiet)

@@ -7,7 +7,16 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, MapOption, OptionalMesh, QuietOption, RefineOption, RepairOption
+from omtwarp.commands._options import (
+    DeviceOption,
+    JsonOption,
+    MapOption,
+    OptionalMesh,
+    QuietOption,
+    RefineOption,
+    RepairOption,
+    VerboseOption,
+)
 from omtwarp.commands._streams import output_file
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
@@ -29,17 +38,21 @@ def unwrap_mesh(
     refine: RefineOption = str(Refinement.NONE),
     repair: RepairOption = False,
     device: DeviceOption = MapOptions.device,
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture."""
-    from omtwarp.commands._work import map_from, require_bijective, start_device
+    from omtwarp.commands._work import map_from, require_bijective, start_device, tell
     from omtwarp.painting import unwrap_uv
 
     check_output(output, (".glb", ".obj"), mesh, finished)
     start_device(device)
-    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, refine=refine)
+    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, refine=refine, verbose=verbose)
     require_bijective(result, finished)
     made = unwrap_uv(result, aspect=aspect, margin=margin)
-    made.export(output, keep=(mesh, finished))
-    if not quiet:
-        print(f"{output}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts")
+    files = made.export(output, keep=(mesh, finished))
+    facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(made.vertices)}
+    facts |= {"faces": len(made.faces), "charts": 6}
+    line = f"{output}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts"
+    tell(facts, line, as_json=as_json, quiet=quiet)

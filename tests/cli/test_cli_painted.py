@@ -1,5 +1,6 @@
 """The commands for meshes with texture coordinates and materials: their files, and one line for every mistake."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -79,3 +80,27 @@ def test_mistakes_are_one_line(desk, capsys, words, message):
     status, _, err = run(capsys, *words.split())
     assert status == 1 and message in err and "Traceback" not in err
     assert not list(desk.glob("a.*"))
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("texture --map two.npz -o a.glb --pattern checker --size 96", {"faces": 720, "files": ["a.glb"]}),
+        ("texture two.obj --map two.npz -o b.obj --uv own --pattern checker --size 64", {"output": "b.obj"}),
+        ("unwrap --map two.npz -o c.obj", {"charts": 6, "files": ["c.mtl", "c.obj"]}),
+        ("preview two.obj -o d.png --size 40x30 --backend warp", {"width": 40, "height": 30, "frames": 1}),
+        ("transfer two.obj plain.ply -o e.glb --map-from two.npz --map-to two.npz --size 96", {"from": "two.obj"}),
+        ("report --map two.npz -o f.html", {"output": "f.html", "vertices": 362}),
+    ],
+    ids=lambda value: value.split()[0] if isinstance(value, str) else "",
+)
+def test_json_is_all_there_is_on_standard_output(desk, capsys, words, expected):
+    status, out, _ = run(capsys, *words.split(), "--json")
+    facts = json.loads(out)
+    assert status == 0 and expected.items() <= facts.items()
+    for file in facts.get("files", [facts["output"]]):
+        assert (desk / file).stat().st_size > 0
+    if "pictures" in facts:
+        made = read_painted_mesh(facts["output"])
+        shown = [material.picture.shape[:2] for material in made.materials if material.picture is not None]
+        assert shown == [(one["height"], one["width"]) for one in facts["pictures"]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -140,6 +141,8 @@ def test_help_has_examples_groups_and_a_whole_summary(name):
     text = command.get_help(typer.Context(command, info_name=name, parent=parent))
     assert "Examples:\n" in text and all(line in text for line in EXAMPLES[name].splitlines())
     assert "Output:\n" in text and "Options:\n" not in text
+    assert not re.search(r"<(?!=)", text.partition("Examples:")[0])  # no names of Python's types
+    assert text.partition("Other:\n")[2].partition("\n\n")[0].strip().startswith("-h, --help")
     assert SUMMARIES[name] in parent.command.get_help(parent)
     for line in EXAMPLES[name].splitlines():
         for part in line.split("|"):
