@@ -10,7 +10,7 @@ import typer
 GROUPS = {
     "Input": (
         "finished", "map_of_source", "map_of_target", "surface", "to_surface", "data", "labels", "feature",
-        "to_feature", "sizes", "shapes", "subdivisions", "subdivide", "shape", "subdivide", "faces",
+        "to_feature", "sizes", "shapes", "subdivisions", "faces",
     ),
     "Output": (
         "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
@@ -65,7 +65,8 @@ class Command(typer.core.TyperCommand):
 
 
 def _plain(usage: str) -> str:
-    """An option or argument without the words of Python's types: a choice by its values, a number as NUMBER."""
+    """An option or argument without the words of Python's types: choices by their values, NUMBER and TEXT."""
     usage = re.sub(r"(?<=[A-Z.\]]) <[^<>]*>$", "", usage)  # of an argument, which has its name
     usage = re.sub(r"<(?:float|int)(?: range)?>$", "NUMBER", usage)
+    usage = re.sub(r"<(?:str|text)>$", "TEXT", usage)
     return re.sub(r"<([^<>]*\|[^<>]*)>$", r"\1", usage)
