@@ -17,7 +17,7 @@ from sphere_truths import SHARED, apart, judge, mean_edge, random_rotation, rms,
 import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.checks import as_surface
-from omtwarp.mesh.shapes import blob, icosphere, random_sphere, tube
+from omtwarp.mesh.shapes import blob, demo_shape, icosphere, random_sphere, tube
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.metrics.optimality import map_optimality
@@ -257,10 +257,9 @@ def test_order_of_vertices_does_not_matter(base):
 
 
 @pytest.mark.parametrize("change", ["order of faces", "first corner", "mirror"])
-def test_faces_told_otherwise_and_mirror_images_differ_within_a_triangle(base, change):
-    """The first corner turns the conformal map about its pole, and with it the image against the transport's grid; the
-    order of faces decides in which of its triangles a vertex begins. The conformal map shows neither; what follows may,
-    by a fraction of an edge.
+def test_faces_told_otherwise_and_mirror_images_do_not_matter(base, change):
+    """The first corner turns the conformal map about its pole, the order of faces decides in which of its triangles a
+    vertex begins, and a mirror swaps left and right.
     """
     faces, mirror = BASE.faces, np.ones(3)
     if change == "order of faces":
@@ -271,8 +270,51 @@ def test_faces_told_otherwise_and_mirror_images_differ_within_a_triangle(base, c
         mirror = np.array([1.0, 1.0, -1.0])
         faces = faces[:, ::-1]
     result = mapped(Surface(BASE.vertices * mirror, faces))
-    assert apart(result.conformal * mirror, base.conformal).max() < 1e-8
-    same_up_to_rotation(result, base, 0.25 * mean_edge(BASE, base.sphere), mirror=mirror)
+    same_up_to_rotation(result, base, 1e-8, mirror=mirror)
+
+
+def told_otherwise(surface: Surface, change: str) -> tuple[Surface, np.ndarray]:
+    """The surface with noise in the last digits or told otherwise, and the order of its vertices."""
+    rng = np.random.default_rng(1)
+    vertices, faces = surface.vertices, surface.faces
+    size = np.ptp(vertices, axis=0).max()
+    order = np.arange(len(vertices))
+    if "noise" in change:
+        vertices = vertices + 1e-12 * size * rng.normal(size=vertices.shape)
+    if "position" in change:
+        vertices = vertices + size * np.array([10.0, -20.0, 5.0])
+    if "order" in change:
+        order = rng.permutation(len(vertices))
+        vertices, faces = vertices[order], np.argsort(order)[faces][rng.permutation(len(faces))]
+    if "corners" in change:
+        first = rng.integers(0, 3, (len(faces), 1))
+        faces = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+    return Surface(vertices, faces.astype(np.int32)), order
+
+
+def creature() -> Surface:
+    """A shape with limbs, whose conformal map shrinks them a thousandfold: its stages flip triangles and mend them."""
+    return demo_shape(3000)
+
+
+REAL = ("squirrel_5k", "cheburashka_13k", "gargoyle_20k", "spot_6k")
+
+
+@pytest.mark.parametrize("name", ["creature", *REAL])
+def test_noise_order_corners_and_position_do_not_matter_where_triangles_flip(name):
+    """Changes of 1e-12 stay near that size, but where a scan has parts that cost hardly holds in their place."""
+    path = SHARED / "data" / f"{name}.ply"
+    if name in REAL and not path.exists():
+        pytest.skip("the evaluation meshes are not beside this checkout (../shared/data)")
+    surface = creature() if name not in REAL else as_surface(omtwarp.read_mesh(path))
+    first = mapped(surface)
+    assert sum(stage["repaired"] for stage in first.report["stages"]) > 0
+    for change in ("noise", "order", "corners", "position") if name in REAL else ("noise, corners and order",):
+        told, order = told_otherwise(surface, change)
+        distance = np.linalg.norm(mapped(told).sphere - first.sphere[order], axis=1)  # not turned onto one another
+        assert distance.mean() < 1e-4 and distance.max() < 0.01, change
+        if name != "cheburashka_13k":
+            assert distance.max() < 1e-5, change
 
 
 # The same answer twice ----------------------------------------------------------------------------------------------

@@ -17,8 +17,13 @@ BOX_MARGIN = wp.constant(wp.float64(1e-6))
 
 @wp.func
 def spherical_coordinates(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
-    """Barycentric coordinates, not yet normalised, of the place where the ray through ``p`` meets the triangle."""
-    return wp.vec3d(wp.dot(p, wp.cross(b, c)), wp.dot(p, wp.cross(c, a)), wp.dot(p, wp.cross(a, b)))
+    """Barycentric coordinates, not yet normalised, of the place where the ray through ``p`` meets the triangle.
+
+    The triple products are those of p, b, c and so on, with the corners seen from p: of a small triangle near p no
+    digits are lost, and at a corner the coordinates of the other two are exactly zero.
+    """
+    pa, pb, pc = a - p, b - p, c - p
+    return wp.vec3d(wp.dot(p, wp.cross(pb, pc)), wp.dot(p, wp.cross(pc, pa)), wp.dot(p, wp.cross(pa, pb)))
 
 
 @wp.func

@@ -118,9 +118,10 @@ def moser_map(
         progress("moser", 3, PARTS, {})
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
+    sizes = wp.empty(vertices, dtype=wp.float64, device=where)
 
     def field_arguments(part: slice) -> Arguments:
-        return [points, faces, potential, *rows, part.start], [field]
+        return [points, faces, potential, *rows, part.start], [field, sizes]
 
     launch_parts(vertex_field, vertices, field_arguments, where)
     moved = wp.empty_like(points)
@@ -129,7 +130,7 @@ def moser_map(
 
     def arguments(part: slice) -> Arguments:
         own = [points[part], rows[0][part]]
-        shared = [points, faces, mesh.face_neighbours, field, mu, excess, rows[1]]
+        shared = [points, faces, mesh.face_neighbours, field, mu, excess, sizes, rows[1]]
         return [*own, *shared, *limits], [moved[part], steps[part]]
 
     launch_parts(integrate_particles, vertices, arguments, where)

@@ -28,15 +28,20 @@ def velocity_at(
     field: wp.array[wp.vec3d],
     mu: wp.array[wp.float64],
     excess: wp.array[wp.float64],
+    sizes: wp.array[wp.float64],
 ):
-    """dx/ds = -∇Θ / (μ + (e^s - 1) ρ), section 4.2 with s = -log(1 - t); growth is e^s - 1, excess is ρ - 1."""
+    """dx/ds = -∇Θ / (μ + (e^s - 1) ρ), section 4.2 with s = -log(1 - t); growth is e^s - 1, excess is ρ - 1.
+
+    Also the size of triangles there, as linear between the vertices, and the face.
+    """
     f, w = walk(p, start, points, faces, neighbours)
     face = faces[f]
     v = w[0] * field[face[0]] + w[1] * field[face[1]] + w[2] * field[face[2]]
     density = w[0] * mu[face[0]] + w[1] * mu[face[1]] + w[2] * mu[face[2]]
     more = w[0] * excess[face[0]] + w[1] * excess[face[1]] + w[2] * excess[face[2]]
     v = (ONE / (density + growth + growth * more)) * v
-    return v - wp.dot(v, p) * p, f
+    size = w[0] * sizes[face[0]] + w[1] * sizes[face[1]] + w[2] * sizes[face[2]]
+    return v - wp.dot(v, p) * p, size, f
 
 
 @wp.kernel
@@ -110,6 +115,7 @@ def vertex_field(
     first: int,
     # Data out:
     field: wp.array[wp.vec3d],
+    sizes: wp.array[wp.float64],
 ):
     """-∇Θ at vertices: the angle-weighted mean of the gradients of the triangles around, tangent to the sphere.
 
@@ -120,6 +126,7 @@ def vertex_field(
     v = first + thread
     total = wp.vec3d()
     weight = wp.float64(0.0)
+    size = wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
         corner = corners[k]
         face = faces[corner // 3]
@@ -133,6 +140,8 @@ def vertex_field(
             angle = wp.atan2(double_area, wp.dot(side, other))
             total += angle / double_area * wp.cross(normal / double_area, slope)
             weight += angle
+            size += angle * wp.sqrt(double_area)
+    sizes[v] = size / wp.max(weight, TINY)
     mean = total / wp.max(weight, TINY)
     field[v] = -(mean - wp.dot(mean, points[v]) * points[v])
 
@@ -147,6 +156,7 @@ def integrate_particles(
     field: wp.array[wp.vec3d],
     mu: wp.array[wp.float64],
     excess: wp.array[wp.float64],
+    sizes: wp.array[wp.float64],
     corners: wp.array[wp.int32],
     largest_step: wp.float64,
     courant: wp.float64,
@@ -167,10 +177,7 @@ def integrate_particles(
     grown = wp.float64(1.0)  # e^s
     count = int(0)
     while s < final and count < MAX_STEPS:
-        k1, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu, excess)
-        face = faces[f]
-        p0 = points[face[0]]
-        size = wp.sqrt(wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0)))
+        k1, size, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu, excess, sizes)
         # What is left of the motion falls as e^-s, and the error of a step goes as its fourth power.
         longest = wp.min(largest_step * wp.sqrt(wp.sqrt(grown)), LONGEST_STEP)
         step = wp.min(longest, courant * size / wp.max(wp.length(k1), TINY))
@@ -189,7 +196,9 @@ def integrate_particles(
                 weight = FOUR_NINTHS
                 later = later * quarter
             ahead_point = wp.normalize(p + ahead * k)
-            k, near = velocity_at(ahead_point, later - ONE, near, points, faces, neighbours, field, mu, excess)
+            k, _, near = velocity_at(
+                ahead_point, later - ONE, near, points, faces, neighbours, field, mu, excess, sizes
+            )
             total += weight * k
         grown = later * quarter
         p = wp.normalize(p + step * total)

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from omtwarp.mesh.surface import Surface
 
+FLATTEST = 1e-14  # height over length that no triangle is below: its inverse is finite
+EQUILATERAL_HEIGHT = np.sqrt(3.0) / 2.0  # over an edge
+
 
 def triangle_frames(
     surface: Surface, thinnest: float = 0.0, triangles: NDArray[np.integer] | None = None
@@ -16,8 +19,8 @@ def triangle_frames(
     Args:
         surface: the surface; its area is taken as 4π. With another measure than area, every triangle is scaled to the
             area that it is to have.
-        thinnest: triangles with h below this many times their longest edge are made this thick, so that their shape
-            asks for something within reach; 0 keeps every triangle as it is.
+        thinnest: triangles thinner than this, as height over length, are made this thick, so that their shape asks for
+            something within reach; 0 keeps every triangle as it is.
         triangles: indices of the triangles, shape [T]; all of the surface by default.
 
     Returns:
@@ -32,8 +35,46 @@ def triangle_frames(
     foot = np.einsum("ij,ij->i", second, unit)
     height = np.linalg.norm(second - foot[:, None] * unit, axis=1)
     longest = np.maximum(base, np.linalg.norm(second, axis=1))
-    height = np.maximum(height, max(thinnest, 1e-14) * longest)
+    height = np.maximum(height, FLATTEST * longest)
+    if thinnest > 0.0:
+        base, foot, height = _thickened(base, foot, height, thinnest)
     frames = np.stack([1.0 / base, -foot / (base * height), 1.0 / height], axis=1)
     if surface.weighted:  # frames are lengths inverted
         frames *= np.sqrt(surface.own_areas[chosen] / surface.face_areas[chosen])[:, None]
     return frames
+
+
+def _thickened(
+    base: NDArray[np.float64], foot: NDArray[np.float64], height: NDArray[np.float64], thinnest: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Widen thin triangles across their length, whichever corner comes first.
+
+    A triangle is the image of an equilateral one under a linear map; of its singular values the smaller one is raised.
+    What this does is the same for every order of the corners, and changes little where the triangle changes little.
+
+    Args:
+        base, foot, height: the first edge, and place and height of the third corner over it, shape [T].
+        thinnest: the least height over length.
+
+    Returns:
+        The same of the triangles after it.
+    """
+    across, up = (foot - 0.5 * base) / EQUILATERAL_HEIGHT, height / EQUILATERAL_HEIGHT
+    determinant, square = base * up, base**2 + across**2 + up**2
+    larger = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * determinant**2, 0.0))))
+    smaller = determinant / larger
+    wanted = np.maximum(smaller, thinnest / EQUILATERAL_HEIGHT * larger)
+    angle = 0.5 * np.arctan2(2.0 * base * across, base**2 - across**2 - up**2)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    left_x, left_y = (base * cosine + across * sine) / larger, up * sine / larger
+    more = wanted - smaller
+    first = np.stack([base + more * left_y * sine, -more * left_x * sine], axis=1)
+    third = np.stack([across - more * left_y * cosine, up + more * left_x * cosine], axis=1)
+    second = 0.5 * first + EQUILATERAL_HEIGHT * third
+    length = np.linalg.norm(first, axis=1)
+    wide = wanted > smaller
+    return (
+        np.where(wide, length, base),
+        np.where(wide, np.einsum("ij,ij->i", first, second) / length, foot),
+        np.where(wide, EQUILATERAL_HEIGHT * larger * wanted / length, height),
+    )

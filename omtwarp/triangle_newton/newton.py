@@ -16,7 +16,7 @@ from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
 from omtwarp.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 
 REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
-PATCH_REGULARISATION = 1e-9  # of every entry of the diagonal of patches: the Hessian is only semidefinite
+PATCH_REGULARISATION = 1e-9  # of the diagonal of patches: the Hessian is only semidefinite
 # Where rounding still leaves a pivot that is not positive, the diagonal grows by these parts of itself.
 DIAGONAL_SHIFTS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
 
@@ -34,7 +34,7 @@ class NewtonMatrix:
         vertex_corners: corners around every unknown vertex as compressed rows, int32.
         factor: what factorises it.
         shift: what is added to the diagonal, relative to its mean.
-        growth: what is added to every entry of the diagonal, relative to itself.
+        growth: what is added to the diagonal, relative to its mean at each vertex.
     """
 
     def __init__(
@@ -62,7 +62,11 @@ class NewtonMatrix:
 
     @classmethod
     def of_patches(
-        cls, patches: Patches, points: NDArray[np.float64], workspace: Workspace | None = None
+        cls,
+        patches: Patches,
+        points: NDArray[np.float64],
+        workspace: Workspace | None = None,
+        growth: float = PATCH_REGULARISATION,
     ) -> NewtonMatrix:
         """The matrix over the freed vertices of patches.
 
@@ -70,6 +74,7 @@ class NewtonMatrix:
             patches: V of their vertices are freed.
             points: positions of those on the surface, shape [V, 3].
             workspace: memory for the fronts; the blocks of triangles may be in it until the factorisation.
+            growth: what is added to the diagonal, relative to its mean at each vertex.
         """
         count = patches.free
         own = np.where(patches.faces < count, patches.faces, -1)
@@ -90,7 +95,7 @@ class NewtonMatrix:
         sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
         rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
         factor = mesh_factor(count, edges, lambda: dissect(points, edges), 2, workspace or Workspace())
-        return cls(*sides, rows, factor, 0.0, PATCH_REGULARISATION)
+        return cls(*sides, rows, factor, 0.0, growth)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""
@@ -151,15 +156,17 @@ def factorise_stiffened(
         factor: what is made.
         diagonal: blocks of the vertices, shape [V, 2, 2].
         off_diagonal: blocks of the edges, shape [E, 2, 2].
-        shift, growth: what is added to the diagonal in any case, relative to its mean and to each entry.
+        shift, growth: what is added to the diagonal in any case, relative to its mean and to that of each vertex, which
+            does not depend on the basis of its tangent plane.
 
     Raises:
         OmtwarpError: the blocks are not finite, or far from semidefinite.
     """
     own = diagonal[:, [0, 1], [0, 1]]
+    of_vertices = own.mean(axis=1, keepdims=True)
     more = shift * own.mean()
     for part in DIAGONAL_SHIFTS:
-        diagonal[:, [0, 1], [0, 1]] = own * (1.0 + growth + part) + more
+        diagonal[:, [0, 1], [0, 1]] = own + (growth + part) * of_vertices + more
         try:
             factor.factorise(diagonal, off_diagonal)
             return

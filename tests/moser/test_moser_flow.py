@@ -10,7 +10,8 @@ from sphere_truths import height_and_longitude, mean_edge, pushed_north, random_
 from omtwarp.conformal import conformal_map
 from omtwarp.device.start import wp
 from omtwarp.geometry import cotangent_laplacian
-from omtwarp.mesh.shapes import blob, icosphere, random_sphere
+from omtwarp.mesh.shapes import blob, demo_shape, icosphere, random_sphere
+from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver
@@ -88,6 +89,20 @@ def test_a_factorisation_handed_in_is_used():
     lent = moser_map(surface, start.sphere, solver=start.solver).sphere
     moved = rms(np.linalg.norm(own - start.sphere, axis=1))
     assert 0.0 < rms(np.linalg.norm(lent - own, axis=1)) < 0.1 * moved
+
+
+def test_the_triangle_that_a_vertex_begins_in_does_not_matter():
+    """Out of triangles of 1e-8 of the sphere, next to larger ones, and from corners where all of them meet."""
+    surface = demo_shape(2000)
+    start = conformal_map(surface, device="cpu").sphere
+    one = moser_map(surface, start, device="cpu").sphere
+    rng = np.random.default_rng(0)
+    shuffled = Surface(surface.vertices, surface.faces[rng.permutation(surface.face_count)])
+    np.testing.assert_allclose(moser_map(shuffled, start, device="cpu").sphere, one, atol=1e-7)
+    near = start + 1e-13 * rng.normal(size=start.shape)
+    near /= np.linalg.norm(near, axis=1)[:, None]
+    np.testing.assert_allclose(moser_map(surface, near, device="cpu").sphere, one, atol=1e-7)
+    assert triangle_areas(start, surface.faces).min() < 1e-7
 
 
 @settings(max_examples=8)

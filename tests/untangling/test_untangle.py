@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sphere_truths import random_rotation
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, icosphere, noisy
+from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.triangle_newton.frames import triangle_frames
 from omtwarp.untangling.kernels import untangle_newton, untangle_value
@@ -66,6 +68,40 @@ def test_scrambled_patches_on_random_shapes(seed, radius, noise):
     result = untangle(surface, start, device="cpu")
     assert result.flips_after == 0
     assert not flipped_faces(result.sphere, surface.faces).any()
+
+
+def test_turning_the_map_or_the_corners_of_triangles_turns_what_is_untangled():
+    """Also on long triangles, which are widened before their shape is asked for, and damped steps are the same."""
+    surface = noisy(blob(3, amplitude=0.3, sphere=icosphere(8)), 0.3, 3)
+    surface = Surface(surface.vertices * [1.0, 1.0, 0.15], surface.faces)
+    _, start, _ = scrambled(surface, 5, 0.7, 4)
+    one = untangle(surface, start, device="cpu")
+    assert one.bijective and one.flips_before > 30
+    rotation = random_rotation(7)
+    turned = untangle(surface, start @ rotation.T, device="cpu").sphere
+    np.testing.assert_allclose(turned, one.sphere @ rotation.T, atol=1e-7)
+    rolled = Surface(surface.vertices, np.roll(surface.faces, 1, axis=1))
+    np.testing.assert_allclose(untangle(rolled, start, device="cpu").sphere, one.sphere, atol=1e-7)
+
+
+def sides_of(frames):
+    """Lengths of the three edges of triangles from their frames, shape [T, 3], and their areas, shape [T]."""
+    base, height = 1.0 / frames[:, 0], 1.0 / frames[:, 2]
+    foot = -frames[:, 1] * base * height
+    return np.stack([base, np.hypot(base - foot, height), np.hypot(foot, height)], axis=1), 0.5 * base * height
+
+
+def test_thin_triangles_are_widened_alike_whichever_corner_comes_first():
+    corners = np.random.default_rng(0).normal(size=(600, 3)) * [1.0, 0.05, 0.05]
+    faces = np.arange(600, dtype=np.int32).reshape(-1, 3)
+    sides, areas = sides_of(triangle_frames(Surface(corners, faces), 0.2))
+    others, same = sides_of(triangle_frames(Surface(corners, np.roll(faces, -1, axis=1)), 0.2))
+    np.testing.assert_allclose(np.roll(others, 1, axis=1), sides, rtol=1e-9)
+    np.testing.assert_allclose(same, areas, rtol=1e-9)
+    before, _ = sides_of(triangle_frames(Surface(corners, faces)))
+    thickness = 2.0 * areas / sides.max(axis=1) ** 2
+    assert thickness.min() > 0.19 and np.median(thickness) < 0.25
+    assert np.abs(sides.max(axis=1) / before.max(axis=1) - 1.0).max() < 0.1  # no longer than they were
 
 
 def test_triangles_collapsed_to_a_point():
