@@ -53,8 +53,15 @@ EXAMPLES = {
     ),
     "film": ("omtwarp film bunny.ply -o flow.mp4\nomtwarp film --map bunny.npz -o flow.gif --size 480x270 --seconds 6"),
     "report": "omtwarp report --map bunny.npz -o bunny.html",
-    "align": "omtwarp align left.npz --to right.npz -o aligned.npz",
-    "resample": "omtwarp resample left.npz --to right.npz -o resampled.npz",
+    "align": (
+        "omtwarp align left.npz --to right.npz -o aligned.npz\n"
+        "omtwarp align lh.npz --to axes -o lh.sphere.surf.gii --radius 100"
+    ),
+    "resample": (
+        "omtwarp resample left.npz --to right.npz -o resampled.ply\n"
+        "omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o lh.thickness.shape.gii\n"
+        "omtwarp map lh.ply -o - | omtwarp align - -o - | omtwarp resample - --to ico5 -o lh_ico5.ply"
+    ),
     "check": ("omtwarp check bunny.ply\nomtwarp check *.ply --json\nomtwarp check broken.ply --repair -o repaired.ply"),
     "cohort": (
         "omtwarp cohort 'sub-*/surf/lh.white' -o out --time-limit 600 --memory-limit 4\n"

@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TextIO
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
@@ -32,17 +33,20 @@ class Item:
     fields: dict[str, str] = field(default_factory=dict)
 
 
-def read_manifest(source: str | Path) -> list[Item]:
+def read_manifest(source: str | Path | TextIO) -> list[Item]:
     """List the items of a cohort.
 
     Args:
         source: a table (.csv or .tsv) with a column ``path`` (relative to the table), and perhaps ``id`` and others; a
-            folder; or a pattern such as ``sub-*/surf/lh.white``, quoted. Without a column ``id`` items are named after
-            their files, and parts such as ``sub-01`` and ``hemi-L`` of BIDS names become columns.
+            folder; a pattern such as ``sub-*/surf/lh.white``, quoted; or an open table, whose paths are relative to
+            the current folder. Without a column ``id`` items are named after their files, and parts such as ``sub-01``
+            and ``hemi-L`` of BIDS names become columns.
 
     Raises:
         OmtwarpError: no such file, no item, no column ``path``, or two items of one name.
     """
+    if not isinstance(source, str | Path):
+        return _checked(_from_text(source.read(), "the table", Path()), "the table")
     text = str(source)
     path = Path(text)
     if any(sign in text for sign in "*?[") and not path.exists():
@@ -52,11 +56,16 @@ def read_manifest(source: str | Path) -> list[Item]:
         items = _named([(p, {}) for p in sorted(path.iterdir()) if p.suffix.lower() in MESH_SUFFIXES])
     else:
         items = _from_table(path)
+    return _checked(items, f"'{source}'")
+
+
+def _checked(items: list[Item], source: str) -> list[Item]:
+    """The items, of which there is one at least and no two have the same name."""
     if not items:
-        raise OmtwarpError(f"'{source}' names no surface")
+        raise OmtwarpError(f"{source} names no surface")
     twice = [name for name, count in Counter(item.id.casefold() for item in items).items() if count > 1]
     if twice:
-        raise OmtwarpError(f"{len(twice)} items of '{source}' have the name of another, the first is '{twice[0]}'")
+        raise OmtwarpError(f"{len(twice)} items of {source} have the name of another, the first is '{twice[0]}'")
     return items
 
 
@@ -65,19 +74,25 @@ def _from_table(path: Path) -> list[Item]:
         text = read_bytes(path, LARGEST_MANIFEST, "table").decode("utf-8-sig")
     except UnicodeDecodeError:
         raise OmtwarpError(f"'{path}' is no text: give a table (.csv, .tsv), a folder or a pattern in quotes") from None
-    rows = csv.DictReader(io.StringIO(text), delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
+    return _from_text(text, f"'{path}'", path.parent, "\t" if path.suffix.lower() == ".tsv" else ",")
+
+
+def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[Item]:
+    """Items of a table's text; its columns are parted by tabs where the first line has one, unless told."""
+    first = text.partition("\n")[0]
+    rows = csv.DictReader(io.StringIO(text), delimiter=delimiter or ("\t" if "\t" in first else ","))
     names = rows.fieldnames or []
     if "path" not in names:
-        raise OmtwarpError(f"'{path}' has no column 'path': its first line is '{text.splitlines()[0][:80]}'")
+        raise OmtwarpError(f"{name} has no column 'path': its first line is '{first[:80]}'")
     found: list[tuple[Path, dict[str, str]]] = []
     for row in rows:
         number = rows.line_num
         if None in row or any(value is None for value in row.values()):
-            raise OmtwarpError(f"'{path}', line {number}: not {len(names)} columns as the first line has")
+            raise OmtwarpError(f"{name}, line {number}: not {len(names)} columns as the first line has")
         if not row["path"].strip():
-            raise OmtwarpError(f"'{path}', line {number}: the path is empty")
-        fields = {name: value for name, value in row.items() if name != "path"}
-        found.append((path.parent / row["path"].strip(), fields))
+            raise OmtwarpError(f"{name}, line {number}: the path is empty")
+        fields = {column: value for column, value in row.items() if column != "path"}
+        found.append((folder / row["path"].strip(), fields))
     if "id" not in names:
         return _named(found)
     return [Item(_safe(fields.pop("id")), mesh, fields) for mesh, fields in found]

@@ -7,6 +7,7 @@ to standard output is sent when the command has succeeded; what the command says
 from __future__ import annotations
 
 import contextlib
+import io
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +21,7 @@ STREAM = Path("-")
 _HEADS = (
     (b"PK", ".npz"), (b"glTF", ".glb"), (b"ply", ".ply"), (b"OFF", ".off"), (b"COFF", ".off"), (b"solid", ".stl"),
     (b"<?xml", ".gii"), (b"\x1f\x8b", ".gii.gz"), (b"\x89PNG", ".png"), (b"\xff\xd8\xff", ".jpg"),
-    (b"\xff\xff\xfe", ""), (b"{", ".gltf"), (b"# vtk", ".vtk"),
+    (b"\xff\xff\xfe", ""), (b"{", ".gltf"), (b"# vtk", ".vtk"), (b"\x93NUMPY", ".npy"), (b"\xff\xff\xff", ".curv"),
 )  # fmt: skip
 
 
@@ -31,6 +32,7 @@ class _Streams:
         self.folder = folder
         self.names: dict[str, str] = {}
         self.output: Path | None = None
+        self.taken = False
 
     def shown(self, text: str) -> str:
         """A text with the temporary files called what they stand for."""
@@ -98,16 +100,23 @@ def _replace_streams(streams: _Streams) -> None:
 def input_file(given: Any) -> Any:
     """Return the path to read: the one given, or a file that holds standard input for ``-``; of lists, each.
 
+    A text stays a text: an argument that may also be a name of something.
+
     Raises:
-        OmtwarpError: nothing comes from standard input, or too much.
+        OmtwarpError: nothing comes from standard input, or too much, or it is asked for twice.
     """
     if isinstance(given, list | tuple):
         return [input_file(path) for path in given]
+    if isinstance(given, str):
+        return str(input_file(STREAM)) if given == str(STREAM) else given
     if given != STREAM or _current is None:
         return given
+    if _current.taken:
+        raise OmtwarpError("'-' stands for two inputs: standard input can be only one")
     if sys.stdin is None or sys.stdin.isatty():
         raise OmtwarpError("standard input is a terminal: pipe a file into it, or name one")
     data = sys.stdin.buffer.read(LARGEST_MESH_FILE + 1)
+    _current.taken = True
     if not data:
         raise OmtwarpError("standard input is empty")
     if len(data) > LARGEST_MESH_FILE:
@@ -121,6 +130,20 @@ def input_file(given: Any) -> Any:
     _current.names[str(file)] = "standard input"
     _replace_streams(_current)
     return file
+
+
+def input_table(given: str) -> Any:
+    """The table to read: the file's name that was given, or for ``-`` the text of standard input.
+
+    Raises:
+        OmtwarpError: nothing comes from standard input, or it is no text.
+    """
+    if given != str(STREAM):
+        return given
+    try:
+        return io.StringIO(input_file(STREAM).read_text("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise OmtwarpError("standard input is no text: a table is expected (.csv, .tsv)") from None
 
 
 def output_file(suffix: str) -> Callable[[Any], Any]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import QuietOption
+from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
@@ -18,13 +19,29 @@ if TYPE_CHECKING:
 
 
 def align_map(
-    source: Annotated[Path, typer.Argument(metavar="MAP", help="A map (.npz), or a sphere as a mesh.")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP", callback=input_file, help="A map (.npz), or a sphere as a mesh; - is standard input."
+        ),
+    ],
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", help=".npz for the whole map, or a mesh suffix for the sphere."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            callback=output_file(".npz"),
+            help=".npz for the whole map, or a mesh suffix for the sphere; - is standard output.",
+        ),
     ],
     to: Annotated[
-        str, typer.Option(metavar="axes|FILE|GRID", help="The shape's own axes, another map or sphere, or fsaverage5.")
+        str,
+        typer.Option(
+            metavar="axes|FILE|GRID",
+            callback=input_file,
+            help="The shape's own axes, another map or sphere (- is standard input), or a grid such as fsaverage5.",
+        ),
     ] = "axes",
     surface: Annotated[
         Path | None, typer.Option(metavar="MESH", help="The surface that MAP is a sphere of, where it is no .npz.")
@@ -42,7 +59,8 @@ def align_map(
     by: Annotated[
         str,
         typer.Option(
-            metavar="auto|features|vertices", help="vertices needs equal faces; auto takes that where it can."
+            metavar="auto|features|vertices",
+            help="vertices needs equal faces; auto takes that where both are maps of one surface.",
         ),
     ] = "auto",
     mirror: Annotated[
@@ -107,7 +125,8 @@ def align_map(
     elif not quiet:
         mirrored = ", mirrored" * found.mirrored
         print(
-            f"{output}: turned by {_degrees(found):.3f} degrees{mirrored}; by {found.method}, score {found.score:.6f}"
+            f"{output}: turned by {_degrees(found):.3f} degrees{mirrored}; by {found.method} ({found.basis}), "
+            f"score {found.score:.6f}"
         )
 
 

@@ -22,6 +22,7 @@ from omtwarp.commands._options import (
     SchemeOption,
     UntilOption,
 )
+from omtwarp.commands._streams import input_table
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import MapOptions, Refinement
 
@@ -45,7 +46,11 @@ def parse_shard(text: str) -> tuple[int, int]:
 
 def cohort(
     manifest: Annotated[
-        str, typer.Argument(metavar="MANIFEST", help="A table with a column 'path', a folder, or a pattern in quotes.")
+        str,
+        typer.Argument(
+            metavar="MANIFEST",
+            help="A table with a column 'path' (- is standard input), a folder, or a pattern in quotes.",
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")],
     executor: Annotated[
@@ -88,7 +93,7 @@ def cohort(
     from omtwarp.cohort import read_manifest, run_cohort
 
     part = parse_shard(shard)
-    items = read_manifest(manifest)
+    items = read_manifest(input_table(manifest))
     with _reporting(quiet) as progress:
         result = run_cohort(
             items,

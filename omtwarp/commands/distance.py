@@ -8,11 +8,12 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption
+from omtwarp.commands._streams import input_file
 
 
 def distance(
-    first: Annotated[Path, typer.Argument(metavar="A", help="A map (.npz).")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Another.")],
+    first: Annotated[Path, typer.Argument(metavar="A", callback=input_file, help="A map (.npz); - is standard input.")],
+    second: Annotated[Path, typer.Argument(metavar="B", callback=input_file, help="Another.")],
     degree: Annotated[int, typer.Option(metavar="L", min=1, max=64, help="Highest degree of the harmonics.")] = 12,
     scale: Annotated[bool, typer.Option("--scale", help="Compare coefficients at the same size.")] = False,
     device: DeviceOption = "auto",
@@ -24,12 +25,15 @@ def distance(
     Twice: the root mean square distance of corresponding points, from coefficients of spherical harmonics; and the root
     of the least transport cost between the densities of their conformal maps, in radians.
     """
+    from omtwarp.commands._progress import progress_bar
     from omtwarp.commands._work import report_text, start_device
     from omtwarp.result import MapResult
     from omtwarp.shape_analysis.distance import shape_distance
 
     start_device(device)
-    found = shape_distance(MapResult.load(first), MapResult.load(second), degree=degree, scale=scale, device=device)
+    ends = MapResult.load(first), MapResult.load(second)
+    with progress_bar(quiet) as progress:
+        found = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
     if as_json:
         print(report_text({"first": str(first), "second": str(second), **found.to_dict()}), end="")
     elif quiet:

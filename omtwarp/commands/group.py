@@ -8,13 +8,17 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption
+from omtwarp.commands._streams import STREAM, input_file, input_table
 from omtwarp.errors import OmtwarpError
 
 
 def group(
     sources: Annotated[
         list[str],
-        typer.Argument(metavar="MANIFEST|MAPS", help="A table with the columns 'path' and 'group', or maps (.npz)."),
+        typer.Argument(
+            metavar="MANIFEST|MAPS",
+            help="A table with the columns 'path' and 'group' (- is standard input), or maps (.npz).",
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")],
     grid: Annotated[str, typer.Option(metavar="GRID", help="Sphere whose points are compared.")] = "ico4",
@@ -84,10 +88,10 @@ def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | Non
     """Names, files and groups; a table's column ``group`` makes groups."""
     from omtwarp.cohort.manifest import read_manifest
 
-    if len(sources) == 1 and Path(sources[0]).suffix.lower() in (".csv", ".tsv"):
-        items = read_manifest(sources[0])
+    if len(sources) == 1 and (sources[0] == str(STREAM) or Path(sources[0]).suffix.lower() in (".csv", ".tsv")):
+        items = read_manifest(input_table(sources[0]))
         labels = [item.fields["group"] for item in items] if "group" in items[0].fields else None
         return [item.id for item in items], [item.path for item in items], labels
-    paths = [Path(text) for text in sources]
+    paths = [Path(text) for text in input_file(sources)]
     stems = [path.stem for path in paths]
     return (stems if len(set(stems)) == len(stems) else [str(path) for path in paths]), paths, None

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption, named
+from omtwarp.commands._streams import STREAM, input_file, output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import Interpolation, MapOptions
@@ -21,22 +20,37 @@ if TYPE_CHECKING:
 
 def resample_map(
     source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="A map (.npz), a sphere as a mesh, or a grid such as fsaverage5.")
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            callback=input_file,
+            help="A map (.npz), a sphere as a mesh, or a grid such as fsaverage5; - is standard input.",
+        ),
     ],
     to: Annotated[
         str,
         typer.Option(
             metavar="TARGET",
+            callback=input_file,
             help="A map, a sphere, or ico0..ico8, fsaverage3..7, healpix:NSIDE, equiangular:HxW, octahedral:N.",
         ),
     ],
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", help="The data there; without --data the surface; - for .npy."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="The data there; without --data the surface; - is standard output, .npy or .ply.",
+        ),
     ],
     data: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Data at SOURCE's points: .npy, GIFTI, .annot, curv, .ply; - for .npy."),
+        typer.Option(
+            metavar="FILE",
+            callback=input_file,
+            help="Data at SOURCE's points: .npy, GIFTI, .annot, curv, .ply; - is standard input.",
+        ),
     ] = None,
     labels: Annotated[
         bool, typer.Option("--labels", help="The data are labels; GIFTI and .annot files say so themselves.")
@@ -70,16 +84,15 @@ def resample_map(
     from omtwarp.spheres import is_named
 
     here, there = (None if is_named(text) else Path(text) for text in (source, to))
-    stream = str(output) == "-"
-    if stream and (as_json or data is None):
-        raise OmtwarpError("'-o -' writes data to standard output: it needs --data, and goes without --json")
+    if output == STREAM:
+        output = output_file(".ply" if data is None else ".npy")(output)
     _check_outputs(output, sphere, matrix, data, [here, there, surface])
     require_same_structure(here if surface is None else surface, there)
     given = None if data is None else _read(data, there)
     as_labels = labels or (given is not None and given.is_labels)
     chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
     start_device(device)
-    with progress_bar(quiet or stream) as progress:
+    with progress_bar(quiet) as progress:
 
         def notify(done: int) -> None:
             if progress is not None:
@@ -97,7 +110,7 @@ def resample_map(
         notify(3)
     if as_json:
         print(report_text(_record(found, output, given)), end="")
-    elif not quiet and not stream:
+    elif not quiet:
         kind = "labels" if as_labels else "data"
         what = "the surface" if given is None else f"{kind} with {given.values.shape[1]} column(s)"
         print(f"{output}: {what}, {chosen}, from {found.matrix.shape[1]} to {found.matrix.shape[0]} points")
@@ -114,25 +127,22 @@ def _check_outputs(
     from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.write import SUFFIXES
 
-    inputs = [*meshes, None if data is None or str(data) == "-" else data]
-    if str(output) != "-":
-        check_output(output, SUFFIXES if data is None else DATA_SUFFIXES, *inputs)
+    inputs = [*meshes, data]
+    check_output(output, SUFFIXES if data is None else DATA_SUFFIXES, *inputs)
     for extra, suffixes in ((sphere, SUFFIXES), (matrix, (".npz",))):
         if extra is not None:
             check_output(extra, suffixes, *inputs)
 
 
 def _read(data: Path, target: Path | None) -> VertexData:
-    """Read data from a file, or from standard input where it is ``-``.
+    """Read data from a file.
 
     Raises:
         OmtwarpError: it cannot be read, or is of another structure of the brain than the target.
     """
-    from omtwarp.mesh.data import from_npy, read_data
+    from omtwarp.mesh.data import read_data
     from omtwarp.mesh.neuro import require_same_structure
 
-    if str(data) == "-":
-        return from_npy(io.BytesIO(sys.stdin.buffer.read()), "data")
     given = read_data(data)
     require_same_structure(data, target)
     return given
@@ -166,16 +176,13 @@ def _write(output: Path, found: Resampling, given: VertexData, as_labels: bool) 
     """Carry the data over and write them."""
     import numpy as np
 
-    from omtwarp.mesh.data import to_npy, write_data
+    from omtwarp.mesh.data import write_data
 
     if as_labels:
         values: Any = np.stack([found.labels(column) for column in given.values.T], axis=1)
     else:
         values = found.apply(given.values)
     moved = given.with_values(values)
-    if str(output) == "-":
-        to_npy(sys.stdout.buffer, moved)
-        return
     grid = found.target.grid
     shown = found.target.vertices if found.target.vertices is not None else grid.points
     write_data(output, moved, None if grid.faces is None else (shown, grid.faces))

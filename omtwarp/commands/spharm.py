@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import DeviceOption, MapOption, OptionalMesh, QuietOption, RepairOption
+from omtwarp.commands._streams import output_file
 from omtwarp.files import check_output, staged
 
 if TYPE_CHECKING:
@@ -29,7 +30,11 @@ def spharm(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", metavar="FILE", help=".coef as SPHARM-PDM has it, .csv, or .npz with everything."
+            "--output",
+            "-o",
+            metavar="FILE",
+            callback=output_file(".csv"),
+            help=".coef as SPHARM-PDM has it, .csv, or .npz with everything; - is standard output, as .csv.",
         ),
     ],
     mesh: OptionalMesh = None,
@@ -55,6 +60,7 @@ def spharm(
     """
     import numpy as np
 
+    from omtwarp.commands._progress import progress_bar
     from omtwarp.commands._work import map_from, start_device
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.write import SUFFIXES as MESH_SUFFIXES
@@ -66,8 +72,15 @@ def spharm(
         check_output(reconstruction, tuple(MESH_SUFFIXES), mesh, finished, output)
     start_device(device)
     result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device)
-    found = expand(result.sphere, result.vertices, degree, faces=result.faces, method=fit.value)
-    again = found.at(result.sphere)
+    with progress_bar(quiet) as progress:
+        if progress is not None:
+            progress("spharm", 0, 2, {})
+        found = expand(result.sphere, result.vertices, degree, faces=result.faces, method=fit.value)
+        if progress is not None:
+            progress("spharm", 1, 2, {})
+        again = found.at(result.sphere)
+        if progress is not None:
+            progress("spharm", 2, 2, {})
     areas = Surface(result.vertices, result.faces).vertex_areas
     error = float(np.sqrt(areas @ ((again - result.vertices) ** 2).sum(axis=1) / areas.sum()))
     save(output, found)

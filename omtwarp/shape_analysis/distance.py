@@ -52,7 +52,13 @@ class ShapeDistance:
 
 
 def shape_distance(
-    first: MapResult, second: MapResult, *, degree: int = DEGREE, scale: bool = False, device: str | None = "auto"
+    first: MapResult,
+    second: MapResult,
+    *,
+    degree: int = DEGREE,
+    scale: bool = False,
+    device: str | None = "auto",
+    progress: Progress | None = None,
 ) -> ShapeDistance:
     """Measure the distance of two shapes from their maps.
 
@@ -67,6 +73,7 @@ def shape_distance(
         degree: the highest degree of the surfaces' harmonics.
         scale: bring both to the root mean square distance 1 from their centres before coefficients are compared.
         device: where transport is computed.
+        progress: called as ``progress("distance", done, 3, {})`` after coefficients and each direction of transport.
 
     Returns:
         The distances.
@@ -93,8 +100,15 @@ def shape_distance(
     ]
     if scale:
         coefficients = [numbers * np.sqrt(SPHERE_AREA / (numbers**2).sum()) for numbers in coefficients]
-    there, back = _transport_both_ways(first, second, device)
     apart = coefficient_distance(*coefficients)
+    ways = []
+    for done, ends in enumerate(((first, second), (second, first)), 1):
+        if progress is not None:
+            progress("distance", done, 3, {})
+        ways.append(transport_distance(*ends, device=device))
+    if progress is not None:
+        progress("distance", 3, 3, {})
+    there, back = ways
     return ShapeDistance(apart, (there + back) / 2.0, there, back, found.score)
 
 
@@ -132,11 +146,6 @@ def transport_distance(first: MapResult, second: MapResult, *, device: str | Non
     turned = align(*ends, by="features").sphere
     target = vertex_density(second.conformal, second.faces, second.density, device=device)
     return density_distance(Surface(first.vertices, first.faces), turned, target, device=device)
-
-
-def _transport_both_ways(first: MapResult, second: MapResult, device: str | None) -> tuple[float, float]:
-    """The distance from the first density to the second, and back."""
-    return transport_distance(first, second, device=device), transport_distance(second, first, device=device)
 
 
 def density_distance(surface: Surface, sphere: Floats, target: TargetDensity, *, device: str | None = "auto") -> float:
@@ -201,7 +210,8 @@ def transport_matrix(
     pairs = [(i, j) for i in range(len(maps)) for j in range(i)]
     for done, (i, j) in enumerate(pairs, 1):
         try:
-            out[i, j] = out[j, i] = sum(_transport_both_ways(maps[j], maps[i], device)) / 2.0
+            there, back = (transport_distance(maps[a], maps[b], device=device) for a, b in ((j, i), (i, j)))
+            out[i, j] = out[j, i] = (there + back) / 2.0
         except OmtwarpError as error:
             raise OmtwarpError(f"maps {j + 1} and {i + 1}: {error}") from None
         if progress is not None:

@@ -22,7 +22,7 @@ from omtwarp.alignment.rotation_search import (
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import real_harmonics
 from omtwarp.mesh import shapes
-from omtwarp.resampling import SpherePoints
+from omtwarp.resampling import SpherePoints, resample
 from omtwarp.spheres import mesh_grid
 
 SPHERE = shapes.icosphere(20)
@@ -174,6 +174,31 @@ def test_same_faces_are_aligned_by_vertices():
     assert found.method == "vertices"
     np.testing.assert_allclose(found.rotation, rotation, atol=1e-12)
     np.testing.assert_allclose(found.score, 1.0, atol=1e-12)
+
+
+def test_equal_faces_alone_do_not_make_two_shapes_correspond():
+    """Two shapes on one grid, one of which lies turned on it: by numbers of vertices they would stay so."""
+    blob, rotation = blob_map(), random_rotation(6)
+    turned_grid = mesh_grid(SPHERE.vertices @ rotation.T, SPHERE.faces)
+    other = resample(SpherePoints(turned_grid, blob.vertices), (SPHERE.vertices, SPHERE.faces), device="cpu")
+    on_grid = SpherePoints(blob.grid, other.surface())
+    found = align(blob, on_grid)
+    assert (found.method, found.basis) == ("features", "radius, areas")
+    assert degrees_apart(found.rotation, rotation) < 0.5
+    asked = align(blob, on_grid, by="vertices")
+    assert degrees_apart(asked.rotation, np.eye(3)) < 1e-6 and asked.basis == "equal faces, as asked for"
+
+
+def test_why_vertices_were_taken_is_said():
+    blob, rotation = blob_map(), random_rotation(7)
+    noisy = turned(blob, rotation, random_rotation(8), noise=1e-3)
+    found = align(blob, SpherePoints(noisy.grid, 3.0 * noisy.vertices))
+    assert (found.method, found.basis) == ("vertices", "equal faces, and one surface in both")
+    alone = align((SPHERE.vertices, SPHERE.faces), noisy)
+    assert (alone.method, alone.basis) == ("vertices", "equal faces, and a side is a sphere alone")
+    assert degrees_apart(found.rotation, rotation) < 1e-6 and degrees_apart(alone.rotation, rotation) < 1e-6
+    assert align(blob, noisy, by="features").to_dict()["basis"] == "radius, areas"
+    assert align(blob).basis == "the shape's own axes"
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -1,10 +1,12 @@
-"""The commands ``align`` and ``resample``: files in, files out, streams, JSON, and one line for bad input."""
+"""Commands on the common sphere: files in, files out, streams, JSON, the same bits twice, one line for bad input."""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -86,6 +88,63 @@ def test_resample_in_a_pipe(desk, monkeypatch, capsysbinary):
     assert found.shape == (128,) and 1.0 <= found.min() <= found.max() <= 2.0
 
 
+def test_commands_in_a_pipe(desk, monkeypatch, capsysbinary):
+    """A map is turned, its surface resampled, expanded and compared, from stream to stream."""
+
+    def piped(given: bytes, *words: str) -> bytes:
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(given)))
+        assert run(*words) == 0
+        return capsysbinary.readouterr().out
+
+    turned = piped((desk / "lh.npz").read_bytes(), "align", "-", "--to", "template.npz", "-o", "-", "--json")
+    (desk / "turned.npz").write_bytes(turned)
+    np.testing.assert_allclose(MapResult.load("turned.npz").sphere, SPHERE.vertices @ random_rotation(2).T, atol=1e-6)
+    (desk / "ico3.ply").write_bytes(piped(turned, "resample", "-", "--to", "ico3", "-o", "-"))
+    assert len(read_mesh("ico3.ply").vertices) == 642
+    (desk / "again.npz").write_bytes(piped(turned, "align", "lh.npz", "--to", "-", "-o", "-"))
+    np.testing.assert_allclose(MapResult.load("again.npz").sphere, MapResult.load("turned.npz").sphere, atol=1e-9)
+    table = np.genfromtxt(
+        io.BytesIO(piped(turned, "spharm", "-", "-o", "-", "--degree", "3")), delimiter=",", names=True
+    )
+    assert table["degree"].tolist() == [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3]
+    apart = json.loads(piped(turned, "distance", "lh.npz", "-", "--degree", "4", "--json"))
+    assert apart["coefficients"] < 1e-6
+    piped(b"path\nlh.npz\nturned.npz\n", "group", "-", "-o", "study", "--grid", "ico2", "--degree", "4")
+    assert (desk / "study" / "table.csv").read_text().count("\n") == 3
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file below a folder."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def test_same_bits_twice(desk, capsys):
+    """Of every output: maps, spheres, surfaces, data, matrices, coefficients, tables, pictures and what is printed."""
+    pytest.importorskip("nibabel")
+    commands = [
+        ["align", "lh.npz", "--to", "template.npz", "--mirror", "-o", "out/map.npz", "--json"],
+        ["align", "lh.npz", "-o", "out/lh.sphere.surf.gii", "--radius", "100"],
+        ["resample", "lh.npz", "--to", "ico3", "-o", "out/s.ply", "--sphere", "out/lh.sphere", "--matrix", "out/w.npz"],
+        ["resample", "lh.npz", "--to", "fsaverage3", "--data", "thickness.npy", "-o", "out/t.shape.gii", "--json"],
+        *(
+            ["resample", "lh.npz", "--to", "healpix:4", "--data", "thickness.npy", "--method", m, "-o", f"out/{m}.npy"]
+            for m in ("nearest", "adaptive", "conservative")
+        ),
+        *(["spharm", "lh.npz", "-o", f"out/a.{kind}", "--degree", "5", "--json"] for kind in ("coef", "csv", "npz")),
+        ["group", "lh.npz", "template.npz", "-o", "out/study", "--grid", "ico2", "--degree", "4"],
+        ["distance", "lh.npz", "template.npz", "--degree", "4"],
+    ]
+    found = []
+    for _ in range(2):
+        (desk / "out").mkdir()
+        assert [run(*words) for words in commands] == [0] * len(commands)
+        found.append((digests(desk / "out"), capsys.readouterr().out))
+        (desk / "out").rename(desk / f"out{len(found)}")
+    assert found[0] == found[1]
+    assert len(found[0][0]) == 12 + 6
+
+
 def test_map_beside_its_surface_in_ply(desk):
     assert run("map", "lh.white.ply", "-o", "both.ply", "--beside", "--until", "conformal", "-q") == 0
     assert run("resample", "both.ply", "--to", "ico3", "-o", "same.ply", "-q") == 0
@@ -119,7 +178,43 @@ def test_fsaverage_sphere_in_the_fields_formats(desk, capsys):
         (["resample", "lh.npz", "--to", "rh.template.ply", "-o", "x.ply"], "same hemisphere"),
         (["resample", "lh.npz", "--to", "ico3", "--data", "thickness.npy", "-o", "x.label.gii"], "without a table"),
         (["resample", "lh.npz", "--to", "healpix:4", "-o", "x.ply"], "no triangles"),
-        (["resample", "lh.npz", "--to", "ico3", "-o", "-"], "it needs --data"),
+        (["resample", "lh.npz", "--to", "ico3", "-o", "-", "--data", "holes.npy"], "not finite at 1 of"),
+        (
+            ["resample", "lh.npz", "--to", "ico3", "--data", "regions.npy", "--labels", "-o", "x.annot"],
+            "table of names",
+        ),
+        (["resample", "lh.npz", "--to", "lh.white.ply", "-o", "x.ply"], "not a sphere about the origin"),
+        (["align", "lh.npz", "--to", "lh.white.ply", "-o", "x.npz"], "not a sphere about the origin"),
+        (
+            [
+                "align",
+                "lh.npz",
+                "--to",
+                "template.npz",
+                "--feature",
+                "short.npy",
+                "--to-feature",
+                "short.npy",
+                "-o",
+                "x.npz",
+            ],
+            "feature 'short.npy (1)' of the map: shape [7]",
+        ),
+        (
+            [
+                "align",
+                "lh.npz",
+                "--to",
+                "template.npz",
+                "--feature",
+                "holes.npy",
+                "--to-feature",
+                "holes.npy",
+                "-o",
+                "x.npz",
+            ],
+            "feature 'holes.npy (1)' of the map",
+        ),
         (["align", "lh.sphere.ply", "-o", "x.ply"], "has no axes"),
         (["align", "lh.sphere.ply", "--to", "lh.npz", "-o", "x.npz"], "needs a map"),
         (["align", "lh.npz", "--to", "rh.template.ply", "-o", "x.npz"], "same hemisphere"),
@@ -129,6 +224,7 @@ def test_fsaverage_sphere_in_the_fields_formats(desk, capsys):
 )
 def test_bad_input_is_one_line(desk, capsys, words, message):
     np.save("short.npy", np.ones(7))
+    np.save("regions.npy", np.zeros(COUNT, int))
     np.save("holes.npy", np.where(np.arange(COUNT) == 3, np.nan, 1.0))
     write_mesh("rh.template.ply", SPHERE.vertices, SPHERE.faces)
     assert run(*words) == 1

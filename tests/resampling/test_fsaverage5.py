@@ -11,7 +11,7 @@ import omtwarp
 from omtwarp.mesh.data import VertexData, read_data, write_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
-from omtwarp.resampling import as_points
+from omtwarp.resampling import Resampling, as_points
 
 REGIONS = 60
 SINGLE_ROUNDOFF = 2.0**-24  # of numbers near 1 in single precision, in which Workbench keeps points and distances
@@ -66,7 +66,7 @@ def test_barycentric_is_workbenchs(subject, workbench, there):
         assert apart.max() < 1e-5, (name, np.sort(apart)[-8:])
 
 
-def triangles_around(found: omtwarp.Resampling):
+def triangles_around(found: Resampling):
     """Triangles at the corners of that which holds each point: the pairs, distances, and weights of the nearest place.
 
     Returns:
