@@ -203,7 +203,7 @@ def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
         return ""
     if moving.vertices is None or fixed.vertices is None:
         return "equal faces, and a side is a sphere alone"
-    ours, theirs = (one.vertices - one.vertices.mean(axis=0) for one in (moving, fixed))
+    ours, theirs = (points - points.mean(axis=0) for points in (moving.vertices, fixed.vertices))
     ours, theirs = ours / max(np.linalg.norm(ours), TINY), theirs / max(np.linalg.norm(theirs), TINY)
     left, values, right = np.linalg.svd(ours.T @ theirs)
     agreement = values[0] + values[1] + np.sign(np.linalg.det(left @ right)) * values[2]
