@@ -60,7 +60,10 @@ def film_map(
     view: Annotated[
         str, typer.Option(metavar="NAME|AZIMUTH,ELEVATION", help="Where the camera stands, as for preview.")
     ] = "three-quarter",
-    up: Annotated[str | None, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...")] = None,
+    up: Annotated[
+        str | None,
+        typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default."),
+    ] = None,
     front: Annotated[
         str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
     ] = None,

@@ -63,7 +63,10 @@ def preview_mesh(
     zoom: Annotated[float, typer.Option(help="1 fills the picture.")] = 1.0,
     field_of_view: Annotated[float, typer.Option(help="Vertical opening of the camera in degrees.")] = 24.0,
     projection: Annotated[CameraProjection, typer.Option(help="Of the camera.")] = CameraProjection.PERSPECTIVE,
-    up: Annotated[str | None, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...")] = None,
+    up: Annotated[
+        str | None,
+        typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default."),
+    ] = None,
     front: Annotated[
         str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
     ] = None,

@@ -43,7 +43,10 @@ def report_on_map(
     ] = None,
     pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead; circles by default.")] = None,
     title: Annotated[str | None, typer.Option(help="Heading of the page; the mesh's name by default.")] = None,
-    up: Annotated[str, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...")] = "y",
+    up: Annotated[
+        str | None,
+        typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default."),
+    ] = None,
     method: MethodOption = MapOptions.method,
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,
@@ -65,7 +68,8 @@ def report_on_map(
     target = check_output(output, (".html", ".htm"), mesh, finished, image)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
-    axis_vector(up)
+    if up is not None:
+        axis_vector(up)
     start_device(device)
     picture = read_image(image) if image is not None else None
     result = map_from(

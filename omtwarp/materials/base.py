@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from omtwarp.errors import OmtwarpError
 
@@ -218,6 +217,8 @@ class PaintedArrays:
             if apart <= self._same_place:
                 return np.arange(len(triangles), dtype=np.int32)
         places, number = np.unique(points + 0.0, axis=0, return_inverse=True)
+        from scipy.spatial import cKDTree
+
         distance, nearest = cKDTree(places).query(self.vertices)
         unused = len(places)  # of vertices that are nowhere in the copy
         here = np.where(distance <= self._same_place, nearest, unused)[self.faces]

@@ -181,7 +181,7 @@ def frame(
     cameras: Sequence[Camera],
     aspect: float,
     *,
-    up: str = "y",
+    up: str | None = None,
     front: str | None = None,
     centred: bool = False,
 ) -> list[Shot]:
@@ -195,14 +195,14 @@ def frame(
         points: normalised positions, shape [N, 3], around the origin.
         cameras: directions of view; they share the distance of the one that needs most.
         aspect: width over height.
-        up: the upward axis.
+        up: the upward axis; None is y.
         front: the axis of the front view.
         centred: keep the origin in the middle, as a turntable must.
     """
     shots: list[Shot] = []
     placed: list[tuple[Camera, NDArray[np.float64], NDArray[np.float64], float]] = []
     for camera in cameras:
-        axes = camera_axes(camera, up, front)
+        axes = camera_axes(camera, up or "y", front)
         seen = points @ axes
         x, y, z = seen.T
         scale = 1.0 / (1.0 - 2.0 * camera.margin)

@@ -27,6 +27,7 @@ from omtwarp.render.light import as_light
 from omtwarp.render.pictures import render
 from omtwarp.render.scene import Part, RenderJob, normalisation, smooth_parts, welded_normals
 from omtwarp.render.subject import map_view
+from omtwarp.render.upright import posed
 from omtwarp.texturing.rasterizing import rasterize
 from omtwarp.texturing.smooth import smooth_map
 
@@ -163,7 +164,7 @@ def film(
         seconds: how long the film is; None takes as long as smooth motion needs, with edges that sweep over less than
             a hundredth of the picture from frame to frame.
         view: where the camera stands, as one view of :func:`~omtwarp.preview`; None takes three-quarter.
-        up: axis that points upwards; None takes the subject's own.
+        up: axis that points upwards; None guesses from the shape, as :func:`omtwarp.preview` does.
         front: axis that points at the viewer in the front view.
         background: a colour, (top, bottom) colours, or ``"studio"``.
         captions: name what is seen below the picture.
@@ -253,7 +254,7 @@ def _story_of(
         least, most = PICTURE_WIDTHS
         image = rasterize(pattern, int(np.clip(2 ** math.ceil(math.log2(2 * width)), least, most)), device=device)
     shown = map_view(result, image)
-    upward = up or shown.up
+    shown = posed(shown, up, front)
     centre, radius = normalisation(shown)
     surface = (np.asarray(result.vertices) - centre) / radius
     areas = np.bincount(
@@ -274,10 +275,9 @@ def _story_of(
     camera = as_view("three-quarter" if view is None else view, Camera())
     used = np.unique(faces)
     extent = np.concatenate([surface[used], ball[used]])
-    facing = front if front is not None or (up is not None and up != shown.up) else shown.front
 
     def shot_for(aspect: float) -> Shot:
-        return frame(extent, [camera], aspect, up=upward, front=facing)[0]
+        return frame(extent, [camera], aspect, up=shown.up, front=shown.front)[0]
 
     return story, shot_for
 

@@ -23,6 +23,7 @@ from omtwarp.render.colors import backdrop
 from omtwarp.render.light import Light, as_light
 from omtwarp.render.scene import Arrows, ScalarField, SurfaceView, Wireframe
 from omtwarp.render.subject import Picture, Subject, as_surface_view
+from omtwarp.render.upright import posed
 
 View: TypeAlias = str | tuple[float, float] | Camera
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -193,10 +194,8 @@ def view_of(subject: Subject, options: PreviewOptions) -> SurfaceView:
         OmtwarpError: the subject cannot be read or drawn.
     """
     view = as_surface_view(subject, options["image"])
-    up, front, scalar, arrows = options["up"], options["front"], options["scalar"], options["arrows"]
-    if front is None and (up is None or up == view.up):
-        front = view.front  # otherwise None: the subject's own may lie along the new upward axis
-    view = replace(view, up=view.up if up is None else up, front=front)
+    scalar, arrows = options["scalar"], options["arrows"]
+    view = posed(view, options["up"], options["front"])
     if scalar is not None:
         if not isinstance(scalar, ScalarField):
             scalar = ScalarField(scalar, options["colormap"], options["scalar_range"], options["scalar_label"])

@@ -54,8 +54,10 @@ def preview(
         views: a name (front, back, left, right, top, bottom, three-quarter), ``"AZ,EL"`` or (azimuth, elevation) in
             degrees, a :class:`Camera`, a list of these, or ``"six"``. Several views make one sheet, all at one scale.
         camera: field of view, projection, zoom, roll and, without ``views``, the direction.
-        up: axis that points upwards (``"y"``, ``"z"``, ``"-x"``, ...); None takes the subject's: y, and z for a sphere.
-        front: axis that points at the viewer in the front view; None takes +z, or -y where z is up.
+        up: axis that points upwards (``"y"``, ``"z"``, ``"-x"``, ...); None guesses from the shape, by its plane of
+            symmetry and by how it stands; z for a sphere.
+        front: axis that points at the viewer in the front view; None guesses on which side the face is, and where the
+            shape does not tell, takes +z, or -y where z is up.
         light: ``"studio"``, ``"soft"``, ``"flat"`` (the colours themselves) or a :class:`Light`; None takes the
             first, and the second where a scalar is to be read.
         background: a colour, (top, bottom) colours, or ``"studio"``.

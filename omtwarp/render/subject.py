@@ -178,7 +178,7 @@ def torus_view(
     cut = shown.textured(None if image is None else read_image(image), pattern=None if image is not None else pattern)
     places = cut.vertices if on == "surface" else shown.ring()[cut.welded]
     return SurfaceView(
-        places, cut.faces, image=cut.image, uv=cut.uv, up="y" if on == "surface" else "z", caption=caption
+        places, cut.faces, image=cut.image, uv=cut.uv, up=None if on == "surface" else "z", caption=caption
     )
 
 

@@ -74,7 +74,7 @@ def write_report(
         title: heading of the page; "Map report" by default.
         image: equirectangular picture shown on the surface: a path, a PIL image or an array [H, W, 3].
         pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``, shown where there is no image.
-        up: the axis of the surface that points upwards: ``y`` (the default), ``z``, ``-x``, ...
+        up: the axis of the surface that points upwards: ``y``, ``z``, ``-x``, ...; guessed from its shape by default.
         picture_size: side of the still pictures in pixels.
         device: ``auto``, ``cpu`` or ``cuda:N``, for baking the texture and, without OpenGL, for drawing.
 
@@ -272,7 +272,7 @@ def _stills(
     picture = rasterize(texture, 2048, device=device) if isinstance(texture, Pattern) else texture
     found = {}
     for stage in (stages[0], stages[-1])[: len(stages)]:
-        view = SurfaceView(result.vertices, result.faces, image=picture, sphere=stage.sphere, up=up or "y")
+        view = SurfaceView(result.vertices, result.faces, image=picture, sphere=stage.sphere, up=up)
         bound = AREA_RANGE
         field = ScalarField(np.clip(log2_area_ratio(stage), -bound, bound), AREA_COLOURS, (-bound, bound))
         edges = len(result.faces) <= MOST_EDGES

@@ -20,6 +20,8 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.render.camera import DEFAULT_FRONT, axis_vector
 from omtwarp.render.colors import colormap_table
+from omtwarp.render.scene import SurfaceView
+from omtwarp.render.upright import posed
 from omtwarp.reporting.stages import Stage
 from omtwarp.start.decimation import simplify
 from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
@@ -86,7 +88,7 @@ def make_scene(
         result: a finished map.
         stages: as :func:`~omtwarp.reporting.stages.stages_of` gives them.
         texture: a picture, or the name of a pattern.
-        up: the surface's upward axis; y by default.
+        up: the surface's upward axis; guessed from its shape by default.
         most_faces: a surface of more triangles is simplified.
         texels: of the texture along each of its six faces.
         device: where the texture is baked.
@@ -94,7 +96,9 @@ def make_scene(
     vertices, faces = shown_mesh(result.vertices, result.faces, most_faces)
     used, corners = np.unique(faces, return_inverse=True)
     triangles = corners.reshape(-1, 3).astype(np.int32)
-    axes = _axes(up or "y", DEFAULT_FRONT[(up or "y").lstrip("+-")])
+    pose = posed(SurfaceView(result.vertices, result.faces), up)
+    upward = pose.up or "y"
+    axes = _axes(upward, pose.front or DEFAULT_FRONT[upward.lstrip("+-")])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centred = (vertices - 0.5 * (low + high)) / max(float((high - low).max()), np.finfo(float).tiny)
     placed = centred[used] @ axes.T
