@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import re
 import runpy
@@ -236,10 +237,25 @@ def test_site_builds_without_a_warning(tmp_path):
     for page in (tmp_path / "html").rglob("*.html"):
         fetched = re.findall(r'<(?:script|link|img|iframe)[^>]+(?:src|href)="(https?:[^"]+)"', page.read_text("utf-8"))
         assert not fetched, f"{page.name} fetches {fetched[0]}"
+    assert 'class="versions"' in index and "versions.js" in index
+    choosing = (tmp_path / "html" / "choosing.html").read_text("utf-8")
+    assert choosing.count("_images/") >= 2 and "ScalarField" not in choosing  # pictures, without what draws them
     notebook = (tmp_path / "html" / "notebooks.html").read_text("utf-8")
     assert "srcdoc=" in notebook and "MapResult(" in notebook and "data:image/" in notebook  # its cells were run
     if sys.platform != "win32":
         assert wider_than_a_phone(tmp_path / "html", tmp_path / "profile") == []
+
+
+def test_versions_are_listed_with_the_newest_first(tmp_path):
+    versions = runpy.run_path(str(ROOT / "docs" / "versions.py"))
+    for name in ("v0.1.0", "v0.10.0", "main", "v0.2.0"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "index.html").write_text("")
+    (tmp_path / "not-a-version").mkdir()
+    versions["write_list"](tmp_path, "v0.10.0")
+    listed = json.loads((tmp_path / "versions.json").read_text("utf-8"))
+    assert [entry["folder"] for entry in listed] == ["main", "v0.10.0", "v0.2.0", "v0.1.0"]
+    assert "url=v0.10.0/" in (tmp_path / "index.html").read_text("utf-8")
 
 
 def test_modules_named_with_the_package_need_no_import_of_their_own():

@@ -4,8 +4,8 @@
 
 addEventListener("DOMContentLoaded", async () => {
   const box = document.querySelector(".versions");
-  if (!box) return;
-  const site = new URL(box.dataset.root.replace(/[^/]*$/, ""), location.href); // the folder of this version
+  if (!box || !location.protocol.startsWith("http")) return; // pages in files may not read one another
+  const site = new URL("./" + box.dataset.root.replace(/[^/]*$/, ""), location.href); // the folder of this version
   try {
     const answer = await fetch(new URL("../versions.json", site));
     if (!answer.ok) return;
