@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from scipy import sparse
 from scipy.sparse import csgraph
+from texture_truths import jumps_across_edges
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
@@ -100,7 +101,7 @@ def test_cuts_keep_clear_of_holes():
 
 
 def test_pretzel_is_mapped_and_its_texture_breaks_at_the_cuts_only():
-    surface = shapes.rings(2, cell=0.3)
+    surface = shapes.rings(2, tube=0.45, cell=0.42)
     result = omtwarp.map_surface(surface, optimality=False, device="cpu")
     assert result.report["certificate"]["bijective"] and result.distortion().flips == 0
     assert result.distortion().area["surface"] < 2.15  # coarse: areas are kept around vertices
@@ -110,6 +111,23 @@ def test_pretzel_is_mapped_and_its_texture_breaks_at_the_cuts_only():
     on_loops = np.zeros(surface.vertex_count, dtype=bool)
     on_loops[result.vertex_origin[result.loops]] = True
     assert np.array_equal(copies, np.where(on_loops, 2, 1))
+    latitude, longitude = np.pi * (0.5 - (np.arange(64) + 0.5) / 64), 2.0 * np.pi * (np.arange(128) + 0.5) / 128
+    flat = np.cos(latitude)[:, None]
+    direction = [flat * np.cos(longitude), flat * np.sin(longitude), np.sin(latitude)[:, None] + 0.0 * longitude]
+    picture = np.rint(127.5 + 120.0 * np.stack(direction, axis=-1)).astype(np.uint8)
+    ends, jumps = jumps_across_edges(omtwarp.texture(result, picture, atlas="equirectangular", size=512))
+    cut = _on_loops(result, ends.mean(axis=1))
+    assert len(jumps) > 1.5 * surface.face_count and jumps[~cut].max() < 4.0
+    assert cut.any() and jumps[cut].min() > 50.0
+
+
+def _on_loops(result: omtwarp.SurfaceMap, points: np.ndarray) -> np.ndarray:
+    """Which points lie on the edges of the loops."""
+    loops = np.split(result.loops, result.loop_ends[:-1])
+    a = result.vertices[np.concatenate(loops)]
+    along = result.vertices[np.concatenate([np.roll(loop, -1) for loop in loops])] - a
+    share = np.clip(((points[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
+    return np.linalg.norm(a + share[..., None] * along - points[:, None], axis=2).min(axis=1) < 1e-6
 
 
 def test_handles_without_leave_to_cut_are_refused():

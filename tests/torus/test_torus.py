@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy import ndimage
+from texture_truths import jumps_across_edges
 
 import omtwarp
 from omtwarp.mesh import shapes
@@ -50,25 +53,24 @@ def test_lattice_of_a_ring_torus_is_the_one_it_is_conformal_to():
 
 
 def test_transport_of_a_density_of_one_coordinate_is_monotone_rearrangement():
-    """Masses that depend on x alone move along x to where as much mass lies before them as area."""
-    columns, rows = 40, 8
-    places, faces, wraps = grid_torus(columns, rows)
-    side = np.sqrt(SPHERE_AREA)
-    # The surface's points say nothing but which triangles there are: masses are given, and shapes are of right angles.
-    flat = FlatTorus(quantised(places), wraps, side * np.eye(2))
-    middle = flat.corners(faces)[..., 0].mean(axis=1)
-    density = 1.0 + 0.5 * np.sin(2.0 * np.pi * middle)
-    bent = ring_torus(3.0, columns, rows)
-    surface = Surface(bent.vertices, faces, density)
-    moved = transport_on_torus(surface, flat)
-    assert moved.converged
-    columns_of_mass = surface.vertex_areas.reshape(columns, rows).sum(axis=1) / SPHERE_AREA
-    goal = np.cumsum(columns_of_mass) - 0.5 * columns_of_mass  # up to one constant
-    x = (moved.points[:, 0] / side).reshape(columns, rows).mean(axis=1)
-    apart = x - goal
-    assert np.ptp(apart) < 0.02 * np.ptp(goal - places[::rows, 0]) + 0.01
-    apart_y = moved.points[:, 1] / side - places[:, 1]
-    assert np.ptp(apart_y) < 0.02
+    """Masses that depend on x alone move along x to where as much mass lies before them, to second order."""
+    errors, costs = [], []
+    side, wave = np.sqrt(SPHERE_AREA), 2.0 * np.pi
+    for columns in (10, 20, 40):
+        places, faces, wraps = grid_torus(columns, 6)
+        # The surface says which triangles there are: masses are given, and shapes are of right angles.
+        flat = FlatTorus(quantised(places), wraps, side * np.eye(2))
+        middle = flat.corners(faces)[..., 0].mean(axis=1)
+        density = 1.0 + 0.5 * np.sin(wave * middle)
+        moved = transport_on_torus(Surface(ring_torus(3.0, columns, 6).vertices, faces, density), flat)
+        assert moved.converged
+        apart = moved.points / side - places
+        assert np.ptp(apart[:, 1]) < 1e-6
+        wrong = apart[:, 0] + 0.5 / wave * np.cos(wave * places[:, 0])
+        errors.append(float(np.std(wrong)))
+        costs.append(moved.history[-1]["cost"] / SPHERE_AREA**2 - 0.125 / wave**2)
+    assert errors[-1] < 2e-4 and all(one / other > 3.7 for one, other in pairwise(errors)), errors
+    assert abs(costs[-1]) < 1e-5 and all(one / other > 3.7 for one, other in pairwise(costs)), costs
 
 
 @pytest.mark.parametrize("surface", [ring_torus(2.0, 36, 20), shapes.rings(1, cell=0.3)], ids=["ring", "implicit"])
@@ -98,6 +100,10 @@ def test_map_is_one_to_one_keeps_areas_and_closes_up(surface, tmp_path):
     # Up to whole pictures, the copies of a vertex have one place in the picture.
     assert np.array_equal(textured.uv % 1.0, (result.coordinates % 1.0)[textured.welded])
     assert np.allclose(textured.trimesh().area, own.sum())
+    u, v = np.meshgrid(2.0 * np.pi * (np.arange(64) + 0.5) / 64, 2.0 * np.pi * (np.arange(64) + 0.5) / 64)
+    picture = np.rint(127.5 + 120.0 * np.stack([np.sin(u), np.cos(v), np.sin(u + v)], axis=-1)).astype(np.uint8)
+    _, jumps = jumps_across_edges(result.textured(picture))
+    assert len(jumps) == 3 * surface.face_count // 2 and jumps.max() < 1e-9
 
 
 def test_a_flip_is_seen_in_the_universal_cover():
@@ -153,15 +159,22 @@ def test_ring_torus_keeps_areas_in_proportion_and_faces_outwards():
 
 def test_ring_torus_goes_to_its_closed_form():
     """Areas of a ring torus depend on the tube's angle alone: it goes to where as much area lies before it."""
-    columns, rows = 48, 32
-    result = omtwarp.map_surface(ring_torus(2.0, columns, rows))
-    tilt = 2.0 * np.pi * np.tile(np.arange(rows) / rows, columns)
-    goal = (tilt + 0.5 * np.sin(tilt)) / (2.0 * np.pi)
-    found = result.coordinates[:, 0]  # the ring is longer than the tube
-    spread = [np.abs(np.exp(2.0j * np.pi * (sign * found - goal)).mean()) for sign in (1.0, -1.0)]
-    assert max(spread) > 1.0 - 2e-4
-    assert result.report["optimality"]["gap"] < 1e-3 and result.report["optimality"]["relative_curl"] < 0.02
-    assert result.report["optimality"]["wrapped"] == 0
+    errors, shapes_of_lattice = [], []
+    for rows in (12, 24, 48):
+        columns = 3 * rows // 2
+        result = omtwarp.map_surface(ring_torus(2.0, columns, rows))
+        tilt = 2.0 * np.pi * np.tile(np.arange(rows) / rows, columns)
+        goal = (tilt + 0.5 * np.sin(tilt)) / (2.0 * np.pi)
+        found = result.coordinates[:, 0]  # the ring is longer than the tube
+        turns = [np.exp(2.0j * np.pi * (sign * found - goal)) for sign in (1.0, -1.0)]
+        apart = [np.angle(turn / turn.mean()) / (2.0 * np.pi) for turn in turns]
+        errors.append(min(float(np.sqrt((each**2).mean())) for each in apart))
+        along = np.linalg.norm(result.lattice, axis=1)
+        shapes_of_lattice.append(float(along[1] / along[0] - np.sqrt(3.0)))
+        measured = result.report["optimality"]
+        assert measured["gap"] < 3e-4 and measured["relative_curl"] < 0.02 and measured["wrapped"] == 0
+    assert errors[-1] < 3e-4 and all(one / other > 3.7 for one, other in pairwise(errors)), errors
+    assert all(one / other > 3.7 for one, other in pairwise(shapes_of_lattice)), shapes_of_lattice
 
 
 def test_map_does_not_depend_on_the_loops_that_it_starts_from():
