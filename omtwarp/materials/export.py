@@ -14,7 +14,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import MARK, companion, staged
 from omtwarp.materials.base import Bytes, PaintedArrays
 from omtwarp.materials.gltf import glb_bytes
-from omtwarp.texturing.export import png_bytes
+from omtwarp.texturing.image import png_bytes
 from omtwarp.texturing.textured import vertex_normals
 
 SUFFIXES = (".glb", ".obj")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import threading
 import warnings
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import MARK
 from omtwarp.inputs import open_input
 from omtwarp.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 
@@ -133,6 +135,19 @@ def as_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype == np.uint8:
         return image
     return np.clip(image * np.float32(255.0) + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
+
+
+def png_bytes(image: NDArray[np.uint8]) -> bytes:
+    """An image as a PNG file."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    stream = io.BytesIO()
+    level = 4 if image.size < 30_000_000 else 3  # a tenth more bytes than at Pillow's 6, in a third of the time
+    origin = PngInfo()
+    origin.add_text("Software", MARK.decode())  # tells a later run that the file may be replaced
+    Image.fromarray(image).save(stream, format="PNG", compress_level=level, pnginfo=origin)
+    return stream.getvalue()
 
 
 def _first_line(error: BaseException) -> str:

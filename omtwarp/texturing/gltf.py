@@ -1,0 +1,135 @@
+"""Binary glTF 2.0 files in the making: views of one buffer, accessors to them, pictures, and one mesh."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.texturing.image import png_bytes
+
+REPEAT, CLAMP = 10497, 33071  # glTF 2.0, sampler.wrapS and wrapT
+LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
+FLOAT, UNSIGNED_INT = 5126, 5125
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+TRIANGLES = 4
+KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+
+
+class GltfFile:
+    """The parts of a file so far.
+
+    Args:
+        wraps: whether pictures repeat to the right.
+        wraps_rows: whether they repeat upwards; on a sphere the poles would bleed into each other.
+    """
+
+    def __init__(self, wraps: bool, wraps_rows: bool):
+        self._buffer = bytearray()
+        self._views: list[dict[str, Any]] = []
+        self._accessors: list[dict[str, Any]] = []
+        self._images: list[dict[str, Any]] = []
+        self._known: dict[int, int] = {}
+        self._sampler = {
+            "magFilter": LINEAR,
+            "minFilter": LINEAR_MIPMAP_LINEAR,
+            "wrapS": REPEAT if wraps else CLAMP,
+            "wrapT": REPEAT if wraps_rows else CLAMP,
+        }
+
+    def _view(self, content: bytes, target: int | None = None) -> int:
+        """Append bytes and return the number of their view."""
+        self._buffer.extend(b"\0" * (-len(self._buffer) % 4))
+        entry: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": len(content)}
+        if target is not None:
+            entry["target"] = target
+        self._views.append(entry)
+        self._buffer.extend(content)
+        return len(self._views) - 1
+
+    def accessor(self, array: NDArray[Any], bounds: bool = False) -> int:
+        """Append rows of numbers, float32 or uint32 indices, and return the number of their accessor."""
+        indices = array.dtype == np.uint32
+        entry: dict[str, Any] = {
+            "bufferView": self._view(array.tobytes(), ELEMENT_ARRAY_BUFFER if indices else ARRAY_BUFFER),
+            "componentType": UNSIGNED_INT if indices else FLOAT,
+            "count": len(array),
+            "type": KINDS[1 if array.ndim == 1 else array.shape[1]],
+        }
+        if bounds:
+            entry["min"] = [float(x) for x in array.min(axis=0)]
+            entry["max"] = [float(x) for x in array.max(axis=0)]
+        self._accessors.append(entry)
+        return len(self._accessors) - 1
+
+    def texture(self, picture: NDArray[np.uint8], name: str) -> dict[str, int]:
+        """Embed a picture, once however many materials share it, and return how a material refers to it."""
+        if id(picture) not in self._known:
+            self._known[id(picture)] = len(self._images)
+            view = self._view(png_bytes(picture))
+            self._images.append({"bufferView": view, "mimeType": "image/png", "name": name})
+        return {"index": self._known[id(picture)], "texCoord": 0}
+
+    def content(self, primitives: list[dict[str, Any]], materials: list[dict[str, Any]]) -> bytes:
+        """The whole file, with one mesh of triangles.
+
+        Args:
+            primitives: attributes and indices of each, by the numbers of their accessors.
+            materials: of the primitives, one each.
+        """
+        document: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "omtwarp"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0, "name": "surface"}],
+            "meshes": [
+                {
+                    "name": "surface",
+                    "primitives": [
+                        primitive | {"material": number, "mode": TRIANGLES}
+                        for number, primitive in enumerate(primitives)
+                    ],
+                }
+            ],
+            "materials": materials,
+        }
+        if self._images:
+            textures = [{"sampler": 0, "source": source} for source in range(len(self._images))]
+            document |= {"textures": textures, "samplers": [self._sampler], "images": self._images}
+        blob = bytes(self._buffer) + b"\0" * (-len(self._buffer) % 4)
+        buffers = [{"byteLength": len(blob)}]
+        document |= {"accessors": self._accessors, "bufferViews": self._views, "buffers": buffers}
+        text = json.dumps(document, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(blob))
+        return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+
+
+def single_precision(values: NDArray[np.float64], name: str) -> NDArray[np.float32]:
+    """Numbers in the precision that the format has.
+
+    Args:
+        values: any shape.
+        name: what to call them in a message.
+
+    Raises:
+        OmtwarpError: they are too large for it.
+    """
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest > np.finfo(np.float32).max:
+        raise OmtwarpError(
+            f"cannot write {name} up to {largest:.3g} as GLB, which holds 32-bit numbers: scale the mesh down"
+        )
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def flipped_rows(uv: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Texture coordinates [N, 2] with their origin at the top left, where the format has it."""
+    return np.ascontiguousarray(np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1), dtype=np.float32)
+
+
+__all__ = ["GltfFile", "flipped_rows", "single_precision"]
