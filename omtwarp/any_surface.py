@@ -106,20 +106,15 @@ def map_surface(
     vertices, faces = _arrays(mesh)
     parts = parts_of(vertices, faces)
     together = together and len(parts) > 1
-    if together and (domain != Domain.AUTO or options.get("exact")):
-        raise OmtwarpError("parts side by side lie on caps: leave domain and exact out")
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
         return map_to_sphere(mesh, progress=progress, **options)
     if options.pop("target", None) is not None:
         raise OmtwarpError("a target density is for closed, connected surfaces of genus 0")
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
         return _on_torus(parts[0], progress, options)
+    _check_domain(domain, len(parts), components, together, bool(options.get("exact")))
     weights = options.pop("weights", None)
     shares = None if weights is None else face_weights(weights, np.asarray(faces), len(vertices))
-    if domain == Domain.TORUS:
-        raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
-    if len(parts) > 1 and not components:
-        raise OmtwarpError(f"the surface has {len(parts)} parts: components=True maps each by itself")
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
     maps = [
@@ -130,11 +125,34 @@ def map_surface(
     if together:
         maps, centres, sizes = _side_by_side(maps, [_mass(part, shares) for part in parts])
         caps = centres, sizes
+    _certify(maps)
+    return maps[0] if len(maps) == 1 else joined(maps, len(vertices), caps)
+
+
+def _check_domain(domain: Domain, part_count: int, components: bool, together: bool, exact: bool) -> None:
+    """Make sure that the parts of a surface that is neither sphere nor torus can be mapped to the domain.
+
+    Raises:
+        OmtwarpError: they cannot, or not with these options.
+    """
+    if together and (domain != Domain.AUTO or exact):
+        raise OmtwarpError("parts side by side lie on caps: leave domain and exact out")
+    if domain == Domain.TORUS:
+        raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
+    if part_count > 1 and not components:
+        raise OmtwarpError(f"the surface has {part_count} parts: components=True maps each by itself")
+
+
+def _certify(maps: list[SurfaceMap]) -> None:
+    """Put the certificates of maps into their reports.
+
+    Raises:
+        OmtwarpError: one is not one to one.
+    """
     for each in maps:
         each.report["certificate"] = each.certificate.to_dict()
         if not each.certificate.bijective:
             raise OmtwarpError(f"no map to the {each.domain} that is one to one was found: {each.certificate}")
-    return maps[0] if len(maps) == 1 else joined(maps, len(vertices), caps)
 
 
 def _slit(part: Part) -> Part:

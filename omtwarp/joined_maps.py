@@ -18,25 +18,15 @@ def joined(
     """One map of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
 
     The input's vertices and faces keep their order. Vertices that split edges, and copies made by cuts, follow.
+    One function, as every array of the whole follows from the same numbering.
 
     Args:
         maps: of the parts, with vertices and faces of origins in the input.
         vertex_count: of the input.
         caps: where parts lie side by side on one sphere, centres and shares of their caps.
     """
-    count, numbers, split = vertex_count, [], []
-    taken = np.zeros(vertex_count, dtype=bool)
-    for part in maps:
-        origin = _known(part.vertex_origin)
-        first = np.zeros(len(origin), dtype=bool)
-        given = np.flatnonzero(origin >= 0)
-        first[given[np.unique(origin[given], return_index=True)[1]]] = True
-        number = np.where(first, origin, -1)
-        taken[origin[first]] = True
-        number[~first] = count + np.arange(int((~first).sum()))
-        count += int((~first).sum())
-        numbers.append(number)
-        split.append(number[_known(part.split_edges)])
+    numbers, count = _numbers(maps, vertex_count)
+    split = [number[_known(part.split_edges)] for number, part in zip(numbers, maps, strict=True)]
     faces = np.concatenate([number[part.faces] for number, part in zip(numbers, maps, strict=True)])
     face_origin = np.concatenate([_known(part.face_origin) for part in maps])
     order = np.argsort(face_origin, kind="stable")
@@ -76,6 +66,21 @@ def joined(
     report["stages"][0] |= result.distortion().to_dict() | {"transport_cost": 0.0}
     report["certificate"] = result.certificate.to_dict()
     return result
+
+
+def _numbers(maps: list[SurfaceMap], count: int) -> tuple[list[NDArray], int]:
+    """Numbers of the vertices of each part in the whole, and how many there are: the input's first, then new ones."""
+    numbers = []
+    for part in maps:
+        origin = _known(part.vertex_origin)
+        first = np.zeros(len(origin), dtype=bool)
+        given = np.flatnonzero(origin >= 0)
+        first[given[np.unique(origin[given], return_index=True)[1]]] = True
+        number = np.where(first, origin, -1)
+        number[~first] = count + np.arange(int((~first).sum()))
+        count += int((~first).sum())
+        numbers.append(number)
+    return numbers, count
 
 
 def _known(values: NDArray | None) -> NDArray:

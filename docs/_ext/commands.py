@@ -27,7 +27,7 @@ class CommandLine(Directive):
         section = nodes.section(ids=[nodes.make_id(title)], names=[nodes.fully_normalize_name(title)])
         section += nodes.title(title, title)
         self.state.document.note_implicit_target(section, section)
-        first, *more = [" ".join(part.split()) for part in (command.help or "").split("\n\n")]
+        first, *more = [" ".join(part.split()) for part in (command.help or "").partition("\f")[0].split("\n\n")]
         section += nodes.paragraph(first, first)
         usage = " ".join(["omtwarp", name, *command.collect_usage_pieces(context)])
         section += nodes.literal_block(usage, usage, language="text")

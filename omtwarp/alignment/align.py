@@ -166,10 +166,7 @@ def align(
         if features or to_features or mirror:
             raise OmtwarpError("aligning by the shape's own axes takes neither features nor mirror images")
         return align_to_axes(given)
-    if not isinstance(by, str) or by not in ("auto", "features", "vertices"):
-        raise OmtwarpError(f"cannot align by '{by}': use auto, features or vertices")
-    if not 1 <= check_degree(degree) <= 64:
-        raise OmtwarpError(f"the degree is {degree}: give a whole number from 1 to 64")
+    _check_options(by, degree)
     moving, fixed = as_points(given, "the map"), as_points(to, "the template")
     if set(features or {}) != set(to_features or {}):
         raise OmtwarpError("features have to be given for both sides, with the same names")
@@ -189,6 +186,18 @@ def align(
         if image.score > found.score:
             found = replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
     return replace(found, basis=one_surface) if one_surface else found
+
+
+def _check_options(by: str, degree: int) -> None:
+    """Make sure that there is such a way to align, and that degree.
+
+    Raises:
+        OmtwarpError: there is not.
+    """
+    if not isinstance(by, str) or by not in ("auto", "features", "vertices"):
+        raise OmtwarpError(f"cannot align by '{by}': use auto, features or vertices")
+    if not 1 <= check_degree(degree) <= 64:
+        raise OmtwarpError(f"the degree is {degree}: give a whole number from 1 to 64")
 
 
 def _same_faces(one: SpherePoints, other: SpherePoints) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from omtwarp.options import Progress
@@ -38,6 +38,16 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
             bars.update(tasks[stage], completed=done, total=total or None, words=words)
 
         yield report
+
+
+def steps(progress: Progress | None, stage: str, total: int) -> Callable[[int], None]:
+    """A function that tells how many of a command's steps are done, where somebody is to be told."""
+
+    def notify(done: int) -> None:
+        if progress is not None:
+            progress(stage, done, total, {})
+
+    return notify
 
 
 def _word(name: str, value: Any) -> str:

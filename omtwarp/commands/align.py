@@ -80,9 +80,11 @@ def align_map(
     the sphere, or those given.
 
     Example: omtwarp align lh.npz --to template.npz -o lh_aligned.npz
+    \f
+    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.alignment import align
-    from omtwarp.commands._progress import progress_bar
+    from omtwarp.commands._progress import progress_bar, steps
     from omtwarp.commands._work import report_text
     from omtwarp.mesh.neuro import require_same_structure
     from omtwarp.mesh.write import SUFFIXES, write_mesh
@@ -97,10 +99,10 @@ def align_map(
         for theirs in (other, to_surface):
             require_same_structure(ours, theirs)
     with progress_bar(quiet) as progress:
+        notify = steps(progress, "align", 3)
         moving = file_points(source, surface)
         fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)
-        if progress is not None:
-            progress("align", 1, 3, {})
+        notify(1)
         names, mine, others = _features(feature or [], to_feature or [])
         found = align(
             moving,
@@ -111,15 +113,13 @@ def align_map(
             mirror=mirror,
             degree=degree,
         )
-        if progress is not None:
-            progress("align", 2, 3, {})
+        notify(2)
         if output.suffix.lower() == ".npz":
             _save_map(source, output, found)
         else:
             faces = moving.grid.triangles[:, ::-1] if found.mirrored else moving.grid.triangles
             write_mesh(output, radius * found.sphere, faces, spherical=True, like=source)
-        if progress is not None:
-            progress("align", 3, 3, {})
+        notify(3)
     if as_json:
         print(report_text({"output": str(output), **found.to_dict()}), end="")
     elif not quiet:

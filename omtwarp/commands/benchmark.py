@@ -76,6 +76,8 @@ def benchmark(
     """Time every stage and its memory on meshes of several sizes, beside one sparse factorisation by SciPy.
 
     Takes a minute or two with the sizes it has by default, and no network.
+    \f
+    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.commands._work import report_text, say, start_device
     from omtwarp.files import check_output, staged

@@ -89,6 +89,8 @@ def cohort(
 
     DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html. Example:
     omtwarp cohort 'sub-*/surf/lh.white' -o out --time-limit 600 --memory-limit 4
+    \f
+    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.cohort import read_manifest, run_cohort
 

@@ -83,7 +83,10 @@ def film_map(
     verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Film a map without a display: it flows from conformal to optimal, then the surface turns into its sphere."""
+    """Film a map without a display: it flows from conformal to optimal, then the surface turns into its sphere.
+    \f
+    One function, as most of its lines are options and where they are passed on.
+    """
     from omtwarp.commands._progress import progress_bar
     from omtwarp.commands._work import map_from, start_device, tell
     from omtwarp.render.films import film

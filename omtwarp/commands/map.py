@@ -124,9 +124,10 @@ def map_mesh(
 
     A surface with holes, handles or several parts is mapped with --hemisphere, --disk, --cap, --fill-area, --cut and
     --components; "omtwarp check" says what each would do with it.
+    \f
+    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.commands._work import (
-        composed,
         each,
         make_map,
         outputs_of,
@@ -138,13 +139,13 @@ def map_mesh(
     )
     from omtwarp.mesh.write import SUFFIXES
 
+    if torus and beside:
+        raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
     targets = outputs_of(meshes, output, ".ply" if beside else ".npz")
     reports = outputs_of(meshes, report, ".json")
     for target, report_target in zip(targets, reports, strict=True):
         if target is not None:
             check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
-            if torus and beside:
-                raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
         if report_target is not None:
             check_output(report_target, (".json",), *meshes, target)
     rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap, torus), strict=True) if given]
@@ -177,20 +178,10 @@ def map_mesh(
             device=device,
         )
         require_bijective(result)
-        shape = None
-        if sound.vertex_of_file is not None and result.vertex_origin is None and any_surface is None:
-            result = replace(result, vertex_of_file=sound.vertex_of_file)
-            shape = sound.file_faces
-        if sound.origins:
-            vertices, faces = sound.origins["vertex_origin"], sound.origins["face_origin"]
-            result = replace(
-                result,
-                vertex_origin=composed(result.vertex_origin, vertices),
-                face_origin=composed(result.face_origin, faces),
-            )
+        result, file_faces = as_in_file(result, sound, any_surface is None)
         assert target is not None
         with staged(target) as file:
-            save(result, file, like=mesh, radius=radius, beside=beside, file_faces=shape)
+            save(result, file, like=mesh, radius=radius, beside=beside, file_faces=file_faces)
         report_target = reports[targets.index(target)]
         if report_target is not None:
             source = {"path": str(mesh), "notes": sound.notes}
@@ -207,6 +198,32 @@ def map_mesh(
     finally:
         if as_json:
             print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
+
+
+def as_in_file(result: Any, sound: Input, to_sphere: bool) -> tuple[Any, NDArray | None]:
+    """Tell a map where its vertices and faces come from in the file.
+
+    Args:
+        result: the map.
+        sound: the mesh that was mapped.
+        to_sphere: whether it had to be a sphere.
+
+    Returns:
+        The map, and the file's faces where vertices that are doubled along seams are to be written as there.
+    """
+    from omtwarp.commands._work import composed
+
+    file_faces = None
+    if sound.vertex_of_file is not None and result.vertex_origin is None and to_sphere:
+        result = replace(result, vertex_of_file=sound.vertex_of_file)
+        file_faces = sound.file_faces
+    if sound.origins:
+        result = replace(
+            result,
+            vertex_origin=composed(result.vertex_origin, sound.origins["vertex_origin"]),
+            face_origin=composed(result.face_origin, sound.origins["face_origin"]),
+        )
+    return result, file_faces
 
 
 def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:

@@ -84,7 +84,10 @@ def preview_mesh(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw a surface without a display."""
+    """Draw a surface without a display.
+    \f
+    One function, as most of its lines are options and where they are passed on.
+    """
     from omtwarp.commands._work import tell
     from omtwarp.render import Camera, preview
 

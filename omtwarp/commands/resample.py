@@ -76,8 +76,10 @@ def resample_map(
     bounds and signs. Without --data the surface is written with the target's triangles: the same mesh for all subjects.
 
     Example: omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o thickness.shape.gii
+    \f
+    One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._progress import progress_bar
+    from omtwarp.commands._progress import progress_bar, steps
     from omtwarp.commands._work import report_text, start_device
     from omtwarp.mesh.neuro import require_same_structure
     from omtwarp.resampling import file_points, resample
@@ -93,11 +95,7 @@ def resample_map(
     chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
     start_device(device)
     with progress_bar(quiet) as progress:
-
-        def notify(done: int) -> None:
-            if progress is not None:
-                progress("resample", done, 3, {})
-
+        notify = steps(progress, "resample", 3)
         ends = [file_points(source, surface), file_points(to, None)]
         notify(1)
         found = resample(*ends, method=chosen, device=device)

@@ -138,16 +138,25 @@ def texture_mesh(
     """Texture a surface through its map to the sphere, with a picture or a pattern.
 
     Of a map to a torus the texture closes up both ways: a picture that repeats, circles or a checker.
+    \f
+    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.commands._work import map_from, require_bijective, start_device, tell
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.export import SUFFIXES
-    from omtwarp.texturing.sharpness import sharp_size
 
     check_output(output, SUFFIXES, mesh, finished, image)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
     width = None if size in (None, "auto") else int(str(size)[:9])
+    mapping = {"method": method, "until": until, "cost": cost, "scheme": scheme, "refine": refine, "solver": solver}
+    looks: dict[str, Any] = {
+        "pattern": pattern.value if pattern else None,
+        "projection": projection.value,
+        "atlas": atlas.value,
+        "size": width,
+        "rotate": rotation(rotate),
+    }
     if uv is Coordinates.OWN or keep_materials is not None or bake:
         if size == "auto":
             raise OmtwarpError("--size auto is of an atlas alone, without --uv own, --keep-materials and --bake")
@@ -162,61 +171,27 @@ def texture_mesh(
             bool(repair),
             quiet,
             as_json,
-            {"method": method, "until": until, "cost": cost, "scheme": scheme, "refine": refine, "solver": solver},
+            mapping,
             image=image,
-            pattern=pattern.value if pattern else None,
             uv=uv.value,
             keep=keep_materials.value if keep_materials else None,
             opacity=opacity,
             bake=bake or (),
-            projection=projection.value,
-            atlas=atlas.value,
-            rotate=rotation(rotate),
-            size=width,
             device=device,
+            **looks,
         )
         return
     if detail is not None:
         raise OmtwarpError("--detail is for --bake normal: add that")
-    turn = rotation(rotate)
     cut = seam if seam == "auto" else one_number(seam, "--seam")
     start_device(device)
     picture = read_image(image) if image is not None else None
-    result = map_from(
-        mesh,
-        finished,
-        repair=repair,
-        quiet=quiet,
-        device=device,
-        torus=True,
-        verbose=verbose,
-        method=method,
-        until=until,
-        cost=cost,
-        scheme=scheme,
-        refine=refine,
-        solver=solver,
-    )
+    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping)
     require_bijective(result, finished)
     blurred = ""
     if size == "auto":
-        if getattr(result, "textured", None) is not None:
-            raise OmtwarpError("--size auto is of textures on the sphere, and this map is one to a torus")
-        chosen = sharp_size(result.vertices, result.faces, result.sphere, atlas.value)
-        width = chosen.size
-        if chosen.coarse:
-            blurred = f"; on {100.0 * chosen.coarse:.1g} % of the surface texels cover more than 1.5 pixels at 1024"
-    textured = texture(
-        result,
-        picture,
-        pattern=pattern.value if pattern else None,
-        projection=projection.value,
-        atlas=atlas.value,
-        rotate=turn,
-        seam_longitude=cut,
-        size=width,
-        device=device,
-    )
+        looks["size"], blurred = _sharp_size(result, atlas.value)
+    textured = texture(result, picture, seam_longitude=cut, device=device, **looks)
     files = textured.export(output, keep=(mesh, finished, image))
     height, width = textured.image.shape[:2]
     facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(result.vertices)}
@@ -229,6 +204,21 @@ def texture_mesh(
 def _with_files(files: list[Path]) -> str:
     """The files that lie beside the one that was asked for, which is the last."""
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
+
+
+def _sharp_size(result: Any, atlas: str) -> tuple[int, str]:
+    """The size at which no texel shows, and where the largest one still leaves some, in words.
+
+    Raises:
+        OmtwarpError: the map is one to a torus.
+    """
+    from omtwarp.texturing.sharpness import sharp_size
+
+    if getattr(result, "textured", None) is not None:
+        raise OmtwarpError("--size auto is of textures on the sphere, and this map is one to a torus")
+    chosen = sharp_size(result.vertices, result.faces, result.sphere, atlas)
+    share = f"; on {100.0 * chosen.coarse:.1g} % of the surface texels cover more than 1.5 pixels at 1024"
+    return chosen.size, share if chosen.coarse else ""
 
 
 def _paint(

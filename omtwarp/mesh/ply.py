@@ -88,6 +88,8 @@ def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float
 def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
     """The elements, the byte order (``<`` or ``>``, None for text), and what follows the header.
 
+    One function, as each kind of line that a header has is read in a line or two.
+
     Raises:
         ValueError: no header, or one that cannot be understood.
     """

@@ -201,6 +201,10 @@ class _Newton:
         iterations: int,
         progress: Progress | None,
     ) -> OptimalMap:
+        """Take steps until the map is as good as asked for.
+
+        One function, as every decision on how to go on rests on the same matrix, step and map.
+        """
         energy = self.energy
         points = vectors(sphere, self.device)
         terms = energy.terms(points)

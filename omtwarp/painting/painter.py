@@ -23,7 +23,7 @@ from omtwarp.texturing.image import as_bytes, as_floats, read_image
 from omtwarp.texturing.patterns import PATTERNS, Pattern
 from omtwarp.texturing.projection import rotation_matrix
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
-from omtwarp.texturing.textured import SphereMap, as_map, texture, vertex_normals
+from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, texture, vertex_normals
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -282,38 +282,21 @@ class _Job:
             (self.vertices, self.faces, self.sphere), projection=projection, atlas=atlas, rotate=rotate,
             size=layout_size, device=str(self.where), **given,
         )  # fmt: skip
-        height, width = made.image.shape[:2]
-        count = int(made.welded.max()) + 1
-        first = np.zeros(count, dtype=np.int64)
-        first[made.welded[::-1]] = np.arange(len(made.welded))[::-1]
-        faces = made.welded[made.faces].astype(np.int32)
-        corner_uv = made.uv[made.faces]
-        weights = _weights(made.vertices[made.faces], self.vertices[self.faces[made.source_face]])
-        materials = (Material("texture"),) if self.own is None or self.keep is None else self.own.materials
-        numbers = None if len(materials) == 1 else np.asarray(self.own.material_of if self.own else 0)[made.source_face]
-        mesh = PaintedMesh(
-            made.vertices[first], faces, corner_uv, materials, numbers, wraps_rows=False,
-            source_files=() if self.own is None else self.own.source_files,
-        )  # fmt: skip
+        mesh = self._atlas_mesh(made)
+        assert mesh.uv is not None
         target = bakes.Target(
-            corner_uv,
+            mesh.uv,
             made.vertices[made.faces],
             made.normals[made.faces],
             made.source_face,
-            weights,
-            (width, height),
+            _weights(made.vertices[made.faces], self.vertices[self.faces[made.source_face]]),
+            (made.image.shape[1], made.image.shape[0]),
             self.where,
         )
         color = None if source is None else _with_opacity(as_floats(made.image))
         if color is not None and self.keep is not None and self.own is not None:
-            own = self.own
-            layout = Layout(corner_uv, width, height, self.where)
-            at = None if own.uv is None else np.einsum("tij,tjc->tic", weights, own.uv[made.source_face])
-            colors = None if own.vertex_colors is None else target.spread(own.vertex_colors / 255.0, self.faces)
-            at = None if at is None else np.nan_to_num(at)
-            base = bake_materials(layout, at, mesh.material_of, own.materials, colors, -1)
-            color = self._together(color, base)
-        shared = self._finish(materials[0], color, target, self._tangents(mesh))
+            color = self._together(color, self._atlas_base(self.own, mesh, target))
+        shared = self._finish(mesh.materials[0], color, target, self._tangents(mesh))
         return replace(
             mesh,
             materials=tuple(
@@ -327,9 +310,34 @@ class _Job:
                     roughness_picture=None,
                     emission_picture=None,
                 )
-                for material in materials
+                for material in mesh.materials
             ),
         )
+
+    def _atlas_mesh(self, made: TexturedSurface) -> PaintedMesh:
+        """The mesh of an atlas, its vertices joined along the seams, with the materials that are kept."""
+        first = np.zeros(int(made.welded.max()) + 1, dtype=np.int64)
+        first[made.welded[::-1]] = np.arange(len(made.welded))[::-1]
+        materials = (Material("texture"),) if self.own is None or self.keep is None else self.own.materials
+        numbers = None if len(materials) == 1 else np.asarray(self.own.material_of if self.own else 0)[made.source_face]
+        return PaintedMesh(
+            made.vertices[first],
+            made.welded[made.faces].astype(np.int32),
+            made.uv[made.faces],
+            materials,
+            numbers,
+            wraps_rows=False,
+            source_files=() if self.own is None else self.own.source_files,
+        )
+
+    def _atlas_base(self, own: PaintedMesh, mesh: PaintedMesh, target: bakes.Target) -> NDArray[np.float32]:
+        """The colours that a mesh's own materials have on its atlas."""
+        assert mesh.uv is not None
+        layout = Layout(mesh.uv, *target.size, self.where)
+        at = None if own.uv is None else np.einsum("tij,tjc->tic", target.weights, own.uv[target.face])
+        colors = None if own.vertex_colors is None else target.spread(own.vertex_colors / 255.0, self.faces)
+        at = None if at is None else np.nan_to_num(at)
+        return bake_materials(layout, at, mesh.material_of, own.materials, colors, -1)
 
 
 def _is_pattern(source: str | Pattern) -> bool:

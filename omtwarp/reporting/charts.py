@@ -146,47 +146,67 @@ def curve(
         return html("")
     values = [b for _, b in points] + ([level[0]] if level else [])
     ticks = log_ticks(min(values), max(values)) if logarithmic else nice_ticks(min(values), max(values), 5)
-    low, high = ticks[0], ticks[-1]
-    left, right, top, bottom = 64.0, WIDTH - 12.0, 30.0, height - 44.0
-    last = max(1.0, *(a for a, _ in points))
-
-    def px(value: float) -> float:
-        return left + value / last * (right - left)
-
-    def py(value: float) -> float:
-        if logarithmic:
-            share = (math.log(value) - math.log(low)) / (math.log(high) - math.log(low))
-        else:
-            share = (value - low) / (high - low)
-        return bottom - share * (bottom - top)
-
-    parts = [element("text", y_label, class_="axis-name", x=0, y=14)]
-    for tick in ticks:
-        at = py(tick)
-        name = power_of_ten(tick) if logarithmic else f"{tick:.6g}"
-        parts.append(element("line", class_="grid", x1=left, x2=right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
-        parts.append(element("text", name, class_="tick", x=left - 8, y=f"{at + 4:.1f}", text_anchor="end"))
-    for tick in nice_ticks(0.0, last, 6):
-        if tick <= last:
-            place = {"x": f"{px(tick):.1f}", "y": f"{bottom + 18:.0f}", "text_anchor": "middle"}
-            parts.append(element("text", f"{tick:.6g}", class_="tick", **place))
-    parts.append(element("text", x_label, class_="axis-name", x=right, y=f"{bottom + 36:.0f}", text_anchor="end"))
+    plot = _Plot(max(1.0, *(a for a, _ in points)), ticks, logarithmic, height)
+    parts = plot.axes(x_label, y_label)
     if level:
-        at = py(level[0])
-        parts.append(element("line", class_="level", x1=left, x2=right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
-        parts.append(element("text", level[1], class_="remark", x=right, y=f"{at - 6:.1f}", text_anchor="end"))
-    line = " ".join(f"{px(a):.1f},{py(b):.1f}" for a, b in points)
+        at = plot.y(level[0])
+        parts.append(element("line", class_="level", x1=plot.left, x2=plot.right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
+        parts.append(element("text", level[1], class_="remark", x=plot.right, y=f"{at - 6:.1f}", text_anchor="end"))
+    line = " ".join(f"{plot.x(a):.1f},{plot.y(b):.1f}" for a, b in points)
     ink = f"--ink:var({colour})"
     parts.append(element("polyline", class_="curve", style=ink, points=line))
     for a, b in (points[0], points[-1]):
-        parts.append(element("circle", class_="dot", style=ink, cx=f"{px(a):.1f}", cy=f"{py(b):.1f}", r=3.5))
+        place = {"cx": f"{plot.x(a):.1f}", "cy": f"{plot.y(b):.1f}"}
+        parts.append(element("circle", class_="dot", style=ink, **place, r=3.5))
     if mark and 0 <= mark[0] < len(points):
         a, b = points[mark[0]]
-        anchor, shift = ("start", 10) if px(a) < 0.6 * right else ("end", -10)
-        parts.append(element("circle", class_="ring", style=ink, cx=f"{px(a):.1f}", cy=f"{py(b):.1f}", r=6))
-        place = {"x": f"{px(a) + shift:.1f}", "y": f"{py(b) - 10:.1f}", "text_anchor": anchor}
+        anchor, shift = ("start", 10) if plot.x(a) < 0.6 * plot.right else ("end", -10)
+        place = {"cx": f"{plot.x(a):.1f}", "cy": f"{plot.y(b):.1f}"}
+        parts.append(element("circle", class_="ring", style=ink, **place, r=6))
+        place = {"x": f"{plot.x(a) + shift:.1f}", "y": f"{plot.y(b) - 10:.1f}", "text_anchor": anchor}
         parts.append(element("text", mark[1], class_="remark", **place))
     return _svg(height, title, description, parts)
+
+
+class _Plot:
+    """Where values lie in a chart of a curve.
+
+    Args:
+        last: the largest value of x; the least is 0.
+        ticks: values of y with a line across, ascending, which enclose all others.
+        logarithmic: scale of y.
+        height: of the chart.
+    """
+
+    def __init__(self, last: float, ticks: Sequence[float], logarithmic: bool, height: float):
+        self.last, self.ticks, self.logarithmic = last, ticks, logarithmic
+        self.left, self.right, self.top, self.bottom = 64.0, WIDTH - 12.0, 30.0, height - 44.0
+
+    def x(self, value: float) -> float:
+        return self.left + value / self.last * (self.right - self.left)
+
+    def y(self, value: float) -> float:
+        low, high = self.ticks[0], self.ticks[-1]
+        if self.logarithmic:
+            share = (math.log(value) - math.log(low)) / (math.log(high) - math.log(low))
+        else:
+            share = (value - low) / (high - low)
+        return self.bottom - share * (self.bottom - self.top)
+
+    def axes(self, x_label: str, y_label: str) -> list[Markup]:
+        """Lines and numbers of both axes, and their names."""
+        parts = [element("text", y_label, class_="axis-name", x=0, y=14)]
+        for tick in self.ticks:
+            at = self.y(tick)
+            name = power_of_ten(tick) if self.logarithmic else f"{tick:.6g}"
+            parts.append(element("line", class_="grid", x1=self.left, x2=self.right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
+            parts.append(element("text", name, class_="tick", x=self.left - 8, y=f"{at + 4:.1f}", text_anchor="end"))
+        for tick in nice_ticks(0.0, self.last, 6):
+            if tick <= self.last:
+                place = {"x": f"{self.x(tick):.1f}", "y": f"{self.bottom + 18:.0f}", "text_anchor": "middle"}
+                parts.append(element("text", f"{tick:.6g}", class_="tick", **place))
+        place = {"x": self.right, "y": f"{self.bottom + 36:.0f}", "text_anchor": "end"}
+        return [*parts, element("text", x_label, class_="axis-name", **place)]
 
 
 def nice_ticks(low: float, high: float, count: int) -> list[float]:

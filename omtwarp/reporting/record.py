@@ -52,7 +52,10 @@ def shown_history(result: Any) -> list[dict[str, Any]]:
 
 
 def _fitting(value: Any, shape: Any) -> Any:
-    """The value as far as it has the shape; None where it has not."""
+    """The value as far as it has the shape; None where it has not.
+
+    One function, as it calls itself for what a dict or a list holds.
+    """
     if isinstance(shape, dict):
         if not isinstance(value, dict):
             return None

@@ -232,7 +232,10 @@ class _Newton:
         self.damping = LEAST_DAMPING
 
     def run(self, points: Floats, iterations: int, progress: Any) -> TorusTransport:
-        """Take steps until the map is as good as asked for."""
+        """Take steps until the map is as good as asked for.
+
+        One function, as every decision on how to go on rests on the same matrix, step and map.
+        """
         energy = self.energy
         terms = energy.terms(points)
         if self.constrained and not self.known:
