@@ -205,8 +205,8 @@ class _Plot:
             if tick <= self.last:
                 place = {"x": f"{self.x(tick):.1f}", "y": f"{self.bottom + 18:.0f}", "text_anchor": "middle"}
                 parts.append(element("text", f"{tick:.6g}", class_="tick", **place))
-        place = {"x": self.right, "y": f"{self.bottom + 36:.0f}", "text_anchor": "end"}
-        return [*parts, element("text", x_label, class_="axis-name", **place)]
+        below = f"{self.bottom + 36:.0f}"
+        return [*parts, element("text", x_label, class_="axis-name", x=self.right, y=below, text_anchor="end")]
 
 
 def nice_ticks(low: float, high: float, count: int) -> list[float]:
