@@ -14,6 +14,7 @@ ROOT = Path(__file__).parent.parent
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 # Those with arguments, so that they take seconds; without any they do the same on more.
 ARGUMENTS = {
+    "compare_disks.py": ["--heights", "3/4"],
     "cut_by_planes.py": ["--heights", "1/2", "--exact"],
     "mixed_topology.py": ["--count", "3", "--most-faces", "1500"],
     "paper_figures.py": ["--figures", "3", "8", "9"],

@@ -131,8 +131,19 @@ def test_small_filling_takes_a_hundredth():
     result = omtwarp.map_surface(mesh, domain="sphere", fill_area="small", device="cpu")
     areas = triangle_areas(result.filled_sphere, result.filled_faces)
     # A hundredth, and what the rings at its edge share with the surface.
-    assert areas[result.filled_loop >= 0].sum() < 0.016 * areas.sum()
+    assert areas[result.filled_loop >= 0].sum() < 0.018 * areas.sum()
     assert result.report["certificate"]["bijective"] and result.distortion().area["surface"] < 2.02
+    assert not result.report["warnings"]
+
+
+def test_small_filling_of_half_a_coarse_sphere_converges():
+    """Its sides are a quarter of those of the mesh; with a hundredth of the sphere they would be a ninth."""
+    ball = shapes.icosphere(6)
+    mesh = without(ball, ball.vertices[:, 2] > -0.3)
+    result = omtwarp.map_surface(mesh, domain="sphere", fill_area="small", optimality=False, device="cpu")
+    areas = triangle_areas(result.filled_sphere, result.filled_faces)
+    assert 0.02 < areas[result.filled_loop >= 0].sum() / areas.sum() < 0.04
+    assert not result.report["warnings"] and result.certificate.bijective
 
 
 def test_parts_are_mapped_each_by_itself_in_the_order_of_the_input(tmp_path):
