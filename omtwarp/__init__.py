@@ -10,7 +10,7 @@ Names are loaded when they are first used, so that ``import omtwarp`` costs noth
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 # The module that every public name comes from; `shapes` is itself a module.
 _PUBLIC = {
@@ -60,6 +60,7 @@ _PUBLIC = {
 _MODULES = {"benchmark": "omtwarp.benchmark", "shapes": "omtwarp.mesh.shapes"}
 
 if TYPE_CHECKING:
+    __version__: str
     from omtwarp import benchmark as benchmark
     from omtwarp.alignment import align as align
     from omtwarp.any_surface import map_surface as map_surface
@@ -107,9 +108,9 @@ if TYPE_CHECKING:
 __all__ = ["__version__", *_PUBLIC, *_MODULES]  # noqa: PLE0604 (ruff cannot see that all are texts)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name == "__version__":
-        value: Any = importlib.import_module("omtwarp.version").package_version()
+        value: object = importlib.import_module("omtwarp.version").package_version()
     elif name in _PUBLIC:
         value = getattr(importlib.import_module(_PUBLIC[name]), name)
     elif name in _MODULES:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypedDict, TypeVar, Unpack, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import solving_with
 from omtwarp.errors import OmtwarpError
 from omtwarp.joined_maps import joined
 from omtwarp.measures.weights import face_weights
+from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
@@ -21,10 +22,11 @@ from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetr
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
 from omtwarp.open_surfaces.planar import mend_in_plane, mend_on_sphere
-from omtwarp.options import Domain, FillArea, MapOptions, Progress, Solver, choose, parse_refinement
+from omtwarp.options import Domain, FillArea, MapKeywords, MapOptions, Progress, Solver, choose, parse_refinement
 from omtwarp.pipeline import map_double, map_to_sphere
-from omtwarp.result import MapResult
+from omtwarp.result import MapResult, MeshReport, SurfaceReport
 from omtwarp.surface_map import SurfaceMap
+from omtwarp.texturing.density import TargetLike
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops, loop_length
 from omtwarp.topology.doubling import Double, double, quartered_double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
@@ -48,13 +50,11 @@ ROUNDS_APART, LESS_COVERED = 6, 0.85
 
 AnyMap = TypeVar("AnyMap", bound=MapResult)
 
-_AT_VERTICES = ("sphere", "conformal", "density", "source", "moser", "transported")  # arrays of a map
-
 Floats = NDArray[np.float64]
 
 
 def map_surface(
-    mesh: Any,
+    mesh: MeshLike,
     *,
     domain: str = Domain.AUTO,
     fill_area: str = FillArea.NATURAL,
@@ -62,7 +62,9 @@ def map_surface(
     together: bool = False,
     cut: bool = True,
     progress: Progress | None = None,
-    **options: Any,
+    weights: ArrayLike | None = None,
+    target: TargetLike | None = None,
+    **options: Unpack[MapKeywords],
 ) -> MapResult | TorusMap:
     """Map a surface with holes, with handles, or of several parts, to its natural domain.
 
@@ -88,8 +90,10 @@ def map_surface(
             proportion to those of the parts; closed parts are slit open. ``domain`` is then left at ``auto``.
         cut: whether a surface with handles is cut along a short loop around each, and both sides filled small.
         progress: called as ``progress(stage, done, total, details)``.
+        weights: of vertices or triangles, see :func:`omtwarp.map_to_sphere`; not for a torus.
+        target: the density on the sphere, see :func:`omtwarp.map_to_sphere`; for closed, connected surfaces of genus 0.
         options: those of :func:`omtwarp.map_to_sphere`: ``method``, ``until``, ``cost``, ``scheme``, ``refine``,
-            ``weights``, ``device``, ...
+            ``device``, ...
 
     Returns:
         The map: a :class:`omtwarp.MapResult` for a closed, connected surface of genus 0, a :class:`omtwarp.TorusMap`
@@ -111,14 +115,16 @@ def map_surface(
     parts = parts_of(vertices, faces)
     together = together and len(parts) > 1
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
-        return map_to_sphere(mesh, progress=progress, **options)
-    if options.pop("target", None) is not None:
+        return map_to_sphere(mesh, weights=weights, target=target, progress=progress, **options)
+    if target is not None:
         raise OmtwarpError("a target density is for closed, connected surfaces of genus 0")
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
+        if weights is not None:
+            raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
         return _on_torus(parts[0], progress, options)
     _check_domain(domain, len(parts), components, together, bool(options.get("exact")))
-    weights = options.pop("weights", None)
-    shares = None if weights is None else face_weights(weights, np.asarray(faces), len(vertices))
+    count = len(np.asarray(vertices))
+    shares = None if weights is None else face_weights(weights, np.asarray(faces), count)
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
     maps = [
@@ -130,7 +136,7 @@ def map_surface(
         maps, centres, sizes = _side_by_side(maps, [_mass(part, shares) for part in parts])
         caps = centres, sizes
     _certify(maps)
-    return maps[0] if len(maps) == 1 else joined(maps, len(vertices), caps)
+    return maps[0] if len(maps) == 1 else joined(maps, count, caps)
 
 
 def _check_domain(domain: Domain, part_count: int, components: bool, together: bool, exact: bool) -> None:
@@ -222,7 +228,7 @@ def _placed(each: SurfaceMap, centre: Floats, share: float) -> SurfaceMap:
     length = float(across @ across)
     turn = np.eye(3) - (2.0 / length) * np.outer(across, across) if length > 0.0 else np.eye(3)
     frame = turn @ np.diag([-1.0, 1.0, 1.0]) if length > 0.0 else turn
-    about = each.report["surface"] | {"share_of_sphere": share, "centre": centre.tolist()}
+    about: SurfaceReport = each.report["surface"] | {"share_of_sphere": share, "centre": centre.tolist()}
     turned = _turned(each, frame.T)
     filled = None if each.filled_sphere is None else each.filled_sphere @ frame.T
     return replace(turned, domain=Domain.CAP, filled_sphere=filled, report=each.report | {"surface": about})
@@ -237,17 +243,16 @@ def _reach(each: SurfaceMap, centre: Floats) -> float:
     return float(np.arccos(np.clip(np.concatenate([rim[:, 0], middle]) @ centre, -1.0, 1.0)).max())
 
 
-def _on_torus(part: Part, progress: Progress | None, options: dict[str, Any]) -> TorusMap:
+def _on_torus(part: Part, progress: Progress | None, options: MapKeywords) -> TorusMap:
     """The map to a flat torus.
 
     Raises:
         OmtwarpError: options that only maps to the sphere have.
     """
-    if options.get("weights") is not None:
-        raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
     standard = MapOptions()
+    given = cast(Mapping[str, object], options)
     for name in ("method", "until", "cost", "scheme"):
-        if options.get(name, getattr(standard, name)) != getattr(standard, name):
+        if given.get(name, getattr(standard, name)) != getattr(standard, name):
             raise OmtwarpError(f"'{name}' is an option of maps to the sphere: a map to a torus has none")
     with solving_with(choose(Solver, options.get("solver", standard.solver))):
         return map_to_torus(
@@ -260,7 +265,7 @@ def _on_torus(part: Part, progress: Progress | None, options: dict[str, Any]) ->
         )
 
 
-def _arrays(mesh: Any) -> tuple[Any, Any]:
+def _arrays(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
     """Vertices and faces of any of the accepted forms, unchecked."""
     if isinstance(mesh, tuple | list) and len(mesh) == 2:
         return mesh[0], mesh[1]
@@ -300,7 +305,7 @@ def _map_part(
     fill_area: str,
     cut: bool,
     progress: Progress | None,
-    options: dict[str, Any],
+    options: MapKeywords,
     weights: Floats | None,
 ) -> SurfaceMap:
     if domain == "auto":
@@ -364,9 +369,34 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
         loops=loops,
         filled=FilledSurface(points, faces, np.repeat(opened.filled.patch, PARTS)),
     )
-    arrays = {name: getattr(closed, name) for name in _AT_VERTICES}
-    turned: dict[str, Any] = {name: None if points is None else points[order] for name, points in arrays.items()}
-    return cut, replace(closed, **turned)
+    return cut, replace(closed, **_at_vertices(closed, order))
+
+
+class _AtVertices(TypedDict):
+    """The arrays of a map that have a row for every vertex, but for the positions."""
+
+    sphere: Floats
+    conformal: Floats
+    density: Floats
+    source: Floats | None
+    moser: Floats | None
+    transported: Floats | None
+
+
+def _at_vertices(closed: MapResult, which: NDArray[np.int64]) -> _AtVertices:
+    """Rows of some vertices."""
+
+    def rows(points: Floats | None) -> Floats | None:
+        return None if points is None else points[which]
+
+    return {
+        "sphere": closed.sphere[which],
+        "conformal": closed.conformal[which],
+        "density": closed.density[which],
+        "source": rows(closed.source),
+        "moser": rows(closed.moser),
+        "transported": rows(closed.transported),
+    }
 
 
 def _own_half(closed: MapResult, glued: Double) -> MapResult:
@@ -375,8 +405,6 @@ def _own_half(closed: MapResult, glued: Double) -> MapResult:
     number = np.full(len(glued.mirror), -1, dtype=np.int64)
     number[half] = np.arange(count)
     own = slice(0, len(closed.faces) // 2)
-    arrays = {name: getattr(closed, name) for name in _AT_VERTICES}
-    kept: dict[str, Any] = {name: None if points is None else points[half] for name, points in arrays.items()}
     return replace(
         closed,
         vertices=closed.vertices[half],
@@ -385,7 +413,7 @@ def _own_half(closed: MapResult, glued: Double) -> MapResult:
         measure=None if closed.measure is None else closed.measure[own],
         vertex_origin=None,
         face_origin=None,
-        **kept,
+        **_at_vertices(closed, half),
     )
 
 
@@ -452,9 +480,9 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
     filled = bool(opened.loops)
     stages = list(closed.report["stages"])
     measured = measure_triangles(opened.vertices, opened.faces, sphere[:count]).to_dict()
-    stages[-1] = stages[-1] | measured  # the others are of the surface that was mapped
-    mesh = {"vertices": count, "faces": face_count, "extent": np.ptp(part.vertices, axis=0).tolist()}
-    about = {
+    stages[-1] = {**stages[-1], **measured}  # the others are of the surface that was mapped
+    mesh: MeshReport = {"vertices": count, "faces": face_count, "extent": np.ptp(part.vertices, axis=0).tolist()}
+    about: SurfaceReport = {
         "domain": domain,
         "boundary_loops": len(part.loops),
         "genus": part.genus,
@@ -506,12 +534,12 @@ def _turned(closed: AnyMap, frame: Floats) -> AnyMap:
 
 
 def _on_hemisphere(
-    part: Part, opened: _Opened, half: Surface, domain: str, progress: Progress | None, options: dict[str, Any]
+    part: Part, opened: _Opened, half: Surface, domain: str, progress: Progress | None, options: MapKeywords
 ) -> SurfaceMap:
     glued = double(opened.filled.vertices, opened.filled.faces)
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
-    chosen = MapOptions.parse(**(vars(MapOptions()) | options))
+    chosen = MapOptions.parse(**(cast(MapKeywords, vars(MapOptions())) | options))
     closed = map_double(glued, surface, chosen, progress=progress, stacklevel=5)
     if chosen.exact:
         cut = quartered_double(glued, quarter(surface))

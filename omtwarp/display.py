@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import polyscope
+    import pyvista
     from PIL.Image import Image
 
 
-def _viewers() -> Any:
+def _viewers() -> ModuleType:
     # They are built on maps, which are built on this: so they are loaded by name, and only when something is shown.
     return importlib.import_module("omtwarp.reporting.notebook")
 
@@ -21,7 +24,7 @@ class Shown:
         """The view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""
         return _viewers().notebook_view(self)
 
-    def plot(self, *, pattern: str = "circles", size: tuple[int, int] = (640, 480), **options: Any) -> Image:
+    def plot(self, *, pattern: str = "circles", size: tuple[int, int] = (640, 480), **options: object) -> Image:
         """Draw the map: the surface, with a pattern carried to it.
 
         Args:
@@ -37,7 +40,7 @@ class Shown:
         """
         return _viewers().plot(self, pattern=pattern, size=size, **options)
 
-    def to_pyvista(self) -> Any:
+    def to_pyvista(self) -> pyvista.PolyData:
         """Hand the map to PyVista: ``result.to_pyvista().plot(scalars="area_ratio")``.
 
         Returns:
@@ -49,7 +52,7 @@ class Shown:
         """
         return _viewers().to_pyvista(self)
 
-    def to_polyscope(self, name: str = "surface") -> Any:
+    def to_polyscope(self, name: str = "surface") -> polyscope.SurfaceMesh:
         """Hand the map to Polyscope: the surface and its sphere side by side; ``polyscope.show()`` opens the window.
 
         Args:

@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from types import FrameType
 
 from omtwarp.errors import OmtwarpError
 
@@ -319,7 +319,7 @@ def _tidy_when_interrupted(folder: Path) -> Iterator[None]:
         yield  # somebody else (a test, a notebook) handles interruptions: they raise, and the caller tidies up
         return
 
-    def tidy(number: int, frame: Any = None) -> None:
+    def tidy(number: int, frame: FrameType | None = None) -> None:
         shutil.rmtree(folder, ignore_errors=True)
         _die_by(number)
 

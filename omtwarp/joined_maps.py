@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.result import MapReport
 from omtwarp.surface_map import SEVERAL, SurfaceMap
 
-_PER_VERTEX = ("vertices", "sphere", "conformal", "density", "source", "moser", "transported", "disk")
+Floats = NDArray[np.float64]
 
 
 def joined(
@@ -33,14 +35,15 @@ def joined(
     labels = np.repeat(np.arange(len(maps)), [len(part.faces) for part in maps])
     place = np.concatenate(numbers)
 
-    def at_vertices(name: str) -> Any:
-        values = [getattr(part, name) for part in maps]
-        if any(value is None for value in values):
-            return None
+    def at_vertices(values: list[Floats]) -> Floats:
         stacked = np.concatenate(values)
         out = np.zeros((count, *stacked.shape[1:]), dtype=stacked.dtype)
         out[place] = stacked
         return out
+
+    def where_all_have(values: list[Floats | None]) -> Floats | None:
+        known = [value for value in values if value is not None]
+        return at_vertices(known) if len(known) == len(maps) else None
 
     vertex_origin = np.full(count, -1, dtype=np.int64)
     vertex_origin[place] = np.concatenate([_known(part.vertex_origin) for part in maps])
@@ -49,7 +52,14 @@ def joined(
     domains = sorted({part.domain for part in maps})
     report = _report(maps)
     result = SurfaceMap(
-        **{name: at_vertices(name) for name in _PER_VERTEX},
+        vertices=at_vertices([part.vertices for part in maps]),
+        sphere=at_vertices([part.sphere for part in maps]),
+        conformal=at_vertices([part.conformal for part in maps]),
+        density=at_vertices([part.density for part in maps]),
+        source=where_all_have([part.source for part in maps]),
+        moser=where_all_have([part.moser for part in maps]),
+        transported=where_all_have([part.transported for part in maps]),
+        disk=where_all_have([part.disk for part in maps]),
         faces=faces[order].astype(np.int32),
         face_density=None if any(d is None for d in densities) else np.concatenate(densities)[order],  # type: ignore[arg-type]
         measure=np.concatenate(measures)[order] if len(measures) == len(maps) else None,
@@ -63,7 +73,8 @@ def joined(
         cap_shares=None if caps is None else caps[1],
         **_filling(maps, numbers, count, at_vertices),
     )
-    report["stages"][0] |= result.distortion().to_dict() | {"transport_cost": 0.0}
+    report["stages"][0].update(result.distortion().to_dict())
+    report["stages"][0]["transport_cost"] = 0.0
     report["certificate"] = result.certificate.to_dict()
     return result
 
@@ -88,7 +99,21 @@ def _known(values: NDArray | None) -> NDArray:
     return values
 
 
-def _filling(maps: list[SurfaceMap], numbers: list[NDArray], count: int, at_vertices: Any) -> dict[str, Any]:
+class _Filling(TypedDict, total=False):
+    """The arrays of a :class:`SurfaceMap` about filled loops."""
+
+    loops: NDArray[np.int64]
+    loop_ends: NDArray[np.int64]
+    loop_pairs: NDArray[np.int64] | None
+    filled_vertices: Floats
+    filled_sphere: Floats
+    filled_faces: NDArray[np.int64]
+    filled_loop: NDArray[np.int64]
+
+
+def _filling(
+    maps: list[SurfaceMap], numbers: list[NDArray], count: int, at_vertices: Callable[[list[Floats]], Floats]
+) -> _Filling:
     """The arrays about filled loops, none where no loop was filled."""
     if all(part.loops is None for part in maps):
         return {}
@@ -119,22 +144,31 @@ def _filling(maps: list[SurfaceMap], numbers: list[NDArray], count: int, at_vert
         "loops": np.concatenate(loops),
         "loop_ends": np.concatenate(ends),
         "loop_pairs": np.concatenate(pairs) if pairs else None,
-        "filled_vertices": np.concatenate([at_vertices("vertices"), *points]),
-        "filled_sphere": np.concatenate([at_vertices("sphere"), *images]),
+        "filled_vertices": np.concatenate([at_vertices([part.vertices for part in maps]), *points]),
+        "filled_sphere": np.concatenate([at_vertices([part.sphere for part in maps]), *images]),
         "filled_faces": np.concatenate(faces)[order],
         "filled_loop": filled[order],
     }
 
 
-def _report(maps: list[SurfaceMap]) -> dict[str, Any]:
+def _report(maps: list[SurfaceMap]) -> MapReport:
     """The reports of the parts, and one certificate for all."""
     first = maps[0].report
-    same = ("versions", "device", "method", "cost", "scheme", "refine", "options")
-    return {name: first[name] for name in same if name in first} | {
-        "mesh": {name: sum(part.report["mesh"][name] for part in maps) for name in ("vertices", "faces")},
-        "seconds": sum(part.report["seconds"] for part in maps),
-        "stages": [{"name": "parts", "seconds": sum(part.report["seconds"] for part in maps), "iterations": 0}],
-        "warnings": [dict(finding, part=k) for k, part in enumerate(maps) for finding in part.report["warnings"]],
+    seconds = sum(part.report["seconds"] for part in maps)
+    return {
+        "versions": first["versions"],
+        "device": first["device"],
+        "method": first["method"],
+        "cost": first["cost"],
+        "scheme": first["scheme"],
+        "refine": first["refine"],
+        "mesh": {
+            "vertices": sum(part.report["mesh"]["vertices"] for part in maps),
+            "faces": sum(part.report["mesh"]["faces"] for part in maps),
+        },
+        "seconds": seconds,
+        "stages": [{"name": "parts", "seconds": seconds, "iterations": 0}],
+        "warnings": [finding | {"part": k} for k, part in enumerate(maps) for finding in part.report["warnings"]],
         "parts": [part.report for part in maps],
     }
 

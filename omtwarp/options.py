@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeAlias, TypeVar
+from typing import NotRequired, TypeAlias, TypedDict, TypeVar
 
 from omtwarp.errors import OmtwarpError
 
@@ -200,6 +200,46 @@ def parse_device(value: object) -> str:
     return name
 
 
+class ChosenOptions(TypedDict):
+    """The options that shape a map, as a report has them; ``exact`` where it was asked for."""
+
+    method: str
+    cost: str
+    scheme: str
+    refine: str | float | None
+    exact: NotRequired[bool]
+
+
+class MapChoices(TypedDict, total=False):
+    """The options of :func:`omtwarp.map_to_sphere` by name, for functions that hand them on, without the device."""
+
+    method: str
+    until: str
+    cost: str
+    scheme: str
+    refine: str | float | AreaMatch | None
+    exact: bool
+    optimality: bool
+    solver: str
+    strict: bool
+
+
+class MapKeywords(MapChoices, total=False):
+    """The options of :func:`omtwarp.map_to_sphere` by name, for functions that hand them on."""
+
+    device: str | None
+
+
+class SurfaceKeywords(TypedDict, total=False):
+    """The options that :func:`omtwarp.map_surface` has beside those of a map to the sphere."""
+
+    domain: str
+    fill_area: str
+    components: bool
+    together: bool
+    cut: bool
+
+
 @dataclass(frozen=True)
 class MapOptions:
     """The options of :func:`omtwarp.map_to_sphere`, parsed; the defaults are here and nowhere else.
@@ -276,13 +316,20 @@ class MapOptions:
         wanted = every[: every.index(last) + 1]
         return tuple(stage for stage in wanted if stage is not Stage.REFINE or self.refine is not None)
 
-    def to_dict(self) -> dict[str, str | float | None]:
+    def to_dict(self) -> ChosenOptions:
         """Return the options that shape a map, for a report; without those that the method does not use."""
         if self.method in (Method.TUTTE, Method.MEAN_VALUE):
             return {"method": str(self.method), "cost": "", "scheme": "", "refine": None}
         weight = str(self.refine) if isinstance(self.refine, Refinement | AreaMatch) else self.refine
-        told = {"method": str(self.method), "cost": str(self.cost), "scheme": str(self.scheme), "refine": weight}
-        return told | ({"exact": True} if self.exact else {})
+        chosen: ChosenOptions = {
+            "method": str(self.method),
+            "cost": str(self.cost),
+            "scheme": str(self.scheme),
+            "refine": weight,
+        }
+        if self.exact:
+            chosen["exact"] = True
+        return chosen
 
 
 __all__ = [

@@ -6,7 +6,7 @@ import platform
 import time
 import warnings
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 import scipy
@@ -26,7 +26,7 @@ from omtwarp.flips.rings import is_bijective
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
-from omtwarp.mesh.checks import as_surface
+from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -41,9 +41,9 @@ from omtwarp.optimal.energy import AREA_WEIGHT
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage
 from omtwarp.refine.solver import Refiner
-from omtwarp.result import MapResult, StageRecord
+from omtwarp.result import MapReport, MapResult, StageRecord
 from omtwarp.start.choice import bijective_start, shrunken_triangles
-from omtwarp.texturing.density import as_target
+from omtwarp.texturing.density import TargetLike, as_target
 from omtwarp.topology.doubling import Double, quartered_double
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.flow import optimal_transport, transport_cost
@@ -97,7 +97,7 @@ UNIMPROVED = 1.1
 
 @blas_threads(1)
 def map_to_sphere(
-    mesh: Any,
+    mesh: MeshLike,
     *,
     method: str = MapOptions.method,
     until: str = MapOptions.until,
@@ -107,7 +107,7 @@ def map_to_sphere(
     exact: bool = MapOptions.exact,
     optimality: bool = MapOptions.optimality,
     weights: ArrayLike | None = None,
-    target: Any = None,
+    target: TargetLike | None = None,
     device: str | None = MapOptions.device,
     solver: str = MapOptions.solver,
     strict: bool = MapOptions.strict,
@@ -264,7 +264,7 @@ class _Run:
         assert self.first is not None
         return self.first
 
-    def notify(self, stage: str, done: int, total: int, details: dict[str, Any]) -> None:
+    def notify(self, stage: str, done: int, total: int, details: Record) -> None:
         if self.progress is not None:
             self.progress(str(stage), done, total, details)
 
@@ -414,7 +414,7 @@ class _Run:
         steps = repaired = 0
         for k in range(MOSER_PASSES):
 
-            def notify(stage: str, done: int, total: int, details: dict[str, Any], before: int = k) -> None:
+            def notify(stage: str, done: int, total: int, details: Record, before: int = k) -> None:
                 self.notify(stage, before * total + done, MOSER_PASSES * total, {})
 
             flowed = moser_map(
@@ -526,17 +526,19 @@ class _Run:
         """The discrete optimal map with a weight of the shape term; symmetric where the map given is."""
         assert self.source is not None
         shrunken = shrunken_triangles(self.surface, self.source) > 0
-        common: dict[str, Any] = {
-            "start": self.source,
-            "shape_weight": weight,
-            "area_weight": SHRUNKEN_AREA_WEIGHT if shrunken else AREA_WEIGHT,
-            "multipliers": multipliers,
-            "device": self.device,
-            "progress": self.progress,
-        }
+        solve = optimal_map
         if self.mirror is not None and is_symmetric(self.mirror, sphere):
-            return symmetric_optimal_map(self.mirror, self.surface, sphere, **common)
-        return optimal_map(self.surface, sphere, **common)
+            solve = partial(symmetric_optimal_map, self.mirror)
+        return solve(
+            self.surface,
+            sphere,
+            start=self.source,
+            shape_weight=weight,
+            area_weight=SHRUNKEN_AREA_WEIGHT if shrunken else AREA_WEIGHT,
+            multipliers=multipliers,
+            device=self.device,
+            progress=self.progress,
+        )
 
     def shape_excess(self, sphere: NDArray[np.float64]) -> float:
         """How far gap and curl of a map are above what the shape term may cost; at most 1 where they are not."""
@@ -572,7 +574,7 @@ class _Run:
     def keep_every_area(self) -> None:
         """The optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
 
-        def notify(stage: str, done: int, total: int, details: dict[str, Any]) -> None:
+        def notify(stage: str, done: int, total: int, details: Record) -> None:
             self.notify(EXACT, done, total, details)
 
         give_back()
@@ -592,11 +594,10 @@ class _Run:
         # Great circles cut what is one to one into what is one to one, but for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.mend(self.sphere, self.sphere)
-        common: dict[str, Any] = {"start": self.source, "shape_weight": weight, "device": self.device}
+        solve = exact_map
         if self.mirror is not None and is_symmetric(self.mirror, before):
-            found = symmetric_exact_map(self.mirror, quartered, before, **common, progress=notify)
-        else:
-            found = exact_map(quartered, before, **common, progress=notify)
+            solve = partial(symmetric_exact_map, self.mirror)
+        found = solve(quartered, before, start=self.source, shape_weight=weight, device=self.device, progress=notify)
         known = len(self.history)
         self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
         sphere, repaired = self.mend(before, found.sphere)
@@ -711,7 +712,7 @@ class _Run:
         self.given_up = f"{flips} flipped triangles were held back towards the map before: {why}"
         return hold_back(self.surface, before, after, device=self.device), flips
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> MapReport:
         """Everything worth knowing about how the map was made, ready for JSON."""
         surface = self.surface
         lengths = surface.vertices.max(axis=0) - surface.vertices.min(axis=0)

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
@@ -21,7 +21,7 @@ from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_triangles
-from omtwarp.options import Record
+from omtwarp.options import ChosenOptions, Record
 
 Array = NDArray[np.float64]
 
@@ -47,6 +47,103 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 # A point's distance from the sphere: what single precision leaves, many times over.
 UNIT_LENGTH = 1e-5
 STAGES = ("sphere", "conformal", "moser", "transported")
+
+
+class StageReport(TypedDict, total=False):
+    """A stage in a report: a :class:`StageRecord` as plain values, and what else the stage says of itself."""
+
+    name: str
+    seconds: float
+    iterations: int
+    flips: int
+    degree: float
+    finite: bool
+    area: dict[str, float]
+    angle: dict[str, float]
+    transport_cost: float
+    repaired: int
+    converged: bool
+    ended: str
+    route: str
+    reason: str
+    axes: str
+    gave_up: str
+    weight: str | float | None
+    shape_weight: float
+    largest_area_error: float
+    largest_ring_error: float
+    area_error: float
+
+
+class Warned(TypedDict, total=False):
+    """A warning in a report: its kind, the worst place, its text, and the part of the surface where there are many."""
+
+    kind: str
+    where: int
+    text: str
+    part: int
+
+
+class MeshReport(TypedDict, total=False):
+    """The size of a mesh: its numbers of vertices and faces, and the sides of its bounding box."""
+
+    vertices: int
+    faces: int
+    extent: list[float]
+
+
+class SurfaceReport(TypedDict, total=False):
+    """Changes to a surface that is no sphere before it was mapped."""
+
+    domain: str
+    boundary_loops: int
+    genus: int
+    split_edges: int
+    filled_loops: int
+    mapped_surface: MeshReport | None
+    share_of_sphere: float
+    centre: list[float]
+
+
+class MapReport(ChosenOptions, total=False):
+    """How a map was made, as plain values ready for JSON.
+
+    A report that was read from a file has the fields that the file has.
+    """
+
+    mesh: MeshReport
+    versions: dict[str, str]
+    device: str
+    solver: str
+    start: dict[str, str]
+    seconds: float
+    mass: dict[str, float]
+    stages: list[StageReport]
+    certificate: Mapping[str, int | float | None]
+    optimality: Mapping[str, float | int | None]
+    warnings: list[Warned]
+    surface: SurfaceReport
+    alignment: Mapping[str, object]
+    parts: list[MapReport]
+
+
+class _Arrays(TypedDict):
+    """The arrays of a map, in the types of ``LAYOUT``."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    sphere: Array
+    conformal: Array
+    density: Array
+    face_density: NotRequired[Array]
+    source: NotRequired[Array]
+    moser: NotRequired[Array]
+    transported: NotRequired[Array]
+    measure: NotRequired[Array]
+    target: NotRequired[Array]
+    vertex_origin: NotRequired[NDArray[np.int64]]
+    face_origin: NotRequired[NDArray[np.int64]]
+    vertex_of_file: NotRequired[NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -77,10 +174,11 @@ class StageRecord:
     transport_cost: float
     details: Mapping[str, str | float | None] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> StageReport:
         """The record as plain values, ready for JSON; the details stand beside the rest."""
         plain = {name: value for name, value in vars(self).items() if name != "details"}
-        return plain | {"area": dict(self.area), "angle": dict(self.angle)} | dict(self.details)
+        whole = plain | {"area": dict(self.area), "angle": dict(self.angle)} | dict(self.details)
+        return cast(StageReport, whole)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,7 +230,7 @@ class MapResult(Shown):
     face_origin: NDArray[np.int64] | None = None
     vertex_of_file: NDArray[np.int64] | None = None
     history: list[Record] = field(default_factory=list)
-    report: dict[str, Any] = field(default_factory=dict)
+    report: MapReport = field(default_factory=lambda: cast(MapReport, {}))
 
     def __post_init__(self) -> None:
         for name, value in _fitting(vars(self)).items():
@@ -199,7 +297,7 @@ class MapResult(Shown):
         return result
 
 
-def _read_arrays(source: Path) -> dict[str, NDArray[Any]]:
+def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
     """The arrays of a map's file, or an error that says what is wrong with it."""
     with open_input(source, LARGEST_MESH_FILE, "map") as stream:
         try:
@@ -209,7 +307,7 @@ def _read_arrays(source: Path) -> dict[str, NDArray[Any]]:
             raise OmtwarpError(words) from None
 
 
-def _fitting(arrays: Mapping[str, Any]) -> dict[str, Any]:
+def _fitting(arrays: Mapping[str, object]) -> _Arrays:
     """The arrays of a map in their types, those that there are.
 
     Raises:
@@ -224,10 +322,10 @@ def _fitting(arrays: Mapping[str, Any]) -> dict[str, Any]:
     for name in (*STAGES, "source"):
         if name in fitting:
             require_unit_length(fitting[name], name)
-    return fitting
+    return cast(_Arrays, fitting)
 
 
-def require_unit_length(points: Array, name: str) -> None:
+def require_unit_length(points: ArrayLike, name: str) -> None:
     """Make sure that points of a map lie on the unit sphere, as far as single precision tells.
 
     Raises:
@@ -243,7 +341,7 @@ def require_unit_length(points: Array, name: str) -> None:
         )
 
 
-def _read_report(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def _read_report(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[MapReport, list[Record]]:
     """The report and the history; empty where they are missing or are not what they should be."""
     try:
         report = json.loads(str(arrays["report"])) if "report" in arrays else {}
@@ -252,4 +350,4 @@ def _read_report(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], li
     report = report if isinstance(report, dict) else {}
     history = report.pop("history", [])
     entries = history if isinstance(history, list) else []
-    return report, [entry for entry in entries if isinstance(entry, dict)]
+    return cast(MapReport, report), [entry for entry in entries if isinstance(entry, dict)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,15 +162,30 @@ class SurfaceMap(MapResult):
         """
         base = MapResult.load(path)
         with open_input(as_path(path), LARGEST_MESH_FILE, "map") as stream:
-            arrays: dict[str, Any] = read_arrays(stream, (*_LAYOUT, "domain"))
+            arrays = read_arrays(stream, (*_LAYOUT, "domain"))
         domain = str(arrays.pop("domain", "sphere"))
         known = {item.name: getattr(base, item.name) for item in fields(MapResult)}
         try:
-            result = cls(**known, domain=domain, **arrays)
+            result = cls(**known, domain=domain, **cast(_Arrays, arrays))
         except OmtwarpError as error:
             raise OmtwarpError(f"'{path}' is not a map: {error}") from None
         result.report["certificate"] = result.certificate.to_dict()
         return result
+
+
+class _Arrays(TypedDict, total=False):
+    """The arrays that a map of a surface has beside those of :class:`MapResult`, in the types of ``_LAYOUT``."""
+
+    disk: Array
+    split_edges: NDArray[np.int64]
+    part: NDArray[np.int64]
+    loops: NDArray[np.int64]
+    loop_ends: NDArray[np.int64]
+    loop_pairs: NDArray[np.int64]
+    filled_vertices: Array
+    filled_faces: NDArray[np.int64]
+    filled_sphere: Array
+    filled_loop: NDArray[np.int64]
 
 
 def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:

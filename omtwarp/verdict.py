@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import MapOptions, Method, Refinement, Stage
-from omtwarp.result import StageRecord
+from omtwarp.result import StageRecord, Warned
 from omtwarp.spheres import triangle_solid_angles
 
 # Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are
@@ -53,7 +52,7 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.message}; {self.remedy}"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Warned:
         """The finding as plain values, ready for JSON."""
         return {"kind": self.kind, "where": self.where, "text": str(self)}
 

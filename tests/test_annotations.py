@@ -1,4 +1,8 @@
-"""Annotations say what a value is: ``Any`` stands in few modules, and in none of those that the maps come from."""
+"""Annotations say what a value is: ``Any`` stands nowhere.
+
+Warp's own annotations ask for the type of every array at every use, so that mypy skips that package: its arrays,
+devices and kernels, written ``wp.array``, ``wp.Device`` and ``wp.Kernel``, are not checked (see ``pyproject.toml``).
+"""
 
 import ast
 from pathlib import Path
@@ -6,20 +10,20 @@ from pathlib import Path
 import omtwarp
 
 PACKAGE = Path(omtwarp.__file__).parent
-WITHOUT = (
-    "baselines", "conformal", "device", "flips", "geometry", "measures", "moser", "refine", "solvers", "start",
-    "topology", "transport", "triangle_newton", "untangling", "wavelets",
-)  # fmt: skip
 
 
 def names_of_any(file: Path) -> list[int]:
-    """Lines that use the name ``Any``."""
+    """Lines that use the name ``Any``, or the attribute ``typing.Any``."""
     tree = ast.parse(file.read_text("utf-8"))
-    return [node.lineno for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id == "Any"]
+    return [
+        node.lineno
+        for node in ast.walk(tree)
+        if (isinstance(node, ast.Name) and node.id == "Any") or (isinstance(node, ast.Attribute) and node.attr == "Any")
+    ]
 
 
-def test_the_stages_have_no_value_of_any_type():
-    files = [file for name in WITHOUT for file in sorted((PACKAGE / name).rglob("*.py"))]
-    assert len(files) > len(WITHOUT)
-    found = [f"{file.relative_to(PACKAGE)}:{line}" for file in files for line in names_of_any(file)]
+def test_no_value_is_of_any_type():
+    names = [file.relative_to(PACKAGE).as_posix() for file in sorted(PACKAGE.rglob("*.py"))]
+    assert len(names) > 200
+    found = [f"{name}:{line}" for name in names for line in names_of_any(PACKAGE / name)]
     assert found == []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +20,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
 from omtwarp.mesh.arrays import TINY
 from omtwarp.resampling import SpherePoints, as_points
+from omtwarp.resampling.resample import PointsLike
 from omtwarp.result import MapResult
 from omtwarp.spheres import SphereGrid
 
@@ -59,7 +59,7 @@ class Alignment:
     frame: Floats | None = None
     basis: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Everything but the sphere, ready for JSON."""
         plain = {name: value for name, value in vars(self).items() if name not in ("sphere", "rotation", "frame")}
         frame = None if self.frame is None else self.frame.tolist()
@@ -73,7 +73,7 @@ def mirror_image(points: SpherePoints) -> SpherePoints:
     return SpherePoints(grid, None if points.vertices is None else points.vertices @ MIRROR)
 
 
-def align_to_axes(given: Any) -> Alignment:
+def align_to_axes(given: PointsLike) -> Alignment:
     """Turn a map's sphere by the main axes of its shape, as SPHARM has it.
 
     The part of degree 1 of the surface's coordinates, x ≈ c + A u, maps the sphere to the first-order ellipsoid. The
@@ -113,8 +113,8 @@ def align_to_axes(given: Any) -> Alignment:
 
 
 def align(
-    given: Any,
-    to: Any = "axes",
+    given: PointsLike,
+    to: PointsLike = "axes",
     *,
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
@@ -230,14 +230,22 @@ def turned_map(result: MapResult, alignment: Alignment) -> MapResult:
         result: the map that was aligned.
         alignment: what :func:`align` returned for it.
     """
-    spheres: dict[str, Any] = {}
-    for name in ("sphere", "conformal", "source", "moser", "transported"):
-        points = getattr(result, name, None)
-        if points is not None:
-            spheres[name] = points @ alignment.rotation.T
-    if alignment.mirrored:
-        spheres |= {"vertices": result.vertices @ MIRROR, "faces": np.ascontiguousarray(result.faces[:, ::-1])}
-    return replace(result, **spheres, report=result.report | {"alignment": alignment.to_dict()})
+
+    def turned(points: Floats | None) -> Floats | None:
+        return None if points is None else points @ alignment.rotation.T
+
+    mirrored = alignment.mirrored
+    return replace(
+        result,
+        vertices=result.vertices @ MIRROR if mirrored else result.vertices,
+        faces=np.ascontiguousarray(result.faces[:, ::-1]) if mirrored else result.faces,
+        sphere=result.sphere @ alignment.rotation.T,
+        conformal=result.conformal @ alignment.rotation.T,
+        source=turned(result.source),
+        moser=turned(result.moser),
+        transported=turned(result.transported),
+        report=result.report | {"alignment": alignment.to_dict()},
+    )
 
 
 def _by_vertices(moving: SpherePoints, fixed: SpherePoints) -> Alignment:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from omtwarp.alignment.rotation_search import best_rotation, complex_coefficient
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints, as_points, resample
+from omtwarp.resampling.resample import PointsLike
 from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
@@ -47,9 +47,9 @@ class GroupAlignment:
 
 
 def procrustes_mean(
-    maps: Sequence[Any],
+    maps: Sequence[PointsLike],
     *,
-    grid: Any = "ico4",
+    grid: PointsLike = "ico4",
     scale: bool = False,
     degree: int = DEGREE,
     device: str | None = "auto",

@@ -12,11 +12,12 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
+from omtwarp.benchmark.records import Gpu, Machine
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count
 from omtwarp.pipeline import versions
@@ -65,7 +66,7 @@ def _resident(field: str) -> int | None:
     return None
 
 
-def splu_reference(laplacian: Any, right: NDArray[np.float64]) -> tuple[float, float]:
+def splu_reference(laplacian: sparse.csc_matrix, right: NDArray[np.float64]) -> tuple[float, float]:
     """Wall and processor seconds of one default ``scipy.sparse.linalg.splu`` and one solve.
 
     Args:
@@ -79,9 +80,9 @@ def splu_reference(laplacian: Any, right: NDArray[np.float64]) -> tuple[float, f
     return clock.read()
 
 
-def machine(devices: tuple[str, ...]) -> dict[str, Any]:
+def machine(devices: tuple[str, ...]) -> Machine:
     """Describe the machine and the versions of the libraries."""
-    gpus = []
+    gpus: list[Gpu] = []
     for name in devices:
         device = wp.get_device(name)
         if device.is_cuda:

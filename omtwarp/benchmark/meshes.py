@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
-from omtwarp.mesh.checks import as_surface
+from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import Surface
 
@@ -45,8 +46,12 @@ def subdivided(surface: Surface) -> Surface:
     return Surface(np.concatenate([surface.vertices, 0.5 * (ends[:, 0] + ends[:, 1])]), faces)
 
 
+MeshSource: TypeAlias = str | os.PathLike[str] | MeshLike
+"""A mesh to measure: its file, or a surface in any form."""
+
+
 def all_meshes(
-    shapes: tuple[str, ...], sizes: tuple[int, ...], meshes: tuple[Any, ...], subdivisions: int
+    shapes: tuple[str, ...], sizes: tuple[int, ...], meshes: tuple[MeshSource, ...], subdivisions: int
 ) -> Iterator[tuple[str, str, Surface]]:
     """Family, name and surface of every mesh to measure, one in memory at a time.
 
@@ -64,7 +69,7 @@ def all_meshes(
             surface = made(shape, size)
             yield shape, f"{shape}_{label(surface.face_count)}", surface
     for number, mesh in enumerate(meshes):
-        if isinstance(mesh, str | Path):
+        if isinstance(mesh, str | os.PathLike):
             name = Path(mesh).stem
             read = read_mesh(Path(mesh))
             surface = as_surface((read.vertices, read.faces))

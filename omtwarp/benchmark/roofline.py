@@ -13,12 +13,14 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from omtwarp.benchmark.records import FlowTimes, KernelRow, KernelTable
 from omtwarp.device.graphs import step_by_step
 from omtwarp.device.start import wp
+from omtwarp.mesh.surface import Surface
 from omtwarp.pipeline import map_to_sphere
 from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
 
@@ -79,11 +81,11 @@ class LaunchRecorder:
         self,
         kernel: wp.Kernel,
         dim: int | tuple[int, ...],
-        inputs: Any = (),
-        outputs: Any = (),
-        *rest: Any,
-        **options: Any,
-    ) -> Any:
+        inputs: Sequence[object] = (),
+        outputs: Sequence[object] = (),
+        *rest: object,
+        **options: object,
+    ) -> object:
         if options.get("record_cmd") or wp.get_device(options.get("device")) != self.device:
             return self._launch(kernel, dim, inputs, outputs, *rest, **options)
         threads = int(np.prod(dim))
@@ -137,7 +139,7 @@ def copy_bandwidth(device: str, megabytes: int = 256, repeats: int = 5) -> float
     return 16.0 * count / best
 
 
-def kernel_table(surface: Any, device: str, refine: str | float | None) -> dict[str, Any]:
+def kernel_table(surface: Surface, device: str, refine: str | float | None) -> KernelTable:
     """Map a surface with every launch recorded.
 
     Args:
@@ -152,9 +154,10 @@ def kernel_table(surface: Any, device: str, refine: str | float | None) -> dict[
     bandwidth = copy_bandwidth(device)
     with LaunchRecorder(device) as recorder:
         mapped = map_to_sphere((surface.vertices, surface.faces), device=device, refine=refine)
+    assert mapped.moser is not None
     flow = flow_iterations(surface, mapped.conformal, mapped.moser, device)
     flow["part_of_copy"] = flow["bytes"] / flow["seconds"] / bandwidth
-    rows = []
+    rows: list[KernelRow] = []
     for name, record in sorted(recorder.kernels.items(), key=lambda item: -item[1].seconds):
         rate = record.moved / record.seconds if record.seconds > 0.0 else 0.0
         rows.append(
@@ -171,7 +174,7 @@ def kernel_table(surface: Any, device: str, refine: str | float | None) -> dict[
     return {"device": device, "faces": surface.face_count, "bandwidth": bandwidth, "kernels": rows, "flow": flow}
 
 
-def flow_iterations(surface: Any, start: Any, initial: Any, device: str, most: int = 20) -> dict[str, Any]:
+def flow_iterations(surface: Surface, start: ArrayLike, initial: ArrayLike, device: str, most: int = 20) -> FlowTimes:
     """Time an iteration of the transport flow as a map runs it: on CUDA replayed as a graph.
 
     Args:

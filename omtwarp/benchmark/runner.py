@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
 
 from omtwarp.benchmark.measure import Clock, PeakMemory, first_use, machine, splu_reference
-from omtwarp.benchmark.meshes import all_meshes, made
+from omtwarp.benchmark.meshes import MeshSource, all_meshes, made
+from omtwarp.benchmark.records import Benchmark, MapTimes, MeshTimes, StageTimes
 from omtwarp.benchmark.roofline import kernel_table
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.surface import Surface
+from omtwarp.options import Record
 from omtwarp.pipeline import map_to_sphere
 from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
 from omtwarp.solvers.cholesky.saddle import expand
@@ -32,7 +36,7 @@ def run(
     *,
     sizes: Sequence[int] = SIZES,
     shapes: Sequence[str] = ("blob",),
-    meshes: Sequence[Any] = (),
+    meshes: Sequence[MeshSource] = (),
     subdivisions: int = 0,
     devices: Sequence[str] = ("cpu",),
     repeats: int = 3,
@@ -41,7 +45,7 @@ def run(
     cold: bool = False,
     largest_reference: int = LARGEST_REFERENCE,
     progress: Callable[[str], None] | None = None,
-) -> dict[str, Any]:
+) -> Benchmark:
     """Measure whole maps, intake to final map, kernels compiled before.
 
     Each mesh is mapped ``repeats`` times on each device after a small map has warmed the device up, and factorised
@@ -75,7 +79,7 @@ def run(
         raise OmtwarpError("nothing to measure: give sizes and shapes, or meshes")
     names = tuple(str(resolve_device(device)) for device in devices)
     notify = progress or (lambda text: None)
-    result: dict[str, Any] = {
+    result: Benchmark = {
         "format": FORMAT,
         "machine": machine(names),
         "settings": {"repeats": repeats, "refine": refine, "largest_reference": largest_reference},
@@ -108,13 +112,13 @@ def measure_mesh(
     refine: str | float | None,
     largest_reference: int,
     notify: Callable[[str], None],
-) -> dict[str, Any]:
+) -> MeshTimes:
     """Reference and maps of one mesh."""
     system = reference_system(surface) if surface.face_count <= largest_reference else None
     references: list[tuple[float, float]] = []
-    runs = []
+    runs: list[MapTimes] = []
     for device in devices:
-        measured = []
+        measured: list[MapTimes] = []
         for repeat in range(repeats):
             notify(f"{label}: {device}, map {repeat + 1} of {repeats}")
             before = None
@@ -127,7 +131,7 @@ def measure_mesh(
             for stage in one["stages"]:
                 stage["ratio"] = stage["seconds"] / before[0] if before else None
             measured.append(one)
-        runs.append({"device": device} | _median(measured))
+        runs.append({"device": device, **median_of(measured)})
     if system is not None and not references:
         references.append(splu_reference(*system))
     reference = None
@@ -145,7 +149,7 @@ def measure_mesh(
     }
 
 
-def measure_map(surface: Surface, device: str, refine: str | float | None) -> dict[str, Any]:
+def measure_map(surface: Surface, device: str, refine: str | float | None) -> MapTimes:
     """One map from vertices and faces alone, with nothing of an earlier one kept but kernels."""
     vertices, faces = surface.vertices.copy(), surface.faces.copy()
     marks: dict[str, float] = {}
@@ -154,14 +158,14 @@ def measure_map(surface: Surface, device: str, refine: str | float | None) -> di
     pooled = where.is_cuda and where.is_mempool_enabled
     memory, clock = PeakMemory(), Clock()
 
-    def mark(stage: str, done: int, total: int, details: dict[str, Any]) -> None:
+    def mark(stage: str, done: int, total: int, details: Record) -> None:
         if "flips" in details:  # the stage is over
             marks[stage] = clock.read()[1]
 
     mapped = map_to_sphere((vertices, faces), device=device, refine=refine, progress=mark)
     wp.synchronize_device(where)
     wall, cpu = clock.read()
-    stages = []
+    stages: list[StageTimes] = []
     before = 0.0
     for stage in mapped.report["stages"]:
         now = marks.get(stage["name"], math.nan)
@@ -191,13 +195,13 @@ def measure_map(surface: Surface, device: str, refine: str | float | None) -> di
         "cpu_seconds": cpu,
         "peak_bytes": memory.read(),
         "device_bytes": int(wp.get_mempool_used_mem_high(where)) if pooled else None,
-        "flips": mapped.report["certificate"]["flips"],
-        "bijective": mapped.report["certificate"]["bijective"],
+        "flips": mapped.certificate.flips,
+        "bijective": mapped.bijective,
         "stages": stages,
     }
 
 
-def reference_system(surface: Surface) -> tuple[Any, np.ndarray]:
+def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, NDArray[np.float64]]:
     """The cotangent Laplacian without its first vertex, and a right-hand side."""
     matrix = cotangent_laplacian(surface.scaled_vertices, surface.faces).tocsc()[1:, 1:]
     return matrix, np.random.default_rng(0).normal(size=matrix.shape[0])
@@ -208,24 +212,28 @@ def factor_bytes(surface: Surface) -> int:
     return MultifrontalCholesky(expand(surface_dissection(surface))).storage
 
 
-def _median(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """The median of every number, stage by stage."""
-    out: dict[str, Any] = {}
-    for key, first in runs[0].items():
-        values = [run[key] for run in runs]
-        if key == "stages":
-            out[key] = [_median([run[key][k] for run in runs]) for k in range(len(first))]
-        elif isinstance(first, bool):
+def median_of(runs: list[MapTimes]) -> MapTimes:
+    """The median of every number of maps of one mesh, stage by stage."""
+    stages = [cast(StageTimes, _median([run["stages"][k] for run in runs])) for k in range(len(runs[0]["stages"]))]
+    return cast(MapTimes, _median(runs) | {"stages": stages})
+
+
+def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
+    """The median of every number of records of the same fields; what is no number is that of the first."""
+    out: dict[str, object] = {}
+    for key, first in records[0].items():
+        values = [record[key] for record in records]
+        if isinstance(first, bool):
             out[key] = all(values)
         elif isinstance(first, int | float) and None not in values:
-            middle = float(np.median(values))
+            middle = float(np.median(np.asarray(values, dtype=np.float64)))
             out[key] = int(middle) if isinstance(first, int) else middle
         else:
             out[key] = first
     return out
 
 
-def growth_exponents(meshes: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, float]]]:
+def growth_exponents(meshes: list[MeshTimes]) -> dict[str, dict[str, dict[str, float]]]:
     """Exponents p of time ~ faces^p by least squares over logarithms, by family, device and stage (and ``total``).
 
     From :data:`ASYMPTOTIC` faces on where at least two meshes of the family are that large.
@@ -246,10 +254,10 @@ def growth_exponents(meshes: list[dict[str, Any]]) -> dict[str, dict[str, dict[s
                     curves.setdefault((device, stage["name"]), []).append((mesh["faces"], stage["seconds"]))
             if mesh["splu"] is not None:
                 curves.setdefault(("cpu", "splu"), []).append((mesh["faces"], mesh["splu"]["seconds"]))
-        for (device, stage), curve in curves.items():
+        for (device, name), curve in curves.items():
             exponent = fitted_exponent(curve)
             if exponent is not None:
-                out.setdefault(family, {}).setdefault(device, {})[stage] = exponent
+                out.setdefault(family, {}).setdefault(device, {})[name] = exponent
     return out
 
 

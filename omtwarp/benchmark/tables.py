@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from omtwarp.benchmark.records import Benchmark, KernelTable, Machine, Settings
 
 STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
 
 
-def markdown(result: dict[str, Any]) -> str:
+def markdown(result: Benchmark) -> str:
     """Tables of a result of :func:`omtwarp.benchmark.run`, for people."""
     parts = [_machine(result["machine"], result["settings"]), _times(result), _ratios(result), _memory(result)]
-    if result["growth"]:
+    if result.get("growth"):
         parts.append(_growth(result["growth"]))
     parts += [_kernels(table) for table in result.get("kernels", [])]
     if "first_use" in result:
@@ -24,7 +24,7 @@ def table(heads: list[str], rows: list[list[str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
-def _machine(machine: dict[str, Any], settings: dict[str, Any]) -> str:
+def _machine(machine: Machine, settings: Settings) -> str:
     memory = f", {machine['memory'] / 2**30:.0f} GiB" if machine["memory"] else ""
     gpus = "; " + ", ".join(gpu["name"] for gpu in machine["gpus"]) if machine["gpus"] else "; no CUDA device"
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
@@ -42,12 +42,12 @@ def _number(value: float | None, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def _stage_names(result: dict[str, Any]) -> list[str]:
+def _stage_names(result: Benchmark) -> list[str]:
     present = {stage["name"] for mesh in result["meshes"] for run in mesh["runs"] for stage in run["stages"]}
     return [name for name in STAGES if name in present] + sorted(present - set(STAGES))
 
 
-def _times(result: dict[str, Any]) -> str:
+def _times(result: Benchmark) -> str:
     names = _stage_names(result)
     rows = []
     for mesh in result["meshes"]:
@@ -62,7 +62,7 @@ def _times(result: dict[str, Any]) -> str:
     return "Seconds on the wall, stage by stage:\n\n" + table(heads, rows)
 
 
-def _ratios(result: dict[str, Any]) -> str:
+def _ratios(result: Benchmark) -> str:
     names = _stage_names(result)
     rows = []
     for mesh in result["meshes"]:
@@ -84,7 +84,7 @@ def _ratios(result: dict[str, Any]) -> str:
     return f"{title}:\n\n{table(heads, rows)}"
 
 
-def _memory(result: dict[str, Any]) -> str:
+def _memory(result: Benchmark) -> str:
     rows = []
     for mesh in result["meshes"]:
         for run in mesh["runs"]:
@@ -101,7 +101,7 @@ def _memory(result: dict[str, Any]) -> str:
     return "Memory above what the process held before the map:\n\n" + table(heads, rows) if rows else ""
 
 
-def _growth(growth: dict[str, Any]) -> str:
+def _growth(growth: dict[str, dict[str, dict[str, float]]]) -> str:
     rows = []
     for family, devices in growth.items():
         for device, stages in devices.items():
@@ -110,7 +110,7 @@ def _growth(growth: dict[str, Any]) -> str:
     return "Exponent p of time ~ faces^p:\n\n" + table(["family", "device", *STAGES, "whole map", "splu"], rows)
 
 
-def _kernels(kernels: dict[str, Any]) -> str:
+def _kernels(kernels: KernelTable) -> str:
     rows = [
         [
             f"`{row['name']}`",

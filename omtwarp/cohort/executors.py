@@ -11,12 +11,12 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol, TypeAlias
 
-from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, read_record, settle
+from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
 from omtwarp.errors import OmtwarpError
 
-Record = dict[str, Any]
+Record: TypeAlias = Row
 
 ATTEMPTS = 2  # an item whose process was killed from outside is tried once more
 GRACE = 30.0  # seconds that a host may take to load, and to end an item that is out of time
@@ -269,7 +269,7 @@ class SubmititArray:
         shares = [share for k in range(self._workers) if (share := list(jobs[k :: self._workers]))]
         longest = max(sum(job.time_limit for job in share) for share in shares)
         memory = max(job.memory_limit for job in jobs)
-        limits: dict[str, Any] = {"timeout_min": max(1, round(longest / 60) + 2), "cpus_per_task": 1}
+        limits: dict[str, float] = {"timeout_min": max(1, round(longest / 60) + 2), "cpus_per_task": 1}
         if memory:
             limits["mem_gb"] = memory / 2**30 + 2.0
         self._executor.update_parameters(name="omtwarp-cohort", **limits)

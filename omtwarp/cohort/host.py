@@ -19,12 +19,14 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import cast
 
 from omtwarp.cohort.item import Job
 from omtwarp.cohort.work import run_item
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.write import write_mesh
+from omtwarp.options import MapKeywords
 from omtwarp.pipeline import map_to_sphere
 
 POLL = 0.02  # seconds between looks at an item, where the system cannot wait for it
@@ -61,7 +63,7 @@ def _load(job: Job) -> None:
 
     By a map that is small enough to start no thread, which a fork would lose.
     """
-    options = {name: value for name, value in job.options.items() if name != "repair"}
+    options = cast(MapKeywords, {name: value for name, value in job.options.items() if name != "repair"})
     surface = blob(0, sphere=320)
     with tempfile.TemporaryDirectory() as folder:
         write_mesh(Path(folder) / "warm.ply", surface.vertices, surface.faces)

@@ -10,10 +10,13 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 from omtwarp.files import staged
 from omtwarp.version import package_version
+
+Row: TypeAlias = dict[str, str | float | None]
+"""What is known of an item, by the names of a table's columns."""
 
 # Statuses of a record; all but the first are failures.
 OK, ERROR, TIMEOUT, MEMORY, CRASHED = "ok", "error", "timeout", "memory", "crashed"
@@ -37,7 +40,7 @@ class Job:
     path: str
     folder: str
     key: str
-    options: dict[str, Any]
+    options: dict[str, object]
     time_limit: float
     memory_limit: int = 0
 
@@ -61,7 +64,7 @@ class Job:
         return cls(**json.loads(line))
 
 
-def key_of(path: str | os.PathLike[str], options: dict[str, Any]) -> str:
+def key_of(path: str | os.PathLike[str], options: dict[str, object]) -> str:
     """Hash what a result depends on: the input's bytes (or that there are none), the options and the version."""
     digest = hashlib.sha256(json.dumps([package_version(), options], sort_keys=True).encode())
     try:
@@ -73,7 +76,7 @@ def key_of(path: str | os.PathLike[str], options: dict[str, Any]) -> str:
     return digest.hexdigest()
 
 
-def read_record(job: Job) -> dict[str, Any] | None:
+def read_record(job: Job) -> Row | None:
     """The finished record of a job, or None where there is none or it is of other input, options or version."""
     try:
         record = json.loads(job.record_file.read_text("utf-8"))
@@ -83,12 +86,12 @@ def read_record(job: Job) -> dict[str, Any] | None:
     return record if whole and (record.get("status") != OK or job.map_file.exists()) else None
 
 
-def write_record(job: Job, status: str, message: str = "", **numbers: Any) -> dict[str, Any]:
+def write_record(job: Job, status: str, message: str = "", **numbers: str | float | None) -> Row:
     """Write what became of an item, in one step, and a line in the journal; the caller holds the item's lock.
 
     Where the process dies between the two, :func:`complete_journal` adds the line.
     """
-    record = {"id": job.id, "path": job.path, "key": job.key, "status": status, "version": package_version()}
+    record: Row = {"id": job.id, "path": job.path, "key": job.key, "status": status, "version": package_version()}
     record |= {"message": " ".join(message.split()), **numbers}
     with staged(job.record_file) as file:
         file.write_text(json.dumps(record, indent=1), "utf-8")
@@ -96,7 +99,7 @@ def write_record(job: Job, status: str, message: str = "", **numbers: Any) -> di
     return record
 
 
-def settle(job: Job, status: str, message: str, **numbers: Any) -> dict[str, Any]:
+def settle(job: Job, status: str, message: str, **numbers: str | float | None) -> Row:
     """Record a failure that was seen from outside, unless a process that worked on the item has written a record."""
     with locked(job):
         return read_record(job) or write_record(job, status, message, **numbers)
@@ -110,7 +113,7 @@ def forget_failure(job: Job) -> None:
             job.record_file.unlink(missing_ok=True)
 
 
-def read_journal(folder: str | os.PathLike[str]) -> list[dict[str, Any]]:
+def read_journal(folder: str | os.PathLike[str]) -> list[Row]:
     """The lines of a cohort's journal, without those that are not whole."""
     try:
         lines = (Path(folder) / "journal.jsonl").read_text("utf-8", "replace").splitlines()
@@ -135,7 +138,7 @@ def complete_journal(jobs: Iterable[Job], folder: str | os.PathLike[str]) -> Non
         with locked(job):  # whoever held the lock has written the line, or is dead
             lines = {(entry.get("id"), entry.get("key"), entry.get("status")) for entry in read_journal(folder)}
             if (job.id, job.key, record["status"]) not in lines:
-                _append_to_journal(job, record["status"])
+                _append_to_journal(job, str(record["status"]))
 
 
 def _append_to_journal(job: Job, status: str) -> None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from omtwarp.cohort.item import OK
+from omtwarp.cohort.item import OK, Row
 from omtwarp.render import preview
 from omtwarp.reporting.markup import Markup, element
 from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
@@ -25,14 +24,14 @@ MEASURES = {
 PICTURE = (360, 270)
 
 
-def write_page(rows: Sequence[dict[str, Any]], folder: Path) -> Path:
+def write_page(rows: Sequence[Row], folder: Path) -> Path:
     """Write ``report.html``, which needs no other file.
 
     Args:
         rows: one per item, see :func:`omtwarp.cohort.table.write_table`.
         folder: of the cohort's results, whose maps are drawn.
     """
-    counts = Counter(row["status"] for row in rows)
+    counts = Counter(str(row["status"]) for row in rows)
     done = [row for row in rows if row["status"] == OK]
     failures = [row for row in rows if row["status"] not in (OK, "waiting")]
     body = [
@@ -41,7 +40,7 @@ def write_page(rows: Sequence[dict[str, Any]], folder: Path) -> Path:
     if done:
         body += [element("h2", "Measures"), _measures(done)]
     if failures:
-        listed = [(row["id"], row["status"], row.get("message", "")) for row in failures]
+        listed = [(str(row["id"]), str(row["status"]), str(row.get("message", ""))) for row in failures]
         body += [element("h2", "Failures"), table(("item", "status", "message"), listed)]
     if done:
         drawn = [_figure(row, why, folder) for row, why in outliers(done)]
@@ -49,27 +48,28 @@ def write_page(rows: Sequence[dict[str, Any]], folder: Path) -> Path:
     return write_plain_page(folder / "report.html", "Cohort report", body)
 
 
-def outliers(done: Sequence[dict[str, Any]], most: int = OUTLIERS) -> list[tuple[dict[str, Any], str]]:
+def outliers(done: Sequence[Row], most: int = OUTLIERS) -> list[tuple[Row, str]]:
     """The items furthest above the median of a measure, in median absolute deviations, and why.
 
     Each item is listed once, with the measure in which it lies furthest out.
     """
-    found: dict[str, tuple[float, dict[str, Any], str]] = {}
+    found: dict[str, tuple[float, Row, str]] = {}
     for name, words in MEASURES.items():
-        values = np.array([np.nan if row.get(name) is None else float(row[name]) for row in done])
+        values = np.array([np.nan if (number := row.get(name)) is None else float(number) for row in done])
         if not np.isfinite(values).any():
             continue
         middle = np.nanmedian(values)
         spread = max(np.nanmedian(np.abs(values - middle)), 1e-9 * max(abs(middle), 1e-300))
         for row, value in zip(done, values, strict=True):
             distance = (value - middle) / spread
-            if np.isfinite(distance) and distance > found.get(row["id"], (0.0,))[0]:
-                found[row["id"]] = (distance, row, f"{words} {value:.4g}, median {middle:.4g}")
-    ranked = sorted(found.values(), key=lambda entry: (-entry[0], entry[1]["id"]))
+            name_of_item = str(row["id"])
+            if np.isfinite(distance) and distance > found.get(name_of_item, (0.0,))[0]:
+                found[name_of_item] = (distance, row, f"{words} {value:.4g}, median {middle:.4g}")
+    ranked = sorted(found.values(), key=lambda entry: (-entry[0], str(entry[1]["id"])))
     return [(row, why) for _, row, why in ranked[:most]]
 
 
-def _measures(done: Sequence[dict[str, Any]]) -> Markup:
+def _measures(done: Sequence[Row]) -> Markup:
     lines = []
     for name in ("vertices", "faces", "flips", "area", "area_p95", "angle", "ring", "gap", "seconds", "memory"):
         values = np.array([row[name] for row in done if row.get(name) is not None], dtype=np.float64)
@@ -79,15 +79,15 @@ def _measures(done: Sequence[dict[str, Any]]) -> Markup:
     return table(("measure", "least", "median", "95 % below", "largest"), lines)
 
 
-def _figure(row: dict[str, Any], why: str, folder: Path) -> Markup:
+def _figure(row: Row, why: str, folder: Path) -> Markup:
     """A picture of a surface, its map drawn on it as circles that would be equal on the sphere."""
     try:
         result = MapResult.load(folder / "maps" / f"{row['id']}.npz")
         picture = preview(result, size=PICTURE, device="cpu")
     except Exception as error:
-        caption = element("figcaption", element("b", row["id"]), ": ", why)
+        caption = element("figcaption", element("b", str(row["id"])), ": ", why)
         return element("figure", caption, element("p", f"no picture: {error}"))
-    return figure(picture, row["id"], ": ", why)
+    return figure(picture, str(row["id"]), ": ", why)
 
 
 __all__ = ["outliers", "write_page"]

@@ -8,15 +8,15 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Unpack, cast
 
 from omtwarp.cohort.executors import executor_for, make_folders
-from omtwarp.cohort.item import OK, Job, complete_journal, forget_failure, key_of, read_record
+from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, key_of, read_record
 from omtwarp.cohort.manifest import Item
 from omtwarp.cohort.table import write_table
 from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import MapOptions, Progress
+from omtwarp.options import MapKeywords, MapOptions, Progress
 
 TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
 
@@ -52,7 +52,7 @@ def run_cohort(
     collect: bool = False,
     progress: Progress | None = None,
     repair: bool = False,
-    **options: Any,
+    **options: Unpack[MapKeywords],
 ) -> CohortResult:
     """Map many surfaces, each in a process of its own; a surface that fails is a row of the table, never the end.
 
@@ -125,10 +125,10 @@ def run_cohort(
     rows = [_row(item, job) for item, job in zip(items, jobs, strict=True)]
     table = write_table(rows, target)
     page = write_page(rows, target)
-    return CohortResult(dict(Counter(row["status"] for row in rows)), len(todo), table, page)
+    return CohortResult(dict(Counter(str(row["status"]) for row in rows)), len(todo), table, page)
 
 
-def _asked(options: dict[str, Any]) -> dict[str, Any]:
+def _asked(options: MapKeywords) -> dict[str, object]:
     """All options of a map, those given in place of the defaults, ready for JSON.
 
     Raises:
@@ -138,11 +138,11 @@ def _asked(options: dict[str, Any]) -> dict[str, Any]:
     unknown = [name for name in options if name not in known]
     if unknown:
         raise OmtwarpError(f"unknown option '{unknown[0]}': use {', '.join(known)}")
-    parsed = vars(MapOptions.parse(**(known | options)))
+    parsed = vars(MapOptions.parse(**(cast(MapKeywords, known) | options)))
     return {name: str(value) if isinstance(value, str) else value for name, value in parsed.items()}
 
 
-def _follow(records: Iterable[dict[str, Any]], done: int, total: int, progress: Progress | None) -> None:
+def _follow(records: Iterable[Row], done: int, total: int, progress: Progress | None) -> None:
     """Wait for the records of items that are worked on, and tell how far the cohort is after each."""
     failed = 0
     for count, record in enumerate(records, done + 1):
@@ -151,7 +151,7 @@ def _follow(records: Iterable[dict[str, Any]], done: int, total: int, progress: 
             progress("cohort", count, total, {"failed": failed})
 
 
-def _row(item: Item, job: Job) -> dict[str, Any]:
+def _row(item: Item, job: Job) -> Row:
     record = read_record(job) or {"status": "waiting", "message": ""}
     return (
         {"id": item.id, "path": str(item.path)}

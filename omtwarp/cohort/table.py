@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from omtwarp.cohort.item import Row
 from omtwarp.files import staged
 
 WHOLE = ("vertices", "faces", "flips", "memory")
@@ -14,13 +14,13 @@ NUMBERS = ("degree", "area", "area_p95", "angle", "ring", "gap", "seconds", "cpu
 ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "key")
 
 
-def columns_of(rows: Sequence[dict[str, Any]]) -> list[str]:
+def columns_of(rows: Sequence[Row]) -> list[str]:
     """The columns of a table: the manifest's own behind ``path``, the others in a fixed order."""
     own = list(dict.fromkeys(name for row in rows for name in row if name not in ORDER))
     return [*ORDER[:2], *own, *ORDER[2:]]
 
 
-def write_table(rows: Sequence[dict[str, Any]], folder: Path) -> Path:
+def write_table(rows: Sequence[Row], folder: Path) -> Path:
     """Write ``table.parquet``, or ``table.csv`` where there is no pyarrow; whichever is older is removed.
 
     Args:
@@ -48,12 +48,12 @@ def write_table(rows: Sequence[dict[str, Any]], folder: Path) -> Path:
     return target
 
 
-def read_table(path: Path) -> list[dict[str, Any]]:
+def read_table(path: Path) -> list[Row]:
     """Read a table back; numbers of a CSV come as numbers, empty fields as None."""
     if path.suffix == ".parquet":
         import pyarrow.parquet as parquet
 
-        rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
+        rows: list[Row] = parquet.read_table(path).to_pylist()
         return rows
     with open(path, encoding="utf-8", newline="") as stream:
         return [

@@ -5,20 +5,21 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 
-from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, locked, read_record, write_record
+from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, locked, read_record, write_record
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.repair import repair
 from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.options import MapKeywords
 from omtwarp.pipeline import map_to_sphere
 from omtwarp.result import MapResult
 
 
-def run_item(job: Job) -> dict[str, Any]:
+def run_item(job: Job) -> Row:
     """Map an item and write its record, unless there is one already; the process is expected to end afterwards."""
     with locked(job):
         finished = read_record(job)
@@ -38,20 +39,20 @@ def run_item(job: Job) -> dict[str, Any]:
         return write_record(job, status, message, **numbers, memory=_peak_memory())
 
 
-def _map(job: Job) -> dict[str, Any]:
+def _map(job: Job) -> Row:
     options = dict(job.options)
-    mended = options.pop("repair", False)
+    mended = bool(options.pop("repair", False))
     mesh = read_joined_mesh(Path(job.path), triangulate=mended)
     vertices, faces = mesh.vertices, mesh.faces
     if mended:
         repaired = repair(vertices, faces)
         vertices, faces = repaired.vertices, repaired.faces
-    result = map_to_sphere((vertices, faces), **options)
+    result = map_to_sphere((vertices, faces), **cast(MapKeywords, options))
     result.save(job.map_file)
     return numbers_of(result)
 
 
-def numbers_of(result: MapResult) -> dict[str, Any]:
+def numbers_of(result: MapResult) -> Row:
     """Collect a table's numbers of a map: sizes, flips, degree, distortions, and the cost above its lower bound."""
     last = result.report["stages"][-1]
     surface = Surface(result.vertices, result.faces, result.measure)

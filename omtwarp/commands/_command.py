@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Protocol, cast
 
 import typer
 
@@ -39,14 +41,30 @@ GROUPS = {
 """Options by the heading that help shows them under; others are shown last."""
 
 
+class Formatter(Protocol):
+    """A writer of help: click's ``HelpFormatter``, of which typer has a copy of its own in some versions."""
+
+    current_indent: int
+
+    def section(self, name: str) -> AbstractContextManager[None]:
+        """Begin a section."""
+
+    def write_dl(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Write names and their descriptions."""
+
+    def write(self, string: str) -> None:
+        """Write a text."""
+
+
 class Command(typer.core.TyperCommand):
     """A command whose help has groups of options, and whose epilog is examples, one a line."""
 
-    def format_options(self, ctx: Any, formatter: Any) -> None:
+    def format_options(self, ctx: object, formatter: Formatter) -> None:
         """Write arguments, then the groups of options."""
+        context = cast(typer.Context, ctx)
         rows: dict[str, list[tuple[str, str]]] = {}
-        for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
+        for parameter in self.get_params(context):
+            record = parameter.get_help_record(context)
             if record is not None:
                 record = _plain(record[0]), record[1]
                 heading = next((name for name, members in GROUPS.items() if parameter.name in members), "Other")
@@ -56,7 +74,7 @@ class Command(typer.core.TyperCommand):
                 with formatter.section(heading):
                     formatter.write_dl(rows[heading])
 
-    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+    def format_epilog(self, ctx: object, formatter: Formatter) -> None:
         """Write the examples."""
         if self.epilog:
             with formatter.section("Examples"):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import typer
+from typer.models import OptionInfo
 
 from omtwarp.commands._streams import input_file
 from omtwarp.errors import OmtwarpError
@@ -28,7 +29,7 @@ def usage(parse: Callable[[str], Value]) -> Callable[[str], Value]:
     return parsed
 
 
-def named(kind: type[Kind], help: str) -> Any:
+def named(kind: type[Kind], help: str) -> OptionInfo:
     """An option whose values are the members of an enumeration of :mod:`omtwarp.options`."""
     return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)), help=help)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 from omtwarp.errors import OmtwarpError
 
 if TYPE_CHECKING:
     from omtwarp.materials import PaintedMesh
     from omtwarp.mesh.surface import Surface
+    from omtwarp.options import MapChoices
     from omtwarp.result import MapResult
 
 
@@ -41,7 +42,7 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
 
 
 def painted_map(
-    path: Path, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Any
+    path: Path, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Unpack[MapChoices]
 ) -> tuple[PaintedMesh, MapResult]:
     """A mesh with its materials, and its map: a finished one, or one made now.
 

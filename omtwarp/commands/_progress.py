@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
-from typing import Any
 
-from omtwarp.options import Progress
+from omtwarp.options import Progress, Record
 
 
 @contextlib.contextmanager
@@ -17,7 +16,7 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
     class CalmConsole(Console):
@@ -27,9 +26,9 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
     name, words = TextColumn("{task.description:<12}"), TextColumn("{task.fields[words]}")
     columns = (name, BarColumn(30), TaskProgressColumn(show_speed=False), words, TimeElapsedColumn())
     with Bars(*columns, console=CalmConsole(stderr=True)) as bars:
-        tasks: dict[str, Any] = {}
+        tasks: dict[str, TaskID] = {}
 
-        def report(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
+        def report(stage: str, done: int, total: int, info: Record) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=total or None, words="")
             words = "  ".join(
@@ -50,5 +49,5 @@ def steps(progress: Progress | None, stage: str, total: int) -> Callable[[int], 
     return notify
 
 
-def _word(name: str, value: Any) -> str:
+def _word(name: str, value: object) -> str:
     return f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"

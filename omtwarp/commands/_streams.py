@@ -11,7 +11,7 @@ import io
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TextIO, cast
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import scratch
@@ -44,13 +44,13 @@ class _Streams:
 class _Shown:
     """A stream of text that names no temporary file."""
 
-    def __init__(self, stream: Any, streams: _Streams):
+    def __init__(self, stream: TextIO, streams: _Streams):
         self._stream, self._streams = stream, streams
 
     def write(self, text: str) -> int:
         return self._stream.write(self._streams.shown(text))
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._stream, name)
 
 
@@ -85,7 +85,7 @@ def standard_streams() -> Iterator[None]:
             sys.stdout, sys.stderr = real
 
 
-def _send(streams: _Streams, stdout: Any) -> None:
+def _send(streams: _Streams, stdout: TextIO) -> None:
     if streams.output is not None and streams.output.exists():
         stdout.flush()
         stdout.buffer.write(streams.output.read_bytes())
@@ -94,10 +94,11 @@ def _send(streams: _Streams, stdout: Any) -> None:
 
 def _replace_streams(streams: _Streams) -> None:
     if not isinstance(sys.stderr, _Shown):
-        sys.stdout, sys.stderr = _Shown(sys.stdout, streams), _Shown(sys.stderr, streams)
+        shown = _Shown(sys.stdout, streams), _Shown(sys.stderr, streams)
+        sys.stdout, sys.stderr = cast(tuple[TextIO, TextIO], shown)
 
 
-def input_file(given: Any) -> Any:
+def input_file(given: object) -> object:
     """Return the path to read: the one given, or a file that holds standard input for ``-``; of lists, each.
 
     A text stays a text: an argument that may also be a name of something.
@@ -132,7 +133,7 @@ def input_file(given: Any) -> Any:
     return file
 
 
-def input_table(given: str) -> Any:
+def input_table(given: str) -> str | io.StringIO:
     """The table to read: the file's name that was given, or for ``-`` the text of standard input.
 
     Raises:
@@ -141,15 +142,15 @@ def input_table(given: str) -> Any:
     if given != str(STREAM):
         return given
     try:
-        return io.StringIO(input_file(STREAM).read_text("utf-8-sig"))
+        return io.StringIO(cast(Path, input_file(STREAM)).read_text("utf-8-sig"))
     except UnicodeDecodeError:
         raise OmtwarpError("standard input is no text: a table is expected (.csv, .tsv)") from None
 
 
-def output_file(suffix: str) -> Callable[[Any], Any]:
+def output_file(suffix: str) -> Callable[[object], object]:
     """Return a callback for paths to write: for ``-`` a file of this format that is sent to standard output."""
 
-    def chosen(given: Any) -> Any:
+    def chosen(given: object) -> object:
         if given != STREAM or _current is None:
             return given
         if sys.stdout.isatty():

@@ -6,17 +6,18 @@ import json
 import math
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal, Protocol, Unpack, overload, runtime_checkable
 
 from omtwarp.errors import OmtwarpError, one_line
-from omtwarp.options import parse_device
+from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, parse_device
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
+    from omtwarp.measures import TargetDensity
     from omtwarp.mesh.surface import Surface
     from omtwarp.result import MapResult
     from omtwarp.torus.torus_map import TorusMap
@@ -49,7 +50,7 @@ def say(text: str) -> None:
     print(f"omtwarp: {one_line(text)}", file=sys.stderr)
 
 
-def tell(facts: dict[str, Any], line: str, *, as_json: bool, quiet: bool) -> None:
+def show_facts(facts: Mapping[str, object], line: str, *, as_json: bool, quiet: bool) -> None:
     """Print what a command made on standard output: its facts as JSON, or a line for readers."""
     if as_json:
         print(report_text(facts), end="")
@@ -160,7 +161,11 @@ def start_device(device: str) -> None:
     resolve_device(device)
 
 
-def load_map(path: Path, torus: bool = False) -> Any:
+@overload
+def load_map(path: Path, torus: Literal[False] = False) -> MapResult: ...
+@overload
+def load_map(path: Path, torus: bool) -> MapResult | TorusMap: ...
+def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
     """Read a finished map.
 
     Args:
@@ -183,43 +188,84 @@ def load_map(path: Path, torus: bool = False) -> Any:
     return (SurfaceMap if path.is_file() and holds_array(path, "domain") else MapResult).load(path)
 
 
-def report_text(report: Any) -> str:
+def report_text(report: object) -> str:
     """A report, or several, as JSON; numbers that JSON does not have become null."""
 
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> object:
         if isinstance(value, dict):
             return {str(name): plain(entry) for name, entry in value.items()}
         if isinstance(value, list | tuple):
             return [plain(entry) for entry in value]
-        if hasattr(value, "tolist"):  # of NumPy
+        if isinstance(value, HasList):
             return plain(value.tolist())
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
     return json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
 
 
-def make_map(surface: Surface, *, quiet: bool, any_surface: dict[str, Any] | None = None, **options: Any) -> Any:
+@runtime_checkable
+class HasList(Protocol):
+    """An array or number of NumPy."""
+
+    def tolist(self) -> object:
+        """The values as Python has them."""
+
+
+@overload
+def make_map(
+    surface: Surface,
+    *,
+    quiet: bool,
+    any_surface: None = None,
+    weights: ArrayLike | None = None,
+    target: TargetDensity | None = None,
+    **options: Unpack[MapKeywords],
+) -> MapResult: ...
+@overload
+def make_map(
+    surface: Surface,
+    *,
+    quiet: bool,
+    any_surface: SurfaceKeywords | None,
+    weights: ArrayLike | None = None,
+    target: TargetDensity | None = None,
+    **options: Unpack[MapKeywords],
+) -> MapResult | TorusMap: ...
+def make_map(
+    surface: Surface,
+    *,
+    quiet: bool,
+    any_surface: SurfaceKeywords | None = None,
+    weights: ArrayLike | None = None,
+    target: TargetDensity | None = None,
+    **options: Unpack[MapKeywords],
+) -> MapResult | TorusMap:
     """Map a mesh with a progress bar; its warnings are lines on standard error.
 
     Args:
         surface: what to map.
         quiet: whether to draw no progress.
         any_surface: options of :func:`omtwarp.map_surface` for a mesh that is no sphere.
+        weights: of vertices or triangles.
+        target: the density on the sphere.
         options: those of :func:`omtwarp.map_to_sphere`.
     """
     from omtwarp.commands._progress import progress_bar
     from omtwarp.errors import OmtwarpWarning
     from omtwarp.pipeline import map_to_sphere
 
+    result: MapResult | TorusMap
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
         with progress_bar(quiet) as progress:
             if any_surface is not None:
                 from omtwarp.any_surface import map_surface
 
-                result: Any = map_surface(surface, progress=progress, **any_surface, **options)
+                result = map_surface(
+                    surface, weights=weights, target=target, progress=progress, **any_surface, **options
+                )
             else:
-                result = map_to_sphere(surface, progress=progress, **options)
+                result = map_to_sphere(surface, weights=weights, target=target, progress=progress, **options)
     for each_warning in caught:
         if issubclass(each_warning.category, OmtwarpWarning):
             say(f"warning: {each_warning.message}")
@@ -230,7 +276,7 @@ def make_map(surface: Surface, *, quiet: bool, any_surface: dict[str, Any] | Non
     return result
 
 
-def require_bijective(result: MapResult, path: Path | None = None) -> None:
+def require_bijective(result: MapResult | TorusMap, path: Path | None = None) -> None:
     """Go on with a map only where it is one to one.
 
     Raises:
@@ -240,6 +286,30 @@ def require_bijective(result: MapResult, path: Path | None = None) -> None:
         raise OmtwarpError(f"{path or 'the map'}: not one to one: {result.certificate}")
 
 
+@overload
+def map_from(
+    mesh: Path | None,
+    finished: Path | None,
+    *,
+    repair: bool,
+    quiet: bool,
+    device: str,
+    torus: Literal[False] = False,
+    verbose: bool = False,
+    **options: Unpack[MapChoices],
+) -> MapResult: ...
+@overload
+def map_from(
+    mesh: Path | None,
+    finished: Path | None,
+    *,
+    repair: bool,
+    quiet: bool,
+    device: str,
+    torus: bool,
+    verbose: bool = False,
+    **options: Unpack[MapChoices],
+) -> MapResult | TorusMap: ...
 def map_from(
     mesh: Path | None,
     finished: Path | None,
@@ -249,8 +319,8 @@ def map_from(
     device: str,
     torus: bool = False,
     verbose: bool = False,
-    **options: Any,
-) -> Any:
+    **options: Unpack[MapChoices],
+) -> MapResult | TorusMap:
     """The map that a command works on: a finished one, or one made now from a mesh.
 
     Args:

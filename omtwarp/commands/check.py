@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Required, TypedDict
 
 import typer
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from omtwarp.mesh.validate import Defect
+    from omtwarp.result import Warned
 
 
 def check_mesh(
@@ -46,7 +47,7 @@ def check_mesh(
     for target in targets:
         if target is not None:
             check_output(target, SUFFIXES, *meshes)
-    found: list[dict[str, Any]] = []
+    found: list[MeshFacts] = []
 
     def examine(mesh: Path, target: Path | None) -> None:
         found.append(facts_of(mesh, repair, target))
@@ -65,7 +66,31 @@ def check_mesh(
             print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
 
 
-def facts_of(mesh: Path, repair: bool, target: Path | None) -> dict[str, Any]:
+class WrittenMesh(TypedDict):
+    """A file and the mesh in it."""
+
+    path: str
+    vertices: int
+    faces: int
+
+
+class MeshFacts(TypedDict, total=False):
+    """A mesh, its defects, what was mended and what may keep its map from being good, ready for JSON."""
+
+    mesh: Required[str]
+    vertices: Required[int]
+    faces: Required[int]
+    notes: Required[list[str]]
+    repairs: Required[list[str]]
+    defects_before: list[dict[str, str]]
+    defects: list[dict[str, str]]
+    options: list[str]
+    mappable: bool
+    warnings: list[Warned]
+    output: WrittenMesh
+
+
+def facts_of(mesh: Path, repair: bool, target: Path | None) -> MeshFacts:
     """List what is wrong with a mesh, ready for JSON; write the repaired mesh where a target is given.
 
     Raises:
@@ -80,7 +105,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> dict[str, Any]:
     given = read_joined_mesh(mesh, triangulate=repair)
     vertices, faces = given.vertices, given.faces
     defects = before = check(vertices, faces)
-    facts: dict[str, Any] = {
+    facts: MeshFacts = {
         "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces), "notes": list(given.notes), "repairs": [],
     }  # fmt: skip
     if repair and defects:
@@ -101,7 +126,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> dict[str, Any]:
     return facts
 
 
-def lines_about(facts: dict[str, Any]) -> list[str]:
+def lines_about(facts: MeshFacts) -> list[str]:
     """The facts about a mesh for readers, a line each."""
     lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]
     lines += [f"  note: {note}" for note in facts["notes"]]

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,7 +27,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.options import MapOptions, Refinement
 
 if TYPE_CHECKING:
-    from omtwarp.options import Progress
+    from omtwarp.options import Progress, Record
 
 LINES_EVERY = 30.0  # seconds between lines on how far a cohort is, where there is no terminal
 
@@ -145,7 +145,7 @@ def _reporting(quiet: bool) -> Iterator[Progress | None]:
         with Bars(*columns, TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True)) as bars:
             task = bars.add_task("cohort", total=None, failed=0)
 
-            def draw(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
+            def draw(stage: str, done: int, total: int, info: Record) -> None:
                 bars.update(task, completed=done, total=total, failed=info["failed"])
 
             yield draw
@@ -153,7 +153,7 @@ def _reporting(quiet: bool) -> Iterator[Progress | None]:
     begun = last = time.monotonic()
     first: list[int] = []
 
-    def report(stage: str, done: int, total: int, info: dict[str, Any]) -> None:
+    def report(stage: str, done: int, total: int, info: Record) -> None:
         nonlocal last
         first.append(done - 1) if not first else None
         now = time.monotonic()

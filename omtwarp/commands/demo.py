@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -13,7 +13,7 @@ from omtwarp.files import check_output, staged, written_by_omtwarp
 from omtwarp.limits import MOST_DEMO_FACES
 from omtwarp.options import MapOptions
 
-POSE: dict[str, Any] = {"up": "z", "front": "-y", "views": (40.0, 15.0)}
+UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)
 """The creature stands on its feet and looks past the viewer's right shoulder."""
 
 
@@ -71,9 +71,10 @@ def demo(
     notify(f"{model_file}: a globe pulled back to it")
     circles = texture(result, pattern="circles", device=device)
     for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
-        preview(textured.trimesh(), file_to_be, **POSE, device=device)
+        preview(textured.trimesh(), file_to_be, up=UP, front=FRONT, views=VIEW, device=device)
         notify(f"{file_to_be}")
-    comparison(result, comparison_file, image=rasterize("circles", 2048, device=device), **POSE, device=device)
+    circles_picture = rasterize("circles", 2048, device=device)
+    comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)
     notify(f"{comparison_file}: the conformal map beside the area-preserving one")
     if as_json:
         print(report_text(facts | {"output": str(output), "files": [str(file) for file in files]}), end="")

@@ -88,7 +88,7 @@ def film_map(
     One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import map_from, start_device, tell
+    from omtwarp.commands._work import map_from, show_facts, start_device
     from omtwarp.render.films import film
     from omtwarp.render.output import check_target
     from omtwarp.texturing import read_image
@@ -143,4 +143,4 @@ def film_map(
     facts = {"output": str(output), "frames": frames, "bytes": length}
     seconds_drawn = time.perf_counter() - begun
     line = f"{output}: a film of {frames} frames, {length / 1e6:.1f} MB, drawn in {seconds_drawn:.1f} s"
-    tell(facts, line, as_json=as_json, quiet=quiet)
+    show_facts(facts, line, as_json=as_json, quiet=quiet)

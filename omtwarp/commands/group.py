@@ -92,6 +92,6 @@ def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | Non
         items = read_manifest(input_table(sources[0]))
         labels = [item.fields["group"] for item in items] if "group" in items[0].fields else None
         return [item.id for item in items], [item.path for item in items], labels
-    paths = [Path(text) for text in input_file(sources)]
+    paths = [Path(str(input_file(text))) for text in sources]
     stems = [path.stem for path in paths]
     return (stems if len(set(stems)) == len(stems) else [str(path) for path in paths]), paths, None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 import typer
 
@@ -35,7 +35,7 @@ from omtwarp.commands._options import (
 from omtwarp.commands._streams import output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
-from omtwarp.options import Domain, FillArea, MapOptions, Refinement
+from omtwarp.options import Domain, FillArea, MapOptions, Refinement, SurfaceKeywords
 
 if TYPE_CHECKING:
     import numpy as np
@@ -156,7 +156,7 @@ def map_mesh(
         from omtwarp.texturing.density import as_target
 
         goal = as_target(density, target_floor)
-    found: list[dict[str, Any]] = []
+    found: list[MapFacts] = []
 
     def map_one(mesh: Path, target: Path | None) -> None:
         sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
@@ -200,7 +200,9 @@ def map_mesh(
             print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
 
 
-def as_in_file(result: Any, sound: Input, to_sphere: bool) -> tuple[Any, NDArray | None]:
+def as_in_file(
+    result: MapResult | TorusMap, sound: Input, to_sphere: bool
+) -> tuple[MapResult | TorusMap, NDArray | None]:
     """Tell a map where its vertices and faces come from in the file.
 
     Args:
@@ -212,9 +214,11 @@ def as_in_file(result: Any, sound: Input, to_sphere: bool) -> tuple[Any, NDArray
         The map, and the file's faces where vertices that are doubled along seams are to be written as there.
     """
     from omtwarp.commands._work import composed
+    from omtwarp.result import MapResult
 
     file_faces = None
-    if sound.vertex_of_file is not None and result.vertex_origin is None and to_sphere:
+    whole = to_sphere and result.vertex_origin is None
+    if isinstance(result, MapResult) and whole and sound.vertex_of_file is not None:
         result = replace(result, vertex_of_file=sound.vertex_of_file)
         file_faces = sound.file_faces
     if sound.origins:
@@ -246,7 +250,7 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
 
 def surface_options(
     rims: list[Domain], *, fill_area: FillArea | None, components: bool, together: bool, cut: bool
-) -> dict[str, Any] | None:
+) -> SurfaceKeywords | None:
     """Options of :func:`omtwarp.map_surface`, None where none was given: the surface has to be a sphere then.
 
     Raises:
@@ -313,7 +317,24 @@ def image_of(result: MapResult) -> NDArray:
     return result.sphere if disk is None else np.concatenate([disk, np.zeros((len(disk), 1))], axis=1)
 
 
-def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> dict[str, Any]:
+class MapFacts(TypedDict):
+    """A finished map, its files and its figures, ready for JSON."""
+
+    output: str
+    report: str | None
+    vertices: int
+    faces: int
+    bijective: bool
+    flips: int
+    degree: float
+    area: float
+    angle: float
+    largest_area_error: float | None
+    gap: float | None
+    seconds: float
+
+
+def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> MapFacts:
     """Sum up a finished map and where it was written, ready for JSON."""
     stages, certificate = result.report["stages"], result.certificate
     last = stages[-1]
@@ -330,11 +351,11 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
         "angle": last["angle"]["surface"],
         "largest_area_error": None if exact is None else exact["largest_area_error"],
         "gap": (result.report.get("optimality") or {}).get("gap"),
-        "seconds": result.report.get("seconds"),
+        "seconds": result.report["seconds"],
     }
 
 
-def summary(facts: dict[str, Any]) -> str:
+def summary(facts: MapFacts) -> str:
     """One line for readers about a finished map."""
     size = f"{facts['vertices']} vertices, {facts['faces']} faces"
     line = f"{facts['output']}: {size}; flips {facts['flips']}, degree {facts['degree']:.6f}"

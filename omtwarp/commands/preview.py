@@ -88,7 +88,7 @@ def preview_mesh(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._work import tell
+    from omtwarp.commands._work import show_facts
     from omtwarp.render import Camera, preview
 
     check_output(output, PICTURES, subject, finished, image)
@@ -119,4 +119,4 @@ def preview_mesh(
     first, count = (drawn[0], len(drawn)) if isinstance(drawn, list) else (drawn, 1)
     facts = {"output": str(output), "width": first.width, "height": first.height, "frames": count}
     facts |= {"bytes": output.stat().st_size}
-    tell(facts, f"{output}: drawn, {first.width} x {first.height} pixels", as_json=as_json, quiet=quiet)
+    show_facts(facts, f"{output}: drawn, {first.width} x {first.height} pixels", as_json=as_json, quiet=quiet)

@@ -60,7 +60,7 @@ def report_on_map(
     quiet: QuietOption = False,
 ) -> None:
     """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file."""
-    from omtwarp.commands._work import map_from, start_device, tell
+    from omtwarp.commands._work import map_from, show_facts, start_device
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report
     from omtwarp.texturing import read_image
@@ -100,4 +100,4 @@ def report_on_map(
     length = target.stat().st_size
     facts = {"output": str(output), "bytes": length, "vertices": len(result.vertices), "faces": len(result.faces)}
     line = f"{output}: a report of {length / 1e6:.1f} MB, to be opened in a browser"
-    tell(facts, line, as_json=as_json, quiet=quiet)
+    show_facts(facts, line, as_json=as_json, quiet=quiet)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -14,6 +14,9 @@ from omtwarp.files import check_output
 from omtwarp.options import Interpolation, MapOptions
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from omtwarp.mesh.data import VertexData
     from omtwarp.resampling import Resampling
 
@@ -87,7 +90,7 @@ def resample_map(
 
     here, there = (None if is_named(text) else Path(text) for text in (source, to))
     if output == STREAM:
-        output = output_file(".ply" if data is None else ".npy")(output)
+        output = cast(Path, output_file(".ply" if data is None else ".npy")(output))
     _check_outputs(output, sphere, matrix, data, [here, there, surface])
     require_same_structure(here if surface is None else surface, there)
     given = None if data is None else _read(data, there)
@@ -177,7 +180,7 @@ def _write(output: Path, found: Resampling, given: VertexData, as_labels: bool) 
     from omtwarp.mesh.data import write_data
 
     if as_labels:
-        values: Any = np.stack([found.labels(column) for column in given.values.T], axis=1)
+        values: NDArray[np.generic] = np.stack([found.labels(column) for column in given.values.T], axis=1)
     else:
         values = found.apply(given.values)
     moved = given.with_values(values)
@@ -186,8 +189,8 @@ def _write(output: Path, found: Resampling, given: VertexData, as_labels: bool) 
     write_data(output, moved, None if grid.faces is None else (shown, grid.faces))
 
 
-def _record(found: Resampling, output: Path, given: VertexData | None) -> dict[str, Any]:
-    record: dict[str, Any] = {
+def _record(found: Resampling, output: Path, given: VertexData | None) -> dict[str, object]:
+    record: dict[str, object] = {
         "output": str(output),
         "method": str(found.method),
         "source": found.source.grid.name,

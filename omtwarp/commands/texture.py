@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, TypedDict, Unpack
 
 import typer
 
@@ -30,7 +30,12 @@ from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from omtwarp.materials import PaintedMesh
+    from omtwarp.options import MapChoices
+    from omtwarp.result import MapResult
+    from omtwarp.torus.torus_map import TorusMap
 
 
 class PatternName(StrEnum):
@@ -141,7 +146,7 @@ def texture_mesh(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._work import map_from, require_bijective, start_device, tell
+    from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.export import SUFFIXES
 
@@ -149,8 +154,15 @@ def texture_mesh(
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
     width = None if size in (None, "auto") else int(str(size)[:9])
-    mapping = {"method": method, "until": until, "cost": cost, "scheme": scheme, "refine": refine, "solver": solver}
-    looks: dict[str, Any] = {
+    mapping: MapChoices = {
+        "method": method,
+        "until": until,
+        "cost": cost,
+        "scheme": scheme,
+        "refine": refine,
+        "solver": solver,
+    }
+    looks: LookKeywords = {
         "pattern": pattern.value if pattern else None,
         "projection": projection.value,
         "atlas": atlas.value,
@@ -198,7 +210,7 @@ def texture_mesh(
     facts |= {"faces": len(result.faces), "pictures": [{"what": "colour", "width": width, "height": height}]}
     line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured, "
     line += f"{width} x {height} texels{blurred}{_with_files(files)}"
-    tell(facts, line, as_json=as_json, quiet=quiet)
+    show_facts(facts, line, as_json=as_json, quiet=quiet)
 
 
 def _with_files(files: list[Path]) -> str:
@@ -206,19 +218,39 @@ def _with_files(files: list[Path]) -> str:
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
-def _sharp_size(result: Any, atlas: str) -> tuple[int, str]:
+def _sharp_size(result: MapResult | TorusMap, atlas: str) -> tuple[int, str]:
     """The size at which no texel shows, and where the largest one still leaves some, in words.
 
     Raises:
         OmtwarpError: the map is one to a torus.
     """
+    from omtwarp.result import MapResult
     from omtwarp.texturing.sharpness import sharp_size
 
-    if getattr(result, "textured", None) is not None:
+    if not isinstance(result, MapResult):
         raise OmtwarpError("--size auto is of textures on the sphere, and this map is one to a torus")
     chosen = sharp_size(result.vertices, result.faces, result.sphere, atlas)
     share = f"; on {100.0 * chosen.coarse:.1g} % of the surface texels cover more than 1.5 pixels at 1024"
     return chosen.size, share if chosen.coarse else ""
+
+
+class LookKeywords(TypedDict):
+    """The options that :func:`omtwarp.texture` and :func:`omtwarp.paint` share."""
+
+    pattern: str | None
+    projection: str
+    atlas: str
+    rotate: str | list[float] | None
+    size: int | None
+
+
+class PaintKeywords(LookKeywords):
+    """The options of :func:`omtwarp.paint` that the command line hands on."""
+
+    uv: str
+    keep: str | None
+    opacity: float
+    bake: Sequence[str]
 
 
 def _paint(
@@ -229,15 +261,15 @@ def _paint(
     repair: bool,
     quiet: bool,
     as_json: bool,
-    mapping: dict[str, Any],
+    mapping: MapChoices,
     *,
     image: Path | None,
     device: str,
-    **options: Any,
+    **options: Unpack[PaintKeywords],
 ) -> None:
     """Texture a mesh in its own coordinates, with its own materials, or with bakes."""
     from omtwarp.commands._painted import painted_map
-    from omtwarp.commands._work import map_from, require_bijective, say, start_device, tell
+    from omtwarp.commands._work import map_from, require_bijective, say, show_facts, start_device
     from omtwarp.errors import OmtwarpWarning
     from omtwarp.mesh.read import read_mesh
     from omtwarp.painting import paint
@@ -271,12 +303,12 @@ def _paint(
     sizes = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
     looks = ", ".join(dict.fromkeys(sizes)) or "no picture"
     line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {looks}{_with_files(files)}"
-    tell(facts, line, as_json=as_json, quiet=quiet)
+    show_facts(facts, line, as_json=as_json, quiet=quiet)
 
 
-def _pictures(made: PaintedMesh) -> list[dict[str, Any]]:
+def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:
     """The pictures that a mesh's materials have: of which, what it shows, and its size."""
-    found = []
+    found: list[dict[str, str | int]] = []
     for material in made.materials:
         for slot in ("picture", "occlusion_picture", "normal_picture"):
             picture = getattr(material, slot)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -45,7 +45,7 @@ def transfer(
 ) -> None:
     """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned."""
     from omtwarp.commands._painted import painted_map
-    from omtwarp.commands._work import tell
+    from omtwarp.commands._work import show_facts
     from omtwarp.painting import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
@@ -63,7 +63,7 @@ def transfer(
         device=device,
     )
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
-    facts: dict[str, Any] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
+    facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
     line = f"{output}: {len(other.vertices)} vertices, {len(other.faces)} faces, with the texture of {source}"
-    tell(facts, line, as_json=as_json, quiet=quiet)
+    show_facts(facts, line, as_json=as_json, quiet=quiet)

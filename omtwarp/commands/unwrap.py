@@ -43,7 +43,7 @@ def unwrap_mesh(
     quiet: QuietOption = False,
 ) -> None:
     """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture."""
-    from omtwarp.commands._work import map_from, require_bijective, start_device, tell
+    from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
     from omtwarp.painting import unwrap_uv
 
     check_output(output, (".glb", ".obj"), mesh, finished)
@@ -55,4 +55,4 @@ def unwrap_mesh(
     facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(made.vertices)}
     facts |= {"faces": len(made.faces), "charts": 6}
     line = f"{output}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts"
-    tell(facts, line, as_json=as_json, quiet=quiet)
+    show_facts(facts, line, as_json=as_json, quiet=quiet)

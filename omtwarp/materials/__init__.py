@@ -1,7 +1,13 @@
 """Meshes with texture coordinates and materials of their own: reading, keeping and writing them."""
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from omtwarp.materials.base import Material as Material
+    from omtwarp.materials.painted import PaintedMesh as PaintedMesh
+    from omtwarp.materials.read import read_painted_mesh as read_painted_mesh
+
 
 _HOMES = {
     "Material": "base",
@@ -12,7 +18,7 @@ _HOMES = {
 __all__ = ["Material", "PaintedMesh", "read_painted_mesh"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

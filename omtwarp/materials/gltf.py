@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from omtwarp.materials.base import Floats, Ints, Material, PaintedArrays, linear
@@ -21,8 +19,8 @@ def glb_bytes(mesh: PaintedArrays) -> bytes:
     file = GltfFile(True, mesh.wraps_rows)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, (0.0, 0.0, 1.0))
-    primitives: list[dict[str, Any]] = []
-    materials: list[dict[str, Any]] = []
+    primitives: list[dict[str, object]] = []
+    materials: list[dict[str, object]] = []
     for number in np.unique(mesh.material_of):
         material = mesh.materials[number]
         of_it = np.flatnonzero(mesh.material_of == number)
@@ -39,7 +37,7 @@ def glb_bytes(mesh: PaintedArrays) -> bytes:
 
 def _primitive(
     file: GltfFile, mesh: PaintedArrays, faces: Ints, uv: Floats | None, normals: Floats, tangents: Floats | None
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """The attributes and indices of triangles, with one row for every different corner."""
     columns = [faces.reshape(-1, 1).astype(np.float64)]
     columns += [] if uv is None else [uv.reshape(-1, 2)]
@@ -59,15 +57,15 @@ def _primitive(
     return {"attributes": attributes, "indices": file.accessor(inverse.reshape(-1).astype(np.uint32))}
 
 
-def _material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, Any]:
+def _material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, object]:
     """A material in the words of glTF; its pictures only where there are coordinates to look them up."""
     color = linear(np.array(material.color))
-    surface: dict[str, Any] = {
+    surface: dict[str, object] = {
         "baseColorFactor": [float(x) for x in color],
         "metallicFactor": material.metallic,
         "roughnessFactor": material.roughness,
     }
-    entry: dict[str, Any] = {
+    entry: dict[str, object] = {
         "name": material.name,
         "pbrMetallicRoughness": surface,
         "alphaMode": "OPAQUE" if material.opaque else "BLEND",

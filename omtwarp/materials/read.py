@@ -6,7 +6,7 @@ import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ from omtwarp.mesh.read import fans, read_mesh, utf8
 from omtwarp.mesh.scenes import gltf_header, load_scene, scene_formats
 from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.texturing.image import read_image
+
+if TYPE_CHECKING:
+    import trimesh
+    from PIL.Image import Image
 
 Factors = dict[tuple[str | None, tuple[int, ...]], Floats]
 
@@ -209,7 +213,7 @@ def _numbers(column: Column) -> Floats:
     return np.asarray(column, dtype=np.float64)
 
 
-def _from_scene(scene: Any, factors: Factors | None) -> PaintedMesh:
+def _from_scene(scene: trimesh.Scene, factors: Factors | None) -> PaintedMesh:
     """Take all geometries of a scene together, where the scene puts them.
 
     Args:
@@ -262,7 +266,7 @@ def _from_scene(scene: Any, factors: Factors | None) -> PaintedMesh:
     return joined_seams(mesh)
 
 
-def base_color_factors(header: Any) -> Factors:
+def base_color_factors(header: object) -> Factors:
     """Factors of a glTF file's materials, by name and by what trimesh makes of them, which is rounded to bytes."""
     from trimesh.visual.color import to_rgba
 
@@ -275,18 +279,20 @@ def base_color_factors(header: Any) -> Factors:
     return found
 
 
-def _appearance(mesh: Any, factors: Factors | None) -> tuple[Material, Floats | None, Bytes | None]:
+def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Material, Floats | None, Bytes | None]:
     """The material, the coordinates [V, 2] and the colours [V, 4] of a mesh of trimesh's."""
+    from trimesh.visual import ColorVisuals, TextureVisuals  # heavy, and loaded by whoever has a mesh of trimesh's
+
     visual = mesh.visual
     kind = getattr(visual, "kind", None)
-    if kind == "vertex":
+    if kind == "vertex" and isinstance(visual, ColorVisuals):
         colors = _opaque(np.asarray(visual.vertex_colors, dtype=np.uint8))
         if factors is not None:
             colors[:, :3] = np.rint(255.0 * encoded(colors[:, :3] / 255.0))
         return Material(), None, colors
-    if kind == "face":
+    if kind == "face" and isinstance(visual, ColorVisuals):
         return Material(color=_color(np.asarray(visual.main_color) / 255.0)), None, None
-    if kind != "texture":
+    if kind != "texture" or not isinstance(visual, TextureVisuals):
         return Material(), None, None
     source, uv = visual.material, visual.uv
     coordinates = None
@@ -321,7 +327,7 @@ def _appearance(mesh: Any, factors: Factors | None) -> tuple[Material, Floats | 
     return material, coordinates, _vertex_colors(mesh)
 
 
-def _vertex_colors(mesh: Any) -> Bytes | None:
+def _vertex_colors(mesh: trimesh.Trimesh) -> Bytes | None:
     """Colours at the vertices of a glTF primitive with a material, shape [V, 4]; in the file they are linear."""
     given = getattr(mesh.visual, "vertex_attributes", {}).get("color")
     if given is None or np.ndim(given) != 2 or len(given) != len(mesh.vertices) or given.shape[1] not in (3, 4):
@@ -336,13 +342,13 @@ def _color(values: NDArray) -> tuple[float, float, float, float]:
     return float(red), float(green), float(blue), float(rest[0]) if rest else 1.0
 
 
-def _pil(image: Any) -> Bytes | None:
+def _pil(image: Image | None) -> Bytes | None:
     return None if image is None else _as_bytes(read_image(image))
 
 
-def _as_bytes(picture: NDArray[Any]) -> Bytes:
+def _as_bytes(picture: NDArray[np.generic]) -> Bytes:
     if picture.dtype == np.uint8:
-        return picture
+        return picture.astype(np.uint8, copy=False)
     return np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 

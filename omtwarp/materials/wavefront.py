@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from omtwarp.materials.base import Bytes, Floats, Ints, Material
 from omtwarp.mesh.read import fans
 
 _STATEMENT = re.compile(rb"^[ \t]*(vt|v|f|usemtl|mtllib)[ \t]+([^\n#]*)|^[ \t]*(usemtl)[ \t]*$", flags=re.MULTILINE)
-_SLOTS = {"map_kd": "picture", "norm": "normal_picture", "map_ke": "emission_picture"}
+
 # How many values the options of a picture in a material library take.
 _OPTIONS = {
     "-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1, "-clamp": 1, "-bm": 1,
@@ -169,9 +168,12 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
 
 def _with(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> Material:
     """Apply one statement of a library to a material."""
-    if key in _SLOTS:
-        found: dict[str, Any] = {_SLOTS[key]: picture(_picture_name(values))}
-        return replace(material, **found)
+    if key == "map_kd":
+        return replace(material, picture=picture(_picture_name(values)))
+    if key == "norm":
+        return replace(material, normal_picture=picture(_picture_name(values)))
+    if key == "map_ke":
+        return replace(material, emission_picture=picture(_picture_name(values)))
     try:
         numbers = [float(word) for word in values]
     except ValueError:

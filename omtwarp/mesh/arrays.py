@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +92,9 @@ def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None 
     return out
 
 
-def fitting_arrays(arrays: Mapping[str, object], layout: Layout, counts: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+def fitting_arrays(
+    arrays: Mapping[str, object], layout: Layout, counts: Mapping[str, int]
+) -> dict[str, NDArray[np.generic]]:
     """Take arrays that belong together, in the types and shapes of a table; those that are None or missing are left.
 
     Args:
@@ -105,7 +106,7 @@ def fitting_arrays(arrays: Mapping[str, object], layout: Layout, counts: Mapping
         OmtwarpError: the first that is not of numbers, not finite, or does not fit the others.
     """
     known = dict(counts)
-    fitting: dict[str, NDArray[Any]] = {}
+    fitting: dict[str, NDArray[np.generic]] = {}
     for name, (dtype, letters) in layout.items():
         values = arrays.get(name)
         if values is None:
@@ -119,7 +120,7 @@ def fitting_arrays(arrays: Mapping[str, object], layout: Layout, counts: Mapping
     return fitting
 
 
-def owned(values: object, dtype: type[np.generic]) -> NDArray[Any]:
+def owned(values: object, dtype: type[np.generic]) -> NDArray[np.generic]:
     """An array that nobody else can write to: a read-only copy, or the array itself if it is one already."""
     array = np.asarray(values)
     if array.dtype != dtype or array.flags.writeable or not array.flags.owndata or not array.flags.c_contiguous:
@@ -205,7 +206,7 @@ def _shown(value: object) -> str:
     return str(value) if isinstance(value, float | np.floating) else f"a {type(value).__name__}"
 
 
-def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[Any]:
+def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[np.generic]:
     """The values as an array of a kind of numbers."""
     if isinstance(values, np.ma.MaskedArray):
         if np.ma.is_masked(values):
@@ -223,7 +224,7 @@ def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[Any
     return array
 
 
-def _require_shape(array: NDArray[Any], name: str, shape: Shape) -> None:
+def _require_shape(array: NDArray[np.generic], name: str, shape: Shape) -> None:
     fits = len(array.shape) == len(shape) and all(
         want in (None, have) for want, have in zip(shape, array.shape, strict=True)
     )

@@ -16,7 +16,7 @@ import io
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ class VertexData:
         meta: what else a GIFTI file says of itself.
     """
 
-    values: NDArray[Any]
+    values: NDArray[np.generic]
     names: tuple[str, ...]
     table: dict[int, tuple[str, Color]] | None = None
     structure: str | None = None
@@ -58,7 +58,7 @@ class VertexData:
         """Whether these are labels with a table."""
         return self.table is not None
 
-    def with_values(self, values: NDArray[Any]) -> VertexData:
+    def with_values(self, values: NDArray[np.generic]) -> VertexData:
         """Put other values under the names, table and metadata of these data."""
         return replace(self, values=np.asarray(values).reshape(len(values), -1))
 

@@ -8,19 +8,23 @@ from __future__ import annotations
 import re
 import warnings
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 
+if TYPE_CHECKING:
+    from nibabel.gifti import GiftiImage
+
 # Names that FreeSurfer gives to its surfaces, behind lh. or rh.
 FREESURFER_SUFFIXES = (".sphere", ".reg", ".white", ".pial", ".inflated", ".orig", ".smoothwm")
 STRUCTURES = {"L": "CortexLeft", "R": "CortexRight"}
 
 
-def nibabel_module() -> Any:
+def nibabel_module() -> ModuleType:
     """The package nibabel.
 
     Raises:
@@ -50,7 +54,7 @@ def structure_of(path: Path | None) -> str | None:
     return STRUCTURES[next(word for word in found.groups() if word).upper()] if found else None
 
 
-def gifti_image(path: Path) -> Any:
+def gifti_image(path: Path) -> GiftiImage:
     """The content of a GIFTI file, as nibabel has it.
 
     Raises:
@@ -161,7 +165,7 @@ def read_vtk(data: bytes) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]
     if at is None:
         raise OmtwarpError("no points in it")
 
-    def numbers(start: int, count: int, kind: str) -> tuple[NDArray[Any], int]:
+    def numbers(start: int, count: int, kind: str) -> tuple[NDArray[np.generic], int]:
         if binary:
             end = start + count * np.dtype(kind).itemsize
             return np.frombuffer(data[start:end], dtype=kind), end

@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.neuro import nibabel_module, read_vtk
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.scenes import load_scene, scene_formats
+
+if TYPE_CHECKING:
+    import trimesh
 
 _REPAIR = "triangulate it in a mesh editor, or with --repair"
 
@@ -95,7 +98,7 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
     return mesh
 
 
-_Read = tuple[Any, Any, list[str]]
+_Read = tuple[NDArray[np.generic], NDArray[np.generic], list[str]]
 
 
 def _suffix(file: Path) -> str:
@@ -226,8 +229,8 @@ def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
         record = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])  # a normal, three corners
         corners = np.frombuffer(data, record, count, 84)["numbers"][:, 1:].reshape(-1, 3).astype(np.float64)
     else:
-        corners, faces, _ = _single_geometry(load_scene(data, file, "stl_ascii"), triangulate)
-        corners = corners[faces.ravel()]
+        points, faces, _ = _single_geometry(load_scene(data, file, "stl_ascii"), triangulate)
+        corners = points[faces.ravel()]
     corners = corners + 0.0  # plus zero: makes -0 and 0 the same bits
     _, first, inverse = np.unique(corners, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)  # vertices in the order of their first appearance
@@ -264,7 +267,7 @@ def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
     return _single_geometry(load_scene(data, file, suffix), triangulate)
 
 
-def _single_geometry(scene: Any, together: bool) -> _Read:
+def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
     """The one mesh of a scene, moved to where the scene puts it."""
     order = list(scene.geometry)
     placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]

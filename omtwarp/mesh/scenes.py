@@ -8,11 +8,14 @@ import logging
 import struct
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, amount
+
+if TYPE_CHECKING:
+    import trimesh
 
 # Drawings without surfaces, points without triangles, and archives, of which it is not known what they hold.
 _NOT_MESHES = {"dxf", "xyz", "zip", "bz2", "tar.gz", "tar.bz2"}
@@ -27,7 +30,7 @@ def scene_formats() -> set[str]:
     return set(trimesh.available_formats()) - _NOT_MESHES
 
 
-def load_scene(data: bytes, file: Path, suffix: str) -> Any:
+def load_scene(data: bytes, file: Path, suffix: str) -> trimesh.Scene:
     """Read a scene, with the files that it names where they lie beside it or below.
 
     Args:
@@ -77,7 +80,7 @@ def load_scene(data: bytes, file: Path, suffix: str) -> Any:
     return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Beside(file.parent), process=False)
 
 
-def gltf_header(data: bytes, suffix: str) -> Any:
+def gltf_header(data: bytes, suffix: str) -> object:
     """The JSON of a glTF file (glTF 2.0 specification, section 4.4).
 
     Raises:
@@ -94,7 +97,7 @@ def gltf_header(data: bytes, suffix: str) -> Any:
     return json.loads(data[20 : 20 + size])
 
 
-def _require_plain(header: Any) -> None:
+def _require_plain(header: object) -> None:
     """Refuse parts of a scene that trimesh would drop silently.
 
     Raises:

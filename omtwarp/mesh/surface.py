@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,7 +59,7 @@ class Surface:
         self.checked = False
         self._given_areas = None if areas is None else scaled_areas(areas, len(self.faces))
         self._sent: dict[str, dict[str, wp.array]] = {}
-        self._kept: dict[str, Any] = {}
+        self._kept: dict[str, object] = {}
 
     def with_areas(self, areas: ArrayLike) -> Surface:
         """Make the same surface with another measure; what depends on shape and connectivity alone is shared.
@@ -192,8 +192,7 @@ class Surface:
         """
         if name not in self._kept:
             self._kept[name] = make()
-        thing: Kind = self._kept[name]
-        return thing
+        return cast(Kind, self._kept[name])
 
     def let_go(self, name: str) -> None:
         """Forget what is kept under a name; it is made again when it is asked for."""

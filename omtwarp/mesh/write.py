@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +83,7 @@ def _write(
 
 
 def ply_bytes(
-    points: NDArray[np.float64], faces: NDArray[np.int32], properties: Mapping[str, NDArray[Any]] | None = None
+    points: NDArray[np.float64], faces: NDArray[np.int32], properties: Mapping[str, NDArray[np.generic]] | None = None
 ) -> bytes:
     """A mesh in binary PLY with further properties of its vertices, all in double precision."""
     given = properties or {}

@@ -12,7 +12,7 @@ both are at least 2, and 2 is perfect.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,16 @@ from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.metrics.kernels import not_finite, pick_values, triangle_distortion, weighted_distortions
 
 WEIGHTINGS = ("mean", "surface", "sphere")
+
+
+class Aggregates(TypedDict):
+    """The fields of :class:`Distortion` that are no arrays."""
+
+    flips: int
+    degree: float
+    finite: bool
+    area: dict[str, float]
+    angle: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -55,10 +65,15 @@ class Distortion:
     area_ratio: NDArray[np.float64]
     triple: NDArray[np.float64]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Aggregates:
         """The aggregates as plain numbers, ready for JSON."""
-        names = ("flips", "degree", "finite", "area", "angle")
-        return {name: getattr(self, name) for name in names}
+        return {
+            "flips": self.flips,
+            "degree": self.degree,
+            "finite": self.finite,
+            "area": self.area,
+            "angle": self.angle,
+        }
 
     def __str__(self) -> str:
         return (
@@ -126,7 +141,7 @@ def measure_triangles(
 
 def measure(
     vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike | wp.array, *, device: str | None
-) -> dict[str, Any]:
+) -> Aggregates:
     """The aggregates of :func:`distortion` alone, as :meth:`Distortion.to_dict` has them; arguments as there.
 
     On CUDA they are made on the device, and some twenty numbers come back instead of six for every triangle. Sums
@@ -150,7 +165,7 @@ def triangle_quantities(
     return outputs
 
 
-def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> dict[str, Any]:
+def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> Aggregates:
     """Summarise the quantities of triangles on their device, as :func:`summarize` does on the host.
 
     Args:

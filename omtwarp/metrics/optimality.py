@@ -64,7 +64,7 @@ SHORTER, LONGER = 0.4, 1.6
 
 
 class SphereMaps(Protocol):
-    """What a result tells of a map: :class:`omtwarp.MapResult` does."""
+    """Attributes of a finished map, such as :class:`omtwarp.MapResult`."""
 
     vertices: Array
     faces: NDArray[np.int32]

@@ -228,7 +228,7 @@ class MirrorFactor:
         self._normals = np.zeros((len(self._half), 2))
 
     def _made(self, places: Floats) -> SaddlePointFactor:
-        """What factorises the systems of the half, whose vertices are at these places."""
+        """Factorise the systems of the half, whose vertices are at these places."""
         return saddle_factor(places, self._edges)
 
     def at(self, points: wp.array) -> None:
@@ -302,7 +302,7 @@ class MirrorFactor:
 
 
 class MirrorCellFactor(MirrorFactor):
-    """As its base for multipliers that belong to cells, each of them on one side of the boundary.
+    """Factorisation for quartered meshes: multipliers belong to cells, each of them on one side of the boundary.
 
     Args:
         double, surface, device: as of :class:`MirrorFactor`.

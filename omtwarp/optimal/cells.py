@@ -10,7 +10,6 @@ multipliers p_c belong to what does not move.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,13 +82,13 @@ def minimise_cells(
     found = minimise(energy, sphere, gain=gain, iterations=iterations, progress=progress)
     history = list(found.history)
 
-    def tell(number: int, terms: MapTerms) -> None:
+    def notify(number: int, terms: MapTerms) -> None:
         rms, largest = energy.ring_errors(terms)
         history.append({**history[-1], "cost": energy.cost(terms), "ring_rms": rms, "ring_largest": largest})
         if progress is not None:
             progress("omt", min(len(history) - 1, iterations), iterations, history[-1])
 
-    restored, right = restore_areas(energy, found.sphere, tell=tell)
+    restored, right = restore_areas(energy, found.sphere, notify=notify)
     ended = found.ended if right else f"{found.ended}; areas are not right to {EXACT:g}"
     return replace(found, sphere=restored, history=tuple(history), converged=found.converged and right, ended=ended)
 
@@ -120,7 +119,7 @@ class CellEnergy(TransportEnergy):
         self._factor: SaddlePointFactor | None = None
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """What factorises the matrices that :meth:`blocks` gives; the same one at every call."""
+        """Factorisation of the matrices that :meth:`blocks` gives; the same object at every call."""
         if self._factor is None:
             self._factor = cell_saddle_factor(self.surface, self.cells)
         return self._factor
@@ -129,10 +128,10 @@ class CellEnergy(TransportEnergy):
         """Areas of the cells, shape [F], in place of those around vertices."""
         square = wp.empty(self.surface.vertex_count, dtype=wp.float64, device=self.device)
 
-        def of_triangles(part: slice) -> tuple[list[Any], list[Any]]:
+        def of_triangles(part: slice) -> tuple[list[object], list[object]]:
             return [points, self._mesh.faces[part]], [self._solid[part]]
 
-        def of_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+        def of_vertices(part: slice) -> tuple[list[object], list[object]]:
             return [self._start[part], points[part]], [square[part]]
 
         launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
@@ -156,7 +155,7 @@ class CellEnergy(TransportEnergy):
         gradient = wp.empty(count, dtype=wp.vec3d, device=device)
         factor = wp.float64(self.cost_weight * 2.0 / SPHERE_AREA)
 
-        def around(part: slice) -> tuple[list[Any], list[Any]]:
+        def around(part: slice) -> tuple[list[object], list[object]]:
             inputs = [self._start, points, self._mesh.faces, mass, potential, *self._rows, factor, part.start]
             return inputs, [gradient]
 
@@ -167,18 +166,18 @@ class CellEnergy(TransportEnergy):
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Numbers, Numbers, Numbers]:
-        """As of the base; the derivatives of the areas are those of every cell by its vertices, shape [F, 6, 2]."""
+        """Blocks of the matrix; the derivatives of areas are those of every cell by its vertices, shape [F, 6, 2]."""
         count, device = self.surface.vertex_count, self.device
         hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
         mass = wp.array(self._masses(terms), dtype=wp.float64, device=device, copy=False)
         numbers = [wp.float64(self.cost_weight * 2.0 / SPHERE_AREA), wp.float64(least)]
 
-        def around(part: slice) -> tuple[list[Any], list[Any]]:
+        def around(part: slice) -> tuple[list[object], list[object]]:
             inputs = [self._start, points, self._mesh.faces, mass, *self._rows, *numbers, part.start]
             return inputs, [self._metric]
 
-        def of_cells(part: slice) -> tuple[list[Any], list[Any]]:
+        def of_cells(part: slice) -> tuple[list[object], list[object]]:
             return [points, self._cells, part.start], [self._couplings[part]]
 
         launch_parts(cost_metric, count, around, device)

@@ -1,4 +1,4 @@
-"""What the discrete optimal map minimises, and its derivatives.
+"""Energy that the discrete optimal map minimises, and its derivatives.
 
 Vertex v of the surface has mass m_v (a third of the area of the triangles around it, 4π in all), lies at x_v on the
 conformal sphere and is mapped to y_v. With a_v(y) the solid angle of the triangles around v, the discrete problem is
@@ -24,7 +24,6 @@ symmetric and positive at the optimum (Ma, Trudinger and Wang 2005): :func:`omtw
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +48,7 @@ MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 9e-3
 
 @dataclass(frozen=True)
 class MapTerms:
-    """What a map is made of.
+    """Areas, squared distances and distortion of a map.
 
     Attributes:
         ring: the areas that are constrained: a_v, shape [V].
@@ -109,11 +108,11 @@ class TransportEnergy:
         self._newton = NewtonMatrix.of_surface(surface, self.shape.workspace)
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """What factorises the matrices that :meth:`blocks` gives."""
+        """Factorisation of the matrices that :meth:`blocks` gives."""
         return surface_saddle_factor(self.surface)
 
     def flip_free_steps(self) -> FlipFreeSteps:
-        """What moves maps along directions."""
+        """Steps that move maps along directions."""
         return FlipFreeSteps(self.surface, self.device)
 
     def terms(self, points: wp.array) -> MapTerms:
@@ -121,10 +120,10 @@ class TransportEnergy:
         count, faces = self.surface.vertex_count, self._mesh.faces
         ring, square = (wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(2))
 
-        def of_triangles(part: slice) -> tuple[list[Any], list[Any]]:
+        def of_triangles(part: slice) -> tuple[list[object], list[object]]:
             return [points, faces[part]], [self._solid[part]]
 
-        def of_vertices(part: slice) -> tuple[list[Any], list[Any]]:
+        def of_vertices(part: slice) -> tuple[list[object], list[object]]:
             return [self._start, points, self._solid, *self._rows, part.start], [ring, square]
 
         launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
@@ -161,7 +160,7 @@ class TransportEnergy:
         gradient = wp.empty(count, dtype=wp.vec3d, device=device)
         factor = wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA))
 
-        def around(part: slice) -> tuple[list[Any], list[Any]]:
+        def around(part: slice) -> tuple[list[object], list[object]]:
             inputs = [self._start, points, self._mesh.faces, ring, potential, *self._rows, factor, part.start]
             return inputs, [gradient]
 
@@ -190,11 +189,11 @@ class TransportEnergy:
         ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
         numbers = [wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA)), wp.float64(least)]
 
-        def around(part: slice) -> tuple[list[Any], list[Any]]:
+        def around(part: slice) -> tuple[list[object], list[object]]:
             inputs = [self._start, points, self._mesh.faces, ring, *self._rows, *numbers, part.start]
             return inputs, [self._metric]
 
-        def across(part: slice) -> tuple[list[Any], list[Any]]:
+        def across(part: slice) -> tuple[list[object], list[object]]:
             inputs = [points, self._mesh.faces, self._mesh.edges[part], self._mesh.edge_corners[part]]
             return inputs, [self._forward[part], self._backward[part]]
 

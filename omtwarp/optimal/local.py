@@ -8,8 +8,6 @@ one of all: on scans this takes three quarters of the factorisations off.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
@@ -132,7 +130,7 @@ class LocalSteps:
         whole[self._vertices[: self._free]] = points.numpy()[: self._free]
         return vectors(whole, self._device), self._vertices, self.multipliers
 
-    def _sent(self, values: NDArray[Any], dtype: Any) -> wp.array:
+    def _sent(self, values: NDArray[np.generic], dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device, copy=False)
 
     def _sums(self, values: Numbers) -> Numbers:
@@ -218,7 +216,7 @@ class LocalSteps:
             self.multipliers = self.multipliers + length[self._patch] * (q - constant[self._patch])
         return points, float((length * decrements).sum())
 
-    def _factorise(self, points: wp.array, ring: wp.array, factor: Any) -> None:
+    def _factorise(self, points: wp.array, ring: wp.array, factor: wp.float64) -> None:
         """Factorise the saddle-point matrix with the vertices beside the freed ones held."""
         device, energy, free, count = self._device, self._energy, self._free, len(self._vertices)
         edges = len(self._edges)

@@ -143,7 +143,7 @@ class _Refinement:
         return RefineResult(found.sphere, weight, list(found.history), found.converged, found.factorisations)
 
     def by_triangles(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
-        """The same with the whole weight on the areas of triangles."""
+        """Minimise with the whole weight of areas on those of triangles, none on those around vertices."""
         return self.refiner.minimise(
             sphere, weight, iterations=self.iterations, tolerance=self.tolerance, progress=self.progress
         )

@@ -9,7 +9,6 @@ matrix ends there with errors of some 1e-3; the areas alone are right to round-o
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.start import wp
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.triangle_newton.motion_kernels import from_tangent
 from omtwarp.untangling.steps import FlipFreeSteps
 
@@ -37,7 +37,7 @@ def restore_areas(
     sphere: Numbers,
     *,
     rounds: int = ROUNDS,
-    tell: Callable[[int, MapTerms], None] | None = None,
+    notify: Callable[[int, MapTerms], None] | None = None,
 ) -> tuple[Numbers, bool]:
     """Move a map without flips to the nearest one whose areas are right.
 
@@ -45,7 +45,7 @@ def restore_areas(
         energy: says which areas are wanted, to which tolerances, and what near means.
         sphere: unit vectors, shape [V, 3], no triangle flipped.
         rounds: most steps.
-        tell: called after each step with its number and the terms of the map.
+        notify: called after each step with its number and the terms of the map.
 
     Returns:
         The map of the last step that made areas better, without flips, and whether they are right.
@@ -74,13 +74,13 @@ def restore_areas(
         if moved is None:
             break
         points, terms = moved
-        if tell is not None:
-            tell(number + 1, terms)
+        if notify is not None:
+            notify(number + 1, terms)
     return points.numpy().copy(), _right(energy, terms)
 
 
 def _step(
-    energy: TransportEnergy, steps: FlipFreeSteps, factor: Any, points: wp.array, terms: MapTerms
+    energy: TransportEnergy, steps: FlipFreeSteps, factor: SaddlePointFactor, points: wp.array, terms: MapTerms
 ) -> tuple[wp.array, MapTerms] | None:
     """The map and its terms after the longest share of a Newton step that makes areas better; None if none does."""
     count, device = energy.surface.vertex_count, energy.device

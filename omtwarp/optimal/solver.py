@@ -13,7 +13,6 @@ gain settle by steps of their own (:mod:`omtwarp.optimal.local`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +28,7 @@ from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.local import LEAST_DAMPING, LocalSteps, freed_vertices
-from omtwarp.options import Progress
+from omtwarp.options import Progress, Record
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
@@ -81,7 +80,7 @@ class OptimalMap:
 
     sphere: Numbers
     multipliers: Numbers
-    history: tuple[dict[str, Any], ...]
+    history: tuple[Record, ...]
     converged: bool
     ended: str
     factorisations: int
@@ -212,7 +211,7 @@ class _Newton:
             self.multipliers = multipliers
         elif self.constrained:  # estimated from a potential of zero
             self.multipliers = -energy.potential(terms, self.multipliers)
-        first = self._worth(terms)
+        first = self._penalised_energy(terms)
         history = [self._record(terms, 0.0, 0.0, False, 0)]
         ended, converged = "most steps taken", False
         renew, last = True, np.inf
@@ -256,7 +255,7 @@ class _Newton:
                 change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
                 self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
             renew = length < 1.0 or mended > MAX_MENDED * self.surface.vertex_count or trust < 0.3
-        if not self._worth(terms) <= first:
+        if not self._penalised_energy(terms) <= first:
             return OptimalMap(
                 sphere,
                 self.multipliers,
@@ -283,14 +282,14 @@ class _Newton:
         steps = LocalSteps(energy, freed, points, terms, self.multipliers, self.stiffness, self.constrained)
         moved, vertices, multipliers = steps.run(LOCAL_GAIN_SHARE * self._enough(terms))
         after = energy.terms(moved)
-        if not self._worth(after) < self._worth(terms):
+        if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0
         self.multipliers = self.multipliers.copy()
         self.multipliers[vertices] = multipliers
         return moved, after, int(freed.sum())
 
     def _enough(self, terms: MapTerms) -> float:
-        """What a step has to promise to gain for another one to be taken."""
+        """Least gain that a step has to promise for another one to be taken."""
         if not self.constrained:
             return 2.0 * self.gain
         return self.gain * max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST)
@@ -303,7 +302,7 @@ class _Newton:
         rms, largest = self.energy.ring_errors(terms)
         return enough and rms <= self.max_rms and largest <= self.max_error
 
-    def _worth(self, terms: MapTerms) -> float:
+    def _penalised_energy(self, terms: MapTerms) -> float:
         """Cost, shape and area errors of a map in one number that does not depend on multipliers."""
         energy, missing = self.energy, self.energy.missing(terms)
         cost = energy.cost_weight * energy.cost(terms) / SPHERE_AREA
@@ -335,7 +334,7 @@ class _Newton:
         _, q = self.factor.solve(-self._coordinates(gradient), np.zeros(len(self.multipliers)))
         self.multipliers = self.multipliers + q
 
-    def _direction(self, points: wp.array, terms: MapTerms) -> tuple[Any, Numbers, float]:
+    def _direction(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, Numbers, float]:
         """Tangent vectors on the device, change of the multipliers, and what they promise to gain."""
         missing = self.energy.missing(terms)
         gradient = self.energy.gradient(points, terms, self.multipliers)
@@ -357,8 +356,15 @@ class _Newton:
         wp.launch(to_tangent, dim=count, inputs=inputs, outputs=[coordinates], device=self.device)
         return coordinates.numpy()
 
-    def _search(self, points: wp.array, terms: MapTerms, direction: Any, decrement: float, halvings: int) -> Any:
-        """A step along the direction that lowers the merit and flips nothing: map, terms, length, vertices mended."""
+    def _search(
+        self, points: wp.array, terms: MapTerms, direction: wp.array, decrement: float, halvings: int
+    ) -> tuple[wp.array, MapTerms, float, int, float, float] | None:
+        """Search along the direction for a step that lowers the merit and flips nothing.
+
+        Returns:
+            The map, its terms, the step's length, how many vertices were mended, and the merit before and after; None
+            where no step was found.
+        """
         before = self._merit(terms)
         reach = float(np.sqrt((direction.numpy() ** 2).sum(axis=1).max()))
         length = min(1.0, REACH / max(reach, 1e-300))
@@ -383,11 +389,11 @@ class _Newton:
 
     def _record(
         self, terms: MapTerms, decrement: float, length: float, factorised: bool, mended: int, settled: int = 0
-    ) -> dict[str, Any]:
+    ) -> Record:
         rms, largest = self.energy.ring_errors(terms)
         return {
             "cost": self.energy.cost(terms),
-            "energy": self._worth(terms),
+            "energy": self._penalised_energy(terms),
             "ring_rms": rms,
             "ring_largest": largest,
             "area": terms.shape.area + 2.0,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,7 @@ class Target:
     face: NDArray
     weights: Floats
     size: tuple[int, int]
-    device: Any
+    device: wp.Device
 
     def spread(self, values: Floats, faces: Ints) -> Floats:
         """Values at vertices, shape [V] or [V, C], as values at this target's corners, shape [T, 3, C]."""
@@ -86,10 +85,10 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
         points=wp.array(((vertices - low) / scale).astype(np.float32), dtype=wp.vec3, device=where),
         indices=wp.array(np.ascontiguousarray(faces.ravel(), dtype=np.int32), dtype=wp.int32, device=where),
     )
-    start: Any = wp.array(origins, dtype=wp.vec3, device=where)
-    ways: Any = wp.array(normal.astype(np.float32), dtype=wp.vec3, device=where)
-    out: Any = wp.zeros(len(known), dtype=wp.float32, device=where)
-    numbers: Any = wp.array(known.astype(np.int32), dtype=wp.int32, device=where)
+    start = wp.array(origins, dtype=wp.vec3, device=where)
+    ways = wp.array(normal.astype(np.float32), dtype=wp.vec3, device=where)
+    out = wp.zeros(len(known), dtype=wp.float32, device=where)
+    numbers = wp.array(known.astype(np.int32), dtype=wp.int32, device=where)
     launch_parts(
         kernels.cast_open_rays,
         len(known),
@@ -131,14 +130,14 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
         points=wp.array(((fine - low) / scale).astype(np.float32), dtype=wp.vec3, device=where),
         indices=wp.array(np.ascontiguousarray(triangles.ravel(), dtype=np.int32), dtype=wp.int32, device=where),
     )
-    numbers: Any = wp.array(np.ascontiguousarray(triangles, dtype=np.int32), dtype=wp.int32, device=where)
-    normals: Any = wp.array(vertex_normals(fine, triangles), dtype=wp.vec3d, device=where)
-    columns: list[Any] = [
+    numbers = wp.array(np.ascontiguousarray(triangles, dtype=np.int32), dtype=wp.int32, device=where)
+    normals = wp.array(vertex_normals(fine, triangles), dtype=wp.vec3d, device=where)
+    columns = [
         wp.array(np.ascontiguousarray(rows[:, :3]), dtype=wp.vec3d, device=where),
         wp.array(np.ascontiguousarray(rows[:, 3:6]), dtype=wp.vec3d, device=where),
         wp.array(np.ascontiguousarray(rows[:, 6:]), dtype=wp.vec4d, device=where),
     ]
-    out: Any = wp.zeros(len(known), dtype=wp.vec3d, device=where)
+    out = wp.zeros(len(known), dtype=wp.vec3d, device=where)
     launch_parts(
         kernels.tangent_normals,
         len(known),
@@ -158,7 +157,7 @@ def object_normals(target: Target) -> Bytes:
     return _as_picture(np.where(length > 0, picture / np.maximum(length, 1e-30), 0.0), target.size)
 
 
-def _as_picture(vectors: NDArray[Any], size: tuple[int, int]) -> Bytes:
+def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
     """Unit vectors as bytes: 0 is -1 and 255 is 1, as glTF decodes them."""
     return np.rint((np.clip(vectors, -1.0, 1.0) * 0.5 + 0.5) * 255.0).astype(np.uint8).reshape(size[1], size[0], 3)
 

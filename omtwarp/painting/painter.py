@@ -6,12 +6,12 @@ import os
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.materials.base import WHITE, Bytes, Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
@@ -19,14 +19,11 @@ from omtwarp.materials.tangents import corner_tangents
 from omtwarp.painting import bakes
 from omtwarp.painting.texels import PADDING, bake_materials, covered, over, overlap, tiled_copies, tinted
 from omtwarp.texturing.baking import Layout, bake_to_uv
-from omtwarp.texturing.image import as_bytes, as_floats, read_image
+from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
 from omtwarp.texturing.patterns import PATTERNS, Pattern
 from omtwarp.texturing.projection import rotation_matrix
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
 from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, texture, vertex_normals
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 SIZE = 2048
 """Texels of a side of a picture for own coordinates where the material has none whose size could be taken."""
@@ -46,7 +43,7 @@ NEUTRAL = (0.8, 0.8, 0.8, 1.0)
 def paint(
     result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
     mesh: PaintedMesh | None = None,
-    image: str | os.PathLike[str] | Image | ArrayLike | None = None,
+    image: PictureLike | None = None,
     *,
     pattern: str | Pattern | None = None,
     uv: str = "own",
@@ -142,7 +139,9 @@ class _Wanted:
     detail: tuple[Floats, Ints] | None
 
     @staticmethod
-    def of(bake: Iterable[str | os.PathLike[str]], detail: Any, colored: bool) -> _Wanted:
+    def of(
+        bake: Iterable[str | os.PathLike[str]], detail: tuple[ArrayLike, ArrayLike] | None, colored: bool
+    ) -> _Wanted:
         names = tuple(os.fspath(name) for name in bake)
         fine = None
         if detail is not None:
@@ -168,9 +167,11 @@ class _Job:
     wanted: _Wanted
     keep: str | None
     opacity: float
-    where: Any
+    where: wp.Device
 
-    def on_own_coordinates(self, source: Any, projection: str, rotate: Any, size: int | None) -> PaintedMesh:
+    def on_own_coordinates(
+        self, source: PictureLike | Pattern | None, projection: str, rotate: ArrayLike | str | None, size: int | None
+    ) -> PaintedMesh:
         assert self.own is not None
         mesh = self.own
         uv = mesh.require_uv()
@@ -271,16 +272,23 @@ class _Job:
             found = replace(found, normal_picture=normals, own_tangents=True)
         return found
 
-    def on_atlas(self, source: Any, projection: str, atlas: str, rotate: Any, size: int | None) -> PaintedMesh:
-        given: dict[str, Any] = {"pattern": source} if isinstance(source, str | Pattern) and _is_pattern(source) else {}
-        if source is not None and not given:
-            given = {"image": source}
-        # Without a source the atlas's coordinates alone are wanted: a picture of one colour is the quickest.
-        given = given or {"image": np.zeros((16, 32, 3), dtype=np.uint8)}
+    def on_atlas(
+        self,
+        source: PictureLike | Pattern | None,
+        projection: str,
+        atlas: str,
+        rotate: ArrayLike | str | None,
+        size: int | None,
+    ) -> PaintedMesh:
+        image, pattern = (None, source) if isinstance(source, Pattern) else (source, None)
+        if isinstance(image, str) and image in PATTERNS:
+            image, pattern = None, image
+        if source is None:  # the atlas's coordinates alone are wanted: a picture of one colour is the quickest
+            image = np.zeros((16, 32, 3), dtype=np.uint8)
         layout_size = SIZE if size is None and source is None else size
         made = texture(
-            (self.vertices, self.faces, self.sphere), projection=projection, atlas=atlas, rotate=rotate,
-            size=layout_size, device=str(self.where), **given,
+            (self.vertices, self.faces, self.sphere), image, pattern=pattern, projection=projection, atlas=atlas,
+            rotate=rotate, size=layout_size, device=str(self.where),
         )  # fmt: skip
         mesh = self._atlas_mesh(made)
         assert mesh.uv is not None
@@ -340,10 +348,6 @@ class _Job:
         return bake_materials(layout, at, mesh.material_of, own.materials, colors, -1)
 
 
-def _is_pattern(source: str | Pattern) -> bool:
-    return isinstance(source, Pattern) or source in PATTERNS
-
-
 def _extent(material: Material, size: int | None) -> tuple[int, int]:
     """Width and height of a material's new picture."""
     if material.picture is None:
@@ -352,7 +356,7 @@ def _extent(material: Material, size: int | None) -> tuple[int, int]:
     return (width, height) if size is None else (size, max(round(size * height / width), 1))
 
 
-def _with_opacity(picture: NDArray[Any]) -> NDArray[np.float32]:
+def _with_opacity(picture: NDArray[np.generic]) -> NDArray[np.float32]:
     """A picture of three or four channels as one of four."""
     values = picture.astype(np.float32, copy=False)
     if values.shape[2] == 4:

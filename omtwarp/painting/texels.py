@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,13 +55,13 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
     return which, uv[which] - shift[:, None, :]
 
 
-def overlap(uv: Floats, width: int, height: int, where: Any) -> float:
+def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
     """The part of the covered texels that lie in more than one triangle, from 0 to 1."""
     if not len(uv):
         return 0.0
     texels = np.stack([uv[..., 0] * width, (1.0 - uv[..., 1]) * height], axis=-1)
     claims = wp.zeros(width * height, dtype=wp.int32, device=where)
-    corners: Any = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
+    corners = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
     wp.launch(
         kernels.count_claims,
         dim=len(uv),
@@ -75,7 +73,13 @@ def overlap(uv: Floats, width: int, height: int, where: Any) -> float:
 
 
 def bake_corners(
-    uv: Floats, values: Floats, size: tuple[int, int], *, padding: int = PADDING, samples: int = SAMPLES, device: Any
+    uv: Floats,
+    values: Floats,
+    size: tuple[int, int],
+    *,
+    padding: int = PADDING,
+    samples: int = SAMPLES,
+    device: wp.Device,
 ) -> Picture:
     """Values at corners, linear over every triangle, as a picture; 0 where nothing is.
 
@@ -98,7 +102,7 @@ def bake_corners(
     )  # fmt: skip
 
 
-def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device: Any) -> NDArray[np.bool_]:
+def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device: wp.Device) -> NDArray[np.bool_]:
     """Which texels triangles cover, with the padding around them, shape [H, W]."""
     ones = np.ones((len(uv), 3, 1))
     return bake_corners(uv, ones, size, padding=padding, samples=1, device=device)[..., 0] > 0.5
@@ -137,11 +141,11 @@ def bake_materials(
         at_corners = own if own is not None else np.zeros((len(which), 3, 2))
         by_color = colors is not None and material.picture is None
         given = colors if by_color else at_corners
-        values: Any = wp.array(np.ascontiguousarray(given), dtype=wp.float64, device=where)
-        source: Any = wp.array(np.ascontiguousarray(picture), dtype=wp.float32, device=where)
+        values = wp.array(np.ascontiguousarray(given), dtype=wp.float64, device=where)
+        source = wp.array(np.ascontiguousarray(picture), dtype=wp.float32, device=where)
         step = max(SAMPLES_AT_ONCE // SAMPLES**2, 1)
         for start in range(0, len(mine), step):
-            some: Any = wp.array(mine[start : start + step], dtype=wp.int32, device=where)
+            some = wp.array(mine[start : start + step], dtype=wp.int32, device=where)
             count = len(some) * SAMPLES**2
             points = wp.empty((count, 4 if by_color else 2), dtype=wp.float64, device=where)
             layout.interpolate(values, some, SAMPLES, points)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.alignment import align
 from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
@@ -110,7 +109,7 @@ def _points(sphere: Floats, faces: Ints, vertices: Floats) -> SpherePoints:
     return SpherePoints(mesh_grid(sphere, faces, "the map"), vertices)
 
 
-def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: Any) -> Any:
+def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device) -> NDArray[np.float32]:
     """A mesh's colours on the picture of an atlas, sRGB and opacity from 0 to 1, float32 [H, W, 4]."""
     cut = unwrap(sphere, mesh.faces, atlas)
     layout, part = sphere_layout(cut, atlas, sphere, None, where)
@@ -124,7 +123,7 @@ def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: Any) -> A
     return bake_materials(layout, own, which, mesh.materials, colors, -1)
 
 
-def _material(mesh: PaintedMesh, picture: Any) -> Material:
+def _material(mesh: PaintedMesh, picture: NDArray[np.float32]) -> Material:
     """One material with the transferred picture, as rough and metallic as the mesh's most common one."""
     common = mesh.materials[int(np.bincount(mesh.material_of).argmax())]
     texels = as_bytes(picture)

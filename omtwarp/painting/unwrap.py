@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Floats, Material
@@ -81,7 +79,7 @@ def unwrap_uv(
     return PaintedMesh(vertices, faces, _placed(plane, chart, aspect, margin), (Material("surface"),))
 
 
-def _angles(corners: Floats, chart: Any) -> Floats:
+def _angles(corners: Floats, chart: NDArray[np.intp]) -> Floats:
     """Angles of corners from the middles of charts, to the right and upwards, shape [F, 3, 2]."""
     local = np.einsum("fkj,fij->fki", corners, CUBE_FRAMES[chart])
     return np.arctan2(local[..., 1:], local[..., :1])
@@ -92,7 +90,7 @@ def _signed_areas(plane: Floats) -> Floats:
     return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
 
 
-def _placed(plane: Floats, chart: Any, aspect: float, margin: float) -> Floats:
+def _placed(plane: Floats, chart: NDArray[np.intp], aspect: float, margin: float) -> Floats:
     """Coordinates of corners on the picture, each chart in the middle of its cell, all at one scale."""
     low, high = np.zeros((6, 2)), np.zeros((6, 2))
     for k in np.unique(chart):

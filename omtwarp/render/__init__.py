@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from omtwarp.render.camera import Camera
@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     # The drawing process imports this package too, and must not pay for what it does not use.
     if name in _HOMES:
         return getattr(importlib.import_module(f"omtwarp.render.{_HOMES[name]}"), name)

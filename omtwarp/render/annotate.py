@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -51,7 +49,7 @@ def ink(background: object, transparent: bool) -> tuple[int, int, int]:
     return (38, 44, 52) if mean > 0.5 else (226, 230, 235)
 
 
-def font(size: float) -> Any:
+def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """Pillow's own font."""
     return ImageFont.load_default(size=max(size, 8.0))
 

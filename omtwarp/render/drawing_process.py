@@ -14,12 +14,15 @@ import select
 import signal
 import struct
 import sys
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, cast
+
+if TYPE_CHECKING:
+    from omtwarp.render.scene import RenderJob
 
 _LENGTH = struct.Struct(">Q")
 
 
-def send(stream: BinaryIO, message: Any) -> None:
+def send(stream: BinaryIO, message: object) -> None:
     """Write one message."""
     data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     stream.write(_LENGTH.pack(len(data)))
@@ -27,7 +30,7 @@ def send(stream: BinaryIO, message: Any) -> None:
     stream.flush()
 
 
-def receive(stream: BinaryIO) -> Any:
+def receive(stream: BinaryIO) -> object:
     """Read one message.
 
     Raises:
@@ -77,7 +80,7 @@ def main() -> None:
         except EOFError:
             break
         try:
-            answer: tuple[str, Any] = ("pictures", renderer.draw(job))
+            answer: tuple[str, object] = ("pictures", renderer.draw(cast("RenderJob", job)))
         except Exception as error:
             answer = ("failed", f"{type(error).__name__}: {error}".splitlines()[0])
         send(replies, answer)

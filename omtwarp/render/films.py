@@ -8,10 +8,9 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
@@ -24,10 +23,12 @@ from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_view, frame
 from omtwarp.render.colors import backdrop
 from omtwarp.render.light import as_light
+from omtwarp.render.options import View
 from omtwarp.render.pictures import render
 from omtwarp.render.scene import Part, RenderJob, normalisation, smooth_parts, welded_normals
-from omtwarp.render.subject import map_view
+from omtwarp.render.subject import FinishedMap, map_view
 from omtwarp.render.upright import posed
+from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.rasterizing import rasterize
 from omtwarp.texturing.smooth import smooth_map
 
@@ -132,18 +133,18 @@ def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
 
 
 def film(
-    result: Any,
+    result: FinishedMap,
     path: str | os.PathLike[str],
     *,
     pattern: str = "circles",
-    image: Any = None,
+    image: PictureLike | None = None,
     size: tuple[int, int] | None = None,
     fps: float | None = None,
     seconds: float | None = None,
-    view: Any = None,
+    view: View | None = None,
     up: str | None = None,
     front: str | None = None,
-    background: Any = "white",
+    background: str | ArrayLike = "white",
     captions: bool = True,
     backend: str = "auto",
     device: str = "auto",
@@ -209,17 +210,17 @@ def film(
 
 
 def film_frames(
-    result: Any,
+    result: FinishedMap,
     *,
     pattern: str = "circles",
-    image: Any = None,
+    image: PictureLike | None = None,
     size: tuple[int, int] = SMALL,
     fps: float = 20.0,
     seconds: float | None = None,
-    view: Any = None,
+    view: View | None = None,
     up: str | None = None,
     front: str | None = None,
-    background: Any = "white",
+    background: str | ArrayLike = "white",
     captions: bool = True,
     backend: str = "auto",
     device: str = "auto",
@@ -239,7 +240,14 @@ def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _story_of(
-    result: Any, pattern: str, image: Any, width: int, view: Any, up: str | None, front: str | None, device: str
+    result: FinishedMap,
+    pattern: str,
+    image: PictureLike | None,
+    width: int,
+    view: View | None,
+    up: str | None,
+    front: str | None,
+    device: str,
 ) -> tuple[_Story, Callable[[float], Shot]]:
     """The course of a film, and the camera for a picture of a given width over height.
 
@@ -248,7 +256,8 @@ def _story_of(
     """
     if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal")):
         raise OmtwarpError(f"cannot film a {type(result).__name__}: give a map to the sphere")
-    if getattr(result, "part", None) is not None and len(np.unique(result.part)) > 1:
+    part = getattr(result, "part", None)
+    if part is not None and len(np.unique(part)) > 1:
         raise OmtwarpError("cannot film a map of several parts, each of which has a sphere of its own: map one of them")
     if image is None:
         least, most = PICTURE_WIDTHS
@@ -258,7 +267,9 @@ def _story_of(
     centre, radius = normalisation(shown)
     surface = (np.asarray(result.vertices) - centre) / radius
     areas = np.bincount(
-        np.asarray(result.faces).ravel(), np.repeat(triangle_areas(surface, result.faces), 3), minlength=len(surface)
+        np.asarray(result.faces).ravel(),
+        np.repeat(triangle_areas(surface, np.asarray(result.faces)), 3),
+        minlength=len(surface),
     )
     turn, _ = Rotation.align_vectors(surface, np.asarray(result.sphere), weights=areas + areas.mean() * 1e-9)
     to_ball = math.sqrt(areas.sum() / 3.0 / (4.0 * math.pi)) * turn.as_matrix().T
@@ -288,7 +299,7 @@ class _Studio:
 
     story: _Story
     shot_for: Callable[[float], Shot]
-    background: Any
+    background: str | ArrayLike
     captions: bool
     backend: str
     device: str

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,33 +79,33 @@ class DrawingProcess:
                     kind, payload = self._exchange(None, START_SECONDS)
                     if kind != "ready":
                         self.close()
-                        raise DrawingFailed(payload, lasting=True)
-                    self.device = payload
+                        raise DrawingFailed(str(payload), lasting=True)
+                    self.device = str(payload)
                 kind, payload = self._exchange(job, PICTURE_SECONDS * max(1, len(job.shots)))
             except BaseException:
                 self.close()  # after a failure or Ctrl-C the pipe may hold half a message
                 raise
             if kind != "pictures":
-                raise DrawingFailed(payload)
+                raise DrawingFailed(str(payload))
             self._idle = threading.Timer(IDLE_SECONDS, self._expire)
             self._idle.daemon = True
             self._idle.start()
-            return payload
+            return cast(list[NDArray[np.uint8]], payload)
 
     def _expire(self) -> None:
         with self._lock:
             if self._idle is threading.current_thread():  # else a picture was asked for in the meantime
                 self.close()
 
-    def _exchange(self, job: RenderJob | None, seconds: float) -> tuple[str, Any]:
+    def _exchange(self, job: RenderJob | None, seconds: float) -> tuple[str, object]:
         """Send a job (or none) and wait for one message; a thread does both, since pipes have no timeout."""
-        outcome: list[tuple[str, Any]] = []
+        outcome: list[tuple[str, object]] = []
 
         def talk() -> None:
             try:
                 if job is not None:
                     send(self._process.stdin, job)  # type: ignore[arg-type]
-                outcome.append(receive(self._process.stdout))  # type: ignore[arg-type]
+                outcome.append(cast(tuple[str, object], receive(self._process.stdout)))  # type: ignore[arg-type]
             except (EOFError, OSError, ValueError):
                 pass
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias, TypedDict, TypeVar
+from typing import TypeAlias, TypedDict, TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -88,7 +88,7 @@ PANEL_DEFAULTS: PanelOptions = {
 PREVIEW_DEFAULTS: PreviewOptions = {**PANEL_DEFAULTS, "frames": None, "fps": FILM_RATE, "captions": True}
 
 
-def takes(kind: type[Any], defaults: PanelOptions | PreviewOptions) -> Callable[[Function], Function]:
+def takes(kind: type, defaults: PanelOptions | PreviewOptions) -> Callable[[Function], Function]:
     """Give a function that ends in ``**options`` the signature with every option and its default, for ``help``.
 
     Args:
@@ -112,7 +112,7 @@ def takes(kind: type[Any], defaults: PanelOptions | PreviewOptions) -> Callable[
     return signed
 
 
-def _annotations(kind: type[Any]) -> dict[str, Any]:
+def _annotations(kind: type) -> dict[str, object]:
     """The annotations of a TypedDict and of those that it extends, in their order."""
     return {name: given for base in reversed(kind.__mro__) for name, given in inspect.get_annotations(base).items()}
 

@@ -12,12 +12,15 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypedDict, cast
 
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, check_output, staged
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 FILM_FORMATS = (".gif", ".mp4", ".webp")
@@ -38,6 +41,13 @@ BT709 = (
     "setparams=colorspace=bt709:color_primaries=bt709:color_trc=bt709:range=tv"
 )
 OPAQUE_FORMATS = (".jpg", ".jpeg", ".mp4")
+
+
+class _Alone(TypedDict, total=False):
+    """Options that keep an interruption of this process from another one, on Windows and elsewhere."""
+
+    creationflags: int
+    start_new_session: bool
 
 
 def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool) -> Path:
@@ -65,7 +75,7 @@ def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool)
     return target
 
 
-def save_still(image: Any, path: str | os.PathLike[str]) -> None:
+def save_still(image: Image, path: str | os.PathLike[str]) -> None:
     """Write one picture.
 
     Raises:
@@ -82,7 +92,7 @@ def save_still(image: Any, path: str | os.PathLike[str]) -> None:
             image.save(file, kind)
 
 
-def save_film(frames: Iterable[Any], path: str | os.PathLike[str], fps: float) -> None:
+def save_film(frames: Iterable[Image], path: str | os.PathLike[str], fps: float) -> None:
     """Write frames as an endless GIF or WebP, or as an MP4 (H.264), for which they are not kept.
 
     Raises:
@@ -100,7 +110,7 @@ def save_film(frames: Iterable[Any], path: str | os.PathLike[str], fps: float) -
             _mp4(frames, file, fps)
 
 
-def _gif(frames: Sequence[Any], file: Path, fps: float) -> None:
+def _gif(frames: Sequence[Image], file: Path, fps: float) -> None:
     from PIL import Image
 
     # One palette for all frames, or colours would flicker as the surface turns; made from a strip of small copies.
@@ -115,7 +125,7 @@ def _gif(frames: Sequence[Any], file: Path, fps: float) -> None:
     # The corner's colour exactly, since a background a shade off shows on a page of that colour. 255 stays for holes.
     corner = frames[0].convert("RGB").getpixel((0, 0))
     palette = Image.new("P", (1, 1))
-    palette.putpalette(colors + list(corner) * (256 - len(colors) // 3))
+    palette.putpalette(colors + list(cast(tuple[int, int, int], corner)) * (256 - len(colors) // 3))
     pages = []
     for shown in frames:
         opaque = shown.convert("RGB")
@@ -159,7 +169,7 @@ def _encoder(program: str) -> list[str]:
     return next((options for name, options in ENCODERS.items() if f" {name} " in listed), MPEG4)
 
 
-def _mp4(frames: Iterable[Any], file: Path, fps: float) -> None:
+def _mp4(frames: Iterable[Image], file: Path, fps: float) -> None:
     shown_in_turn = iter(frames)
     first = next(shown_in_turn)
     width, height = (first.width // 2 * 2, first.height // 2 * 2)  # H.264 halves the colours' resolution
@@ -171,7 +181,7 @@ def _mp4(frames: Iterable[Any], file: Path, fps: float) -> None:
         str(file),
     ]  # fmt: skip
     # An interruption of this process ends the writing, not ffmpeg, which would leave its own words on the terminal.
-    alone: dict[str, Any] = (
+    alone: _Alone = (
         {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined, unused-ignore]
         if os.name == "nt"
         else {"start_new_session": True}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,11 @@ from omtwarp.render.scene import Part, RenderJob
 pyrender = import_pyrender()
 
 from OpenGL import GL  # noqa: E402
+from pyrender.camera import Camera  # noqa: E402
+from pyrender.mesh import Mesh  # noqa: E402
+from pyrender.platforms.base import Platform  # noqa: E402
 from pyrender.renderer import Renderer  # noqa: E402
+from pyrender.scene import Scene  # noqa: E402
 from pyrender.shader_program import ShaderProgram, ShaderProgramCache  # noqa: E402
 
 SURFACELESS = "surfaceless"
@@ -38,7 +41,7 @@ LIGHT_OF_SRGB = np.round(65535.0 * srgb_to_linear(np.arange(256) / 255.0)).astyp
 class _Program(ShaderProgram):  # type: ignore[misc]
     """A program from :mod:`omtwarp.render.shaders` instead of pyrender's files, with uniforms of our own."""
 
-    uniforms: dict[str, Any]
+    uniforms: dict[str, object]
 
     def _load(self, shader_filename: str) -> str:
         source = shaders.VERTEX if shader_filename.endswith(".vert") else shaders.FRAGMENT
@@ -56,15 +59,15 @@ class _Programs(ShaderProgramCache):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__()
-        self.defines: dict[str, Any] = {}
-        self.uniforms: dict[str, Any] = {}
+        self.defines: dict[str, int] = {}
+        self.uniforms: dict[str, object] = {}
 
     def get_program(
         self,
         vertex_shader: str,
         fragment_shader: str,
         geometry_shader: str | None = None,
-        defines: dict[str, Any] | None = None,
+        defines: dict[str, int] | None = None,
     ) -> _Program:
         every = {**(defines or {}), **self.defines}
         key = tuple(sorted(every.items()))
@@ -78,7 +81,7 @@ class _Programs(ShaderProgramCache):  # type: ignore[misc]
 class _Renderer(Renderer):  # type: ignore[misc]
     """pyrender's renderer without the depth image, whose read-back and conversion cost as much as a small scene."""
 
-    def _read_main_framebuffer(self, scene: Any, flags: int) -> NDArray[np.uint8]:
+    def _read_main_framebuffer(self, scene: Scene, flags: int) -> NDArray[np.uint8]:
         width, height = self._main_fb_dims
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb_ms)
         GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, self._main_fb)
@@ -186,7 +189,7 @@ class GLRenderer:
         self._renderer._update_context(pyrender.Scene(), pyrender.RenderFlags.NONE)
         return pictures
 
-    def _mesh(self, part: Part, roughness: float, textures: dict[tuple, _Texture]) -> Any:
+    def _mesh(self, part: Part, roughness: float, textures: dict[tuple, _Texture]) -> Mesh:
         key = (id(part.image), part.repeat, part.repeat_rows, part.mipmaps)
         texture = None if part.image is None else textures.get(key)
         if part.image is not None and texture is None:
@@ -239,14 +242,14 @@ def _fitted(image: NDArray[np.uint8], largest: int) -> NDArray[np.uint8]:
     return np.asarray(smaller)
 
 
-def _camera(shot: Shot, aspect: float) -> Any:
+def _camera(shot: Shot, aspect: float) -> Camera:
     if shot.perspective:
         opening = 2.0 * float(np.arctan(shot.half_height))
         return pyrender.PerspectiveCamera(yfov=opening, znear=shot.near, zfar=shot.far, aspectRatio=aspect)
     return pyrender.OrthographicCamera(xmag=shot.half_width, ymag=shot.half_height, znear=shot.near, zfar=shot.far)
 
 
-def _open_context() -> Any:
+def _open_context() -> Platform:
     """A context on the first device that gives one.
 
     Device 0 may be a graphics card the user may not open, so each is tried; ``EGL_DEVICE_ID`` goes first.

@@ -12,7 +12,7 @@ import importlib.util
 import os
 import sys
 import types
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class GLUnavailable(Exception):
     """No OpenGL on this machine; the text says what is missing and how to install it."""
 
 
-def import_pyrender() -> Any:
+def import_pyrender() -> types.ModuleType:
     """Import pyrender with EGL as its platform, or with the system's own OpenGL on Windows and macOS.
 
     Returns:
@@ -90,7 +90,7 @@ def _restore_numpy_name() -> None:
         setattr(np, "infty", np.inf)  # noqa: B010
 
 
-def _find_library(original: Any) -> Any:
+def _find_library(original: Callable[[str], str | None]) -> Callable[[str], str | None]:
     """PyOpenGL 3.1.0 asks ldconfig alone, which does not know libraries on LD_LIBRARY_PATH; the loader does."""
 
     def find(name: str) -> str | None:

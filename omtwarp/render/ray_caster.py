@@ -6,8 +6,6 @@ lights, texture filter and lines.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,7 +41,7 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
     shape, mesh = _geometry(together, where)
     images = [part for part in together if part.image is not None]
     kept = [_picture(part, where) for part in images] or [_picture(None, where)]
-    pictures: Any = wp.array(kept, dtype=kernels.Picture, device=where)
+    pictures = wp.array(kept, dtype=kernels.Picture, device=where)
     look = _look(job, where)
     drawn = []
     for k, shot in enumerate(job.shots):
@@ -63,7 +61,7 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
         wp.launch(kernels.mark_contrast, size, inputs=[colors, CONTRAST], outputs=[marked], device=where)
         chosen = np.flatnonzero(marked.numpy()).astype(np.int32)
         if chosen.size:
-            pixels: Any = wp.array(chosen, dtype=wp.int32, device=where)
+            pixels = wp.array(chosen, dtype=wp.int32, device=where)
             side = 2 * max(2, job.samples)
             wp.launch(
                 kernels.draw_finely,
@@ -77,7 +75,7 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
     return drawn
 
 
-def _geometry(parts: list[Part], where: Any) -> tuple[Any, Any]:
+def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp.Mesh]:
     """Parts as one mesh with unshared corners, so that a face's number is enough to find its points."""
     offsets = np.cumsum([0] + [len(part.positions) for part in parts])
     faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets[:-1], strict=True)])
@@ -86,7 +84,7 @@ def _geometry(parts: list[Part], where: Any) -> tuple[Any, Any]:
         points=wp.array(positions, dtype=wp.vec3, device=where),
         indices=wp.array(faces.ravel().astype(np.int32), dtype=wp.int32, device=where),
     )
-    shape: Any = kernels.Geometry()
+    shape = kernels.Geometry()
     shape.mesh = mesh.id
     shape.normals = wp.array(np.concatenate([part.normals for part in parts]), dtype=wp.vec3, device=where)
     shape.values = wp.array(np.concatenate([part.value for part in parts]), dtype=wp.vec3, device=where)
@@ -101,7 +99,7 @@ def _geometry(parts: list[Part], where: Any) -> tuple[Any, Any]:
     return shape, mesh
 
 
-def _picture(part: Part | None, where: Any) -> Any:
+def _picture(part: Part | None, where: wp.Device) -> kernels.Picture:
     """A part's image with its mip levels; a single grey texel for none."""
     image = part.image if part is not None and part.image is not None else np.full((1, 1, 3), 128, np.uint8)
     sizes = [(image.shape[1], image.shape[0])]
@@ -111,7 +109,7 @@ def _picture(part: Part | None, where: Any) -> Any:
             sizes.append((max(width // 2, 1), max(height // 2, 1)))
     counts = [width * height for width, height in sizes]
     offsets = np.cumsum([0, *counts])
-    decode: Any = wp.array(srgb_to_linear(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=where)
+    decode = wp.array(srgb_to_linear(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=where)
     texels = wp.empty((int(offsets[-1]), 3), dtype=wp.uint8, device=where)
     wp.copy(texels, wp.array(image.reshape(-1, 3), dtype=wp.uint8, device=where), count=3 * counts[0])
     for level in range(1, len(sizes)):
@@ -131,7 +129,7 @@ def _picture(part: Part | None, where: Any) -> Any:
             outputs=[texels],
             device=where,
         )
-    picture: Any = kernels.Picture()
+    picture = kernels.Picture()
     picture.texels = texels
     picture.decode = decode
     picture.offsets = wp.array(offsets[:-1].astype(np.int32), dtype=wp.int32, device=where)
@@ -145,9 +143,9 @@ def _picture(part: Part | None, where: Any) -> Any:
     return picture
 
 
-def _look(job: RenderJob, where: Any) -> Any:
+def _look(job: RenderJob, where: wp.Device) -> kernels.Look:
     lights = job.light.unit_directions()
-    look: Any = kernels.Look()
+    look = kernels.Look()
     look.directions = wp.array(
         np.array([way for way, _ in lights], np.float32).reshape(-1, 3), dtype=wp.vec3, device=where
     )
@@ -159,8 +157,8 @@ def _look(job: RenderJob, where: Any) -> Any:
     return look
 
 
-def _view(shot: Shot, width: int, height: int) -> Any:
-    view: Any = kernels.View()
+def _view(shot: Shot, width: int, height: int) -> kernels.View:
+    view = kernels.View()
     right, up, backward, origin = (wp.vec3(*(float(x) for x in shot.pose[:3, k])) for k in range(4))
     view.right, view.up, view.backward, view.origin = right, up, backward, origin
     view.perspective = int(shot.perspective)

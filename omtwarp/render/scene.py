@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,6 +71,10 @@ class ScalarField:
         return np.clip((values - low) / (high - low), 0.0, 1.0)
 
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
 @dataclass(eq=False)
 class Arrows:
     """A vector field on a surface.
@@ -85,7 +89,7 @@ class Arrows:
 
     vectors: ArrayLike
     count: int = 350
-    color: Any = "#c2183a"
+    color: str | ArrayLike = "#c2183a"
     length: float = 0.16
     uniform: bool = False
 
@@ -99,8 +103,8 @@ class SurfaceMaterial:
         color: any colour; a factor on the picture where there is one. None is white with a picture, and clay without.
     """
 
-    image: Any = None
-    color: Any = None
+    image: Image | ArrayLike | None = None
+    color: str | ArrayLike | None = None
 
 
 @dataclass(eq=False)
@@ -135,12 +139,12 @@ class SurfaceView:
 
     vertices: ArrayLike
     faces: ArrayLike
-    image: Any = None
+    image: Image | ArrayLike | None = None
     sphere: ArrayLike | None = None
     uv: ArrayLike | None = None
     colors: ArrayLike | None = None
     scalar: ScalarField | None = None
-    color: Any = None
+    color: str | ArrayLike | None = None
     materials: Sequence[SurfaceMaterial] | None = None
     face_material: ArrayLike | None = None
     up: str | None = None
@@ -269,7 +273,7 @@ class Wireframe:
         opacity: 0 to 1.
     """
 
-    color: Any = "#10151c"
+    color: str | ArrayLike = "#10151c"
     width: float = 1.1
     opacity: float = 0.75
 
@@ -299,7 +303,7 @@ class RenderJob:
     one_each: bool = False
 
 
-def as_image(image: Any) -> NDArray[np.uint8]:
+def as_image(image: Image | ArrayLike) -> NDArray[np.uint8]:
     """A PIL image or an array as sRGB bytes, shape [height, width, 3].
 
     Raises:
@@ -438,7 +442,7 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
 
 @dataclass(frozen=True)
 class _Look:
-    """What a part shows, in the terms of :class:`Part`; a value per vertex [V, C], face [F, C] or corner [F, 3, C]."""
+    """Appearance of a part, as of :class:`Part`; a value per vertex [V, C], face [F, C] or corner [F, 3, C]."""
 
     kind: str
     value: NDArray
@@ -450,18 +454,19 @@ class _Look:
 
 
 def _look_of(view: SurfaceView) -> _Look:
-    """What a surface without materials shows: its image, its scalar, its colours, or one colour."""
+    """Appearance of a surface without materials: its image, its scalar, its colours, or one colour."""
     if view.image is not None:
+        picture = cast(NDArray[np.uint8], view.image)  # as the view itself has made it
         tint = (1.0, 1.0, 1.0)
         if view.color is not None:
             red, green, blue = (float(channel) for channel in parse_color(view.color))
             tint = (red, green, blue)
         if view.sphere is not None:
-            return _Look("sphere", np.asarray(view.sphere), view.image, tint)
+            return _Look("sphere", np.asarray(view.sphere), picture, tint)
         value = np.asarray(view.uv)
         # Tiling upwards is rare, and where there is none the top row must not bleed into the bottom one.
         repeat_rows = bool(value[..., 1].min() < -1e-6 or value[..., 1].max() > 1.0 + 1e-6)
-        return _Look("uv", value, view.image, tint, repeat_rows=repeat_rows)
+        return _Look("uv", value, picture, tint, repeat_rows=repeat_rows)
     if view.scalar is not None:
         image, value = _scalar_lookup(view.scalar)
         return _Look("uv", value, image, repeat=False, mipmaps=False)
@@ -510,7 +515,7 @@ def _used(view: SurfaceView) -> NDArray[np.float64]:
     return vertices[used]
 
 
-def _checked(name: str, values: Any, shapes: list[tuple[int, ...]]) -> NDArray[np.float64]:
+def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> NDArray[np.float64]:
     array = np.asarray(values, dtype=np.float64)
     if array.shape not in shapes:
         wanted = " or ".join(str(list(shape)) for shape in shapes)
@@ -521,7 +526,7 @@ def _checked(name: str, values: Any, shapes: list[tuple[int, ...]]) -> NDArray[n
     return array
 
 
-def _as_colors(colors: Any) -> NDArray[np.float64]:
+def _as_colors(colors: ArrayLike) -> NDArray[np.float64]:
     values = np.asarray(colors)
     scale = 255.0 if np.issubdtype(values.dtype, np.integer) else 1.0
     values = values[..., :3] / scale

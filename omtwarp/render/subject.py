@@ -6,11 +6,10 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeGuard, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeGuard, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import holds_array, read_bytes
@@ -19,9 +18,12 @@ from omtwarp.materials.base import WHITE, encoded
 from omtwarp.mesh.read import read_mesh as read_triangles
 from omtwarp.mesh.scenes import load_scene, scene_formats
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
+from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.image import read_image as read_picture
 
 if TYPE_CHECKING:  # a picture of triangles loads neither Warp nor SciPy, which these need
+    import trimesh
+
     from omtwarp.materials.painted import PaintedMesh
     from omtwarp.torus.torus_map import TorusMap
 
@@ -58,7 +60,7 @@ class _Textured(Triangles, Protocol):
     image: Picture
 
 
-Picture: TypeAlias = "str | os.PathLike[str] | Image.Image | ArrayLike"
+Picture: TypeAlias = PictureLike
 Subject: TypeAlias = "str | os.PathLike[str] | Triangles | SurfaceView | tuple[ArrayLike, ArrayLike]"
 
 
@@ -101,13 +103,13 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
     elif isinstance(subject, FinishedMap):
         return map_view(subject, image)
     elif hasattr(subject, "visual") and hasattr(subject, "faces"):
-        view = _from_trimesh(subject)
+        view = _from_trimesh(cast("trimesh.Trimesh", subject))
     elif _is_painted(subject):
         view = painted_view(subject)
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
     elif isinstance(subject, _Textured):
-        view = SurfaceView(subject.vertices, subject.faces, image=subject.image, uv=subject.uv)
+        view = SurfaceView(subject.vertices, subject.faces, image=read_image(subject.image), uv=subject.uv)
     elif isinstance(subject, Triangles):
         view = SurfaceView(subject.vertices, subject.faces)
     else:
@@ -231,7 +233,7 @@ def painted_view(mesh: PaintedMesh) -> SurfaceView:
     return SurfaceView(mesh.vertices, mesh.faces, uv=uv, materials=materials, face_material=mesh.material_of)
 
 
-def read_mesh(path: Path) -> Any:
+def read_mesh(path: Path) -> trimesh.Trimesh | None:
     """A mesh file with its texture and colours, as one ``trimesh.Trimesh`` with vertices as the file has them.
 
     Returns:
@@ -247,7 +249,7 @@ def read_mesh(path: Path) -> Any:
         mesh = read_triangles(path, triangulate=True)
         return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     data = read_bytes(path, LARGEST_MESH_FILE, "mesh file")
-    loaded: Any
+    loaded: trimesh.Scene | trimesh.Geometry
     try:
         loaded = load_scene(data, path, suffix)
     except OmtwarpError as error:
@@ -276,10 +278,12 @@ def read_mesh(path: Path) -> Any:
     return loaded
 
 
-def _from_trimesh(mesh: Any) -> SurfaceView:
+def _from_trimesh(mesh: trimesh.Trimesh) -> SurfaceView:
+    from trimesh.visual import ColorVisuals, TextureVisuals  # heavy, and loaded by whoever has a mesh of trimesh's
+
     vertices, faces, visual = np.asarray(mesh.vertices), np.asarray(mesh.faces), mesh.visual
     kind = getattr(visual, "kind", None)
-    if kind == "texture":
+    if kind == "texture" and isinstance(visual, TextureVisuals):
         material, uv = visual.material, visual.uv
         picture = getattr(material, "baseColorTexture", None)
         if picture is None:
@@ -289,14 +293,14 @@ def _from_trimesh(mesh: Any) -> SurfaceView:
         if picture is not None and uv is not None and len(uv) == len(vertices):
             return SurfaceView(vertices, faces, image=picture, uv=np.asarray(uv)[:, :2], color=color)
         return SurfaceView(vertices, faces, color=color)
-    if kind == "vertex":
+    if kind == "vertex" and isinstance(visual, ColorVisuals):
         return SurfaceView(vertices, faces, colors=np.asarray(visual.vertex_colors))
-    if kind == "face":
+    if kind == "face" and isinstance(visual, ColorVisuals):
         return SurfaceView(vertices, faces, colors=np.asarray(visual.face_colors))
     return SurfaceView(vertices, faces)
 
 
-def _factor(factor: Any) -> tuple[float, float, float] | None:
+def _factor(factor: ArrayLike) -> tuple[float, float, float] | None:
     """The sRGB colour of a glTF material's factor, which is linear; None for white."""
     values = np.asarray(factor)
     scaled = values / 255.0 if np.issubdtype(values.dtype, np.integer) else values.astype(np.float64)

@@ -6,7 +6,7 @@ Names are looked up when they are used, so that importing the package does not s
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from omtwarp.reporting.page import report_page as report_page
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["report_page", "write_report"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(import_module("omtwarp.reporting.page"), name)

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Unpack, cast
 
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.render import Camera, SurfaceView, preview
+from omtwarp.render.options import PreviewOptions
 from omtwarp.render.subject import map_view
 from omtwarp.reporting.markup import asset, data_block, fill_page, html, script, source_hash
 from omtwarp.reporting.page import viewer_section
 from omtwarp.reporting.scene import data_uri, make_scene
 from omtwarp.reporting.stages import Stage, stages_of
+from omtwarp.result import MapResult
 from omtwarp.texturing.rasterizing import rasterize
+from omtwarp.torus.torus_map import TorusMap
+
+if TYPE_CHECKING:
+    import polyscope
+    import pyvista
+    from PIL.Image import Image
 
 PATTERN = "circles"
 # A notebook holds all of its outputs: the surface of a view is simplified above this many triangles, and its texture
@@ -22,10 +30,11 @@ MOST_FACES = 20_000
 FACE_TEXELS = 256
 HEIGHT = 460  # pixels of the view
 STILL = (640, 360)
+SIZE = (640, 480)  # of pictures that are asked for without a size
 PICTURE_WIDTH = 1024  # texels around the sphere of the texture of still pictures
 
 
-def notebook_view(result: Any) -> str:
+def notebook_view(result: MapResult | TorusMap) -> str:
     """HTML of a map for a notebook: a picture, and over it an interactive view where scripts may run.
 
     The view is a page of its own in a frame that may run the two scripts in it, by their hashes, and load nothing.
@@ -35,7 +44,7 @@ def notebook_view(result: Any) -> str:
         result: a map to the sphere, or any other map of a surface, of which there is the picture alone.
     """
     caption = html("<p style='margin:.3em 0;font-size:90%'>{}</p>", repr(result))
-    if not hasattr(result, "sphere"):
+    if not isinstance(result, MapResult):
         return str(html('<div><img alt="{}" src="{}">{}</div>', repr(result), data_uri(plot(result), "webp"), caption))
     stages = stages_of(result)
     poster = data_uri(plot(result, transparent=True, size=STILL, camera=Camera(margin=0.03)), "webp")
@@ -54,7 +63,7 @@ def notebook_view(result: Any) -> str:
     )
 
 
-def view_page(result: Any, stages: list[Stage], poster: str) -> str:
+def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
     """The page in the frame: the viewer of the report page, alone."""
     scene = make_scene(result, stages, PATTERN, most_faces=MOST_FACES, texels=FACE_TEXELS)
     three, viewer = script("three/three.min.js"), script("viewer.js")
@@ -71,19 +80,19 @@ def view_page(result: Any, stages: list[Stage], poster: str) -> str:
     )
 
 
-def plot(result: Any, *, pattern: str = PATTERN, size: tuple[int, int] = (640, 480), **options: Any) -> Any:
+def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:
     """Draw a map; see :meth:`omtwarp.display.Shown.plot`."""
-    if not hasattr(result, "sphere"):
-        return preview((result.vertices, result.faces), size=size, **options)
+    options.setdefault("size", SIZE)
+    if not isinstance(result, MapResult):
+        return cast("Image", preview((result.vertices, result.faces), **options))
     image = options.pop("image", None)
     if options.get("scalar") is not None:
-        return preview(SurfaceView(result.vertices, result.faces), size=size, **options)
-    return preview(
-        map_view(result, rasterize(pattern, PICTURE_WIDTH) if image is None else image), size=size, **options
-    )
+        return cast("Image", preview(SurfaceView(result.vertices, result.faces), **options))
+    shown = map_view(result, rasterize(pattern, PICTURE_WIDTH) if image is None else image)
+    return cast("Image", preview(shown, **options))
 
 
-def to_pyvista(result: Any) -> Any:
+def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
     """Make PyVista's mesh of a map; see :meth:`omtwarp.display.Shown.to_pyvista`."""
     try:
         import pyvista
@@ -97,7 +106,7 @@ def to_pyvista(result: Any) -> Any:
     return mesh
 
 
-def to_polyscope(result: Any, name: str = "surface") -> Any:
+def to_polyscope(result: MapResult | TorusMap, name: str = "surface") -> polyscope.SurfaceMesh:
     """Register a map with Polyscope; see :meth:`omtwarp.display.Shown.to_polyscope`."""
     try:
         import polyscope
@@ -108,7 +117,7 @@ def to_polyscope(result: Any, name: str = "surface") -> Any:
     vertices, faces = np.asarray(result.vertices), np.asarray(result.faces)
     shown = polyscope.register_surface_mesh(name, vertices, faces)
     meshes = [shown]
-    if hasattr(result, "sphere"):
+    if isinstance(result, MapResult):
         scale = 0.5 * float(np.ptp(vertices, axis=0).max())
         beside = vertices.mean(axis=0) + (2.5 * scale, 0.0, 0.0)
         meshes.append(
@@ -120,11 +129,11 @@ def to_polyscope(result: Any, name: str = "surface") -> Any:
     return shown
 
 
-def _maps(result: Any) -> dict[str, np.ndarray]:
+def _maps(result: MapResult | TorusMap) -> dict[str, np.ndarray]:
     names = ("sphere", "conformal", "moser", "transported", "coordinates")
     return {name: np.array(value) for name in names if (value := getattr(result, name, None)) is not None}
 
 
-def _distortions(result: Any) -> dict[str, np.ndarray]:
+def _distortions(result: MapResult | TorusMap) -> dict[str, np.ndarray]:
     found = result.distortion()
     return {"area_ratio": np.array(found.area_ratio), "angle": np.array(found.face_angle)}

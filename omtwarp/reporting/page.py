@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, check_output, staged
@@ -29,7 +29,9 @@ from omtwarp.reporting.scene import (
 )
 from omtwarp.reporting.stages import Stage, stages_of
 from omtwarp.reporting.torus_page import write_torus_report
+from omtwarp.result import MapReport, MapResult
 from omtwarp.texturing import read_image
+from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
 from omtwarp.texturing.rasterizing import rasterize
@@ -51,11 +53,11 @@ _ICON = "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 24 24'><circle cx=
 
 
 def write_report(
-    result: Any,
+    result: MapResult | TorusMap,
     path: str | os.PathLike[str],
     *,
     title: str | None = None,
-    image: Any = None,
+    image: PictureLike | None = None,
     pattern: str = "circles",
     up: str | None = None,
     picture_size: int = 720,
@@ -113,10 +115,10 @@ def write_report(
 
 
 def report_page(
-    result: Any,
+    result: MapResult,
     *,
     title: str | None = None,
-    image: Any = None,
+    image: PictureLike | None = None,
     pattern: str = "circles",
     up: str | None = None,
     picture_size: int = 720,
@@ -170,16 +172,17 @@ def report_page(
     )
 
 
-def _lead(result: Any, report: dict[str, Any]) -> str:
+def _lead(result: MapResult, report: MapReport) -> str:
     parts = [f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to the unit sphere"]
     if "seconds" in report:
         parts.append(f"in {sections.seconds_text(report['seconds'])} {sections.where(report)}")
     return f"{' '.join(parts)}."
 
 
-def _verdict(report: dict[str, Any], stages: Sequence[Stage]) -> Markup:
+def _verdict(report: MapReport, stages: Sequence[Stage]) -> Markup:
     certificate = report.get("certificate", {})
-    flips = certificate.get("flips", stages[-1].distortion.flips)
+    flips = certificate.get("flips")
+    flips = stages[-1].distortion.flips if flips is None else flips
     if certificate.get("bijective"):
         return html('<p class="verdict">{} Certified one to one: no flipped triangle, degree 1</p>', _TICK)
     if flips:
@@ -266,7 +269,12 @@ def _legend(name: str, label: str, colours: str, ticks: Sequence[str]) -> Markup
 
 
 def _stills(
-    result: Any, stages: Sequence[Stage], texture: Any, up: str | None, size: int, device: str
+    result: MapResult,
+    stages: Sequence[Stage],
+    texture: Pattern | NDArray[np.generic],
+    up: str | None,
+    size: int,
+    device: str,
 ) -> dict[str, str]:
     """Pictures of the first and the last stage as data URIs, by key: the surface, and ``sphere KEY``."""
     picture = rasterize(texture, 2048, device=device) if isinstance(texture, Pattern) else texture

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from omtwarp.files import staged
 from omtwarp.reporting.markup import Markup, element, html, join
 from omtwarp.reporting.scene import data_uri
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 STYLE = Markup("""
 body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #222 }
@@ -46,7 +49,7 @@ def table(names: Sequence[str], lines: Sequence[Sequence[str | float]]) -> Marku
     return element("table", head, *(element("tr", *(element("td", cell) for cell in line)) for line in lines))
 
 
-def figure(picture: Any, name: str, *words: str) -> Markup:
+def figure(picture: Image | list[Image], name: str, *words: str) -> Markup:
     """A PIL image in the page, with its name and words below it."""
     image = html('<img alt="{}" src="{}">', name, data_uri(picture, "webp"))
     return element("figure", image, element("figcaption", element("b", name), *words))

@@ -7,13 +7,16 @@ there, so that the page's sections can rely on what they find.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import cast
+
+from omtwarp.options import Record
+from omtwarp.result import MapReport, MapResult
 
 NUMBER, COUNT, TEXT, FLAG = "number", "count", "text", "flag"
 _LARGEST = 1e300  # of a number that is shown: sums and squares of roots of more would overflow
 _LONGEST = 2000  # characters of a text that is shown
 
-REPORT: dict[str, Any] = {
+REPORT: dict[str, object] = {
     "seconds": NUMBER,
     "device": TEXT,
     "method": TEXT,
@@ -38,20 +41,21 @@ REPORT: dict[str, Any] = {
 }
 """Fields of a report and their kinds; ``*`` stands for any name, and a list for any number of entries."""
 
-HISTORY: list[Any] = [{"iteration": NUMBER, "cost": NUMBER}]
+HISTORY: list[object] = [{"iteration": NUMBER, "cost": NUMBER}]
 
 
-def shown_report(result: Any) -> dict[str, Any]:
+def shown_report(result: MapResult) -> MapReport:
     """The part of a result's report that a page shows."""
-    return _fitting(result.report, REPORT) or {}
+    return cast(MapReport, _fitting(result.report, REPORT) or {})
 
 
-def shown_history(result: Any) -> list[dict[str, Any]]:
+def shown_history(result: MapResult) -> list[Record]:
     """The iterations of a result's history of which the cost is known."""
-    return [entry for entry in _fitting(result.history, HISTORY) or [] if "cost" in entry]
+    fitting = cast(list[Record], _fitting(result.history, HISTORY) or [])
+    return [entry for entry in fitting if "cost" in entry]
 
 
-def _fitting(value: Any, shape: Any) -> Any:
+def _fitting(value: object, shape: object) -> object:
     """The value as far as it has the shape; None where it has not.
 
     One function, as it calls itself for what a dict or a list holds.
@@ -64,11 +68,10 @@ def _fitting(value: Any, shape: Any) -> Any:
     if isinstance(shape, list):
         entries = [_fitting(entry, shape[0]) for entry in value] if isinstance(value, list | tuple) else []
         return [entry for entry in entries if entry is not None]
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if shape == TEXT and (isinstance(value, str) or number):
+    if isinstance(value, bool):
+        return value if shape == FLAG else None
+    if shape == TEXT and isinstance(value, str | int | float):
         return str(value)[:_LONGEST]
-    if shape == FLAG and isinstance(value, bool):
-        return value
-    if shape in (NUMBER, COUNT) and number and abs(value) <= _LARGEST and math.isfinite(value):
+    if shape in (NUMBER, COUNT) and isinstance(value, int | float) and abs(value) <= _LARGEST and math.isfinite(value):
         return int(value) if shape == COUNT else float(value)
     return None

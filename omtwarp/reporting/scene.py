@@ -11,7 +11,7 @@ import io
 import json
 import zlib
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,15 @@ from omtwarp.render.colors import colormap_table
 from omtwarp.render.scene import SurfaceView
 from omtwarp.render.upright import posed
 from omtwarp.reporting.stages import Stage
+from omtwarp.result import MapResult
 from omtwarp.start.decimation import simplify
 from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
-from omtwarp.texturing.baking import bake
+from omtwarp.texturing.baking import Source, bake
 from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.textured import vertex_normals
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 Floats = NDArray[np.float64]
 
@@ -73,9 +77,9 @@ class Scene:
 
 
 def make_scene(
-    result: Any,
+    result: MapResult,
     stages: list[Stage],
-    texture: Any,
+    texture: Source,
     *,
     up: str | None = None,
     most_faces: int = MOST_FACES,
@@ -184,7 +188,7 @@ def alignment(directions: Floats, placed: Floats) -> Floats:
     return u @ np.diag([1.0, 1.0, flip]) @ vt
 
 
-def cube_faces(texture: Any, size: int = FACE_TEXELS, *, device: str = "auto") -> list[str]:
+def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto") -> list[str]:
     """A texture as the six faces of an OpenGL cube map with equiangular faces, as data URIs.
 
     Args:
@@ -192,7 +196,7 @@ def cube_faces(texture: Any, size: int = FACE_TEXELS, *, device: str = "auto") -
         size: texels along a face.
         device: where it is baked.
     """
-    from PIL import Image
+    from PIL import Image as pil
 
     atlas = Cube(size, gutter=0)
     baked = as_bytes(bake(texture, atlas, device=device))[..., :3]
@@ -207,13 +211,14 @@ def cube_faces(texture: Any, size: int = FACE_TEXELS, *, device: str = "auto") -
         if right @ own_right == 0.0:  # rows and columns change places
             cell, own_right, own_up = cell.transpose(1, 0, 2), -own_up, -own_right
         across, along = int(right @ own_right), -int(down @ own_up)
-        face = Image.fromarray(np.ascontiguousarray(cell[::along, ::across]))
+        face = pil.fromarray(np.ascontiguousarray(cell[::along, ::across]))
         uris.append(data_uri(face, "jpeg" if photograph else "png"))
     return uris
 
 
-def data_uri(image: Any, kind: str) -> str:
+def data_uri(image: Image | list[Image], kind: str) -> str:
     """A PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
+    assert not isinstance(image, list)  # which a preview is of several frames alone
     stream = io.BytesIO()
     if kind == "png":
         image.save(stream, "PNG")

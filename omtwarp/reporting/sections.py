@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
+from omtwarp.options import Record
 from omtwarp.reporting import charts
 from omtwarp.reporting.markup import Markup, html, join
 from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
+from omtwarp.result import MapReport
 
 
-def figures(stages: Sequence[Stage], report: dict[str, Any]) -> Markup:
+def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
     """The numbers that matter most."""
     first, last = stages[0], stages[-1]
     cost = last.record.get("transport_cost")
@@ -73,7 +76,7 @@ def _picture_caption(stage: Stage) -> Markup:
     ratio = log2_area_ratio(stage)
     low, high = _weighted_quantiles(ratio, stage.weights, (0.05, 0.95))
     spread = 2.0 ** (high - low)
-    times: Any = f"{spread:.2f}" if spread < 10 else f"{spread:,.0f}" if spread < 1e6 else _number(spread)
+    times = f"{spread:.2f}" if spread < 10 else f"{spread:,.0f}" if spread < 1e6 else _number(spread)
     return html("Scale of area varies by a factor of {} over nine tenths of the surface.", times)
 
 
@@ -109,7 +112,7 @@ def distributions(stages: Sequence[Stage]) -> Markup:
     return _section("Distortion", words, html('<div class="pair">{}</div>', cards))
 
 
-def transport(report: dict[str, Any], history: Sequence[dict[str, Any]], stages: Sequence[Stage]) -> Markup:
+def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Stage]) -> Markup:
     """Cost over iterations, where the map started, and how far it is from optimal."""
     optimality = report.get("optimality") or {}
     cards = []
@@ -142,7 +145,7 @@ def transport(report: dict[str, Any], history: Sequence[dict[str, Any]], stages:
 
 
 def _transport_facts(
-    report: dict[str, Any], stages: Sequence[Stage], optimality: dict[str, Any]
+    report: MapReport, stages: Sequence[Stage], optimality: Mapping[str, float | int | None]
 ) -> list[tuple[str, str]]:
     facts: list[tuple[str, str]] = []
     start = report.get("start", {})
@@ -151,8 +154,9 @@ def _transport_facts(
         reason = str(start.get("reason", ""))
         facts.append(("Start", f"{route}{f': {reason}' if reason else ''}"))
     for name, key in (("Method", "method"), ("Scheme", "scheme"), ("Cost", "cost")):
-        if report.get(key) not in (None, ""):
-            facts.append((name, str(report[key])))
+        value = cast(Mapping[str, object], report).get(key)
+        if value not in (None, ""):
+            facts.append((name, str(value)))
     weight = next((stage.record.get("weight") for stage in stages if stage.key == "refine"), None)
     if weight not in (None, ""):
         facts.append(("Refinement", f"{weight} (weight of area against angle)"))
@@ -169,7 +173,7 @@ def _transport_facts(
     return facts
 
 
-def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> Markup:
+def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
     """Describe every stage: its time, iterations and measures."""
     records = report.get("stages", ())
     total = sum(float(record.get("seconds", 0.0)) for record in records) or 1.0
@@ -227,16 +231,17 @@ def stage_table(stages: Sequence[Stage], report: dict[str, Any]) -> Markup:
     return _section("Stages", words, table)
 
 
-def certificate(report: dict[str, Any], shown_faces: int) -> Markup:
+def certificate(report: MapReport, shown_faces: int) -> Markup:
     """Describe the certificate; ``shown_faces`` is the number of faces in the interactive view."""
     found = report.get("certificate")
     if not found:
         return html("")
-    flips, crossings = found.get("flips", 0), found.get("ray_degree")
+    flips, crossings = found.get("flips") or 0, found.get("ray_degree")
     where_first = f", the first is face {found.get('first_flip')}" if flips else ", by exact orientation tests"
     facts = [
         ("Flipped triangles", f"{flips:,}{where_first}"),
-        ("Rings", f"{found.get('wound', 0):,} vertices whose neighbours do not go around them exactly once"),
+
+        ("Rings", f"{found.get('wound') or 0:,} vertices whose neighbours do not go around them exactly once"),
         ("Degree", f"{found.get('degree')} from the total signed solid angle"),
         ("Rays", f"{found.get('rays')} from the centre, each of which crosses the map {crossings} "
          f"time{'s' * (crossings != 1)} by signed count"),
@@ -252,7 +257,7 @@ def certificate(report: dict[str, Any], shown_faces: int) -> Markup:
     return _section("Certificate", words, html('<div class="card">{}</div>', _facts(facts)))
 
 
-def footer(report: dict[str, Any]) -> Markup:
+def footer(report: MapReport) -> Markup:
     """Versions, and the paper."""
     versions = report.get("versions", {})
     names = ", ".join(f"{name} {value}" for name, value in versions.items())
@@ -264,12 +269,14 @@ def footer(report: dict[str, Any]) -> Markup:
     )
 
 
-def where(report: dict[str, Any]) -> str:
+def where(report: MapReport) -> str:
     device = str(report.get("device", "cpu"))
     return "on the CPU" if device == "cpu" else f"on {device}"
 
 
-def _weighted_quantiles(values: Any, weights: Any, shares: Sequence[float]) -> list[float]:
+def _weighted_quantiles(
+    values: NDArray[np.float64], weights: NDArray[np.float64], shares: Sequence[float]
+) -> list[float]:
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     places = np.searchsorted(total, np.asarray(shares) * total[-1])
@@ -289,9 +296,9 @@ def _swatch(stage: Stage) -> Markup:
     return html('<i class="swatch" style="--ink:var({})"></i>', stage.colour)
 
 
-def _number(value: float) -> str:
+def _number(value: float | None) -> str:
     """A figure in as many characters as it deserves."""
-    value = float(value)
+    value = math.nan if value is None else float(value)
     if not math.isfinite(value):
         return "∞" if value > 0 else "undefined"
     if value != 0 and not 1e-3 <= abs(value) < 1e5:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
 from omtwarp.reporting.record import shown_report
+from omtwarp.result import MapResult, StageReport
 
 # Attribute of the result, name of its record in the report, label, and the colours on light and dark paper.
 KNOWN = (
@@ -48,11 +48,11 @@ class Stage:
     colour: str
     sphere: NDArray[np.float64]
     distortion: Distortion
-    record: dict[str, Any]
+    record: StageReport
     weights: NDArray[np.float64]
 
 
-def stages_of(result: Any) -> list[Stage]:
+def stages_of(result: MapResult) -> list[Stage]:
     """The stages of a :class:`~omtwarp.result.MapResult` in order, each map once; the last is the final map."""
     report = shown_report(result)
     records = {record.get("name"): record for record in report.get("stages", ())}

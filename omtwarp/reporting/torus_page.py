@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from omtwarp.render import Camera, preview
 from omtwarp.render.subject import torus_view
 from omtwarp.reporting.markup import Markup, element
 from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
+from omtwarp.texturing.image import PictureLike
 from omtwarp.torus.torus_map import TorusMap
 
 FIGURES = (
@@ -28,7 +28,7 @@ def write_torus_report(
     path: Path,
     *,
     title: str | None = None,
-    image: Any = None,
+    image: PictureLike | None = None,
     pattern: str = "circles",
     up: str | None = None,
     picture_size: int = 720,
@@ -82,7 +82,8 @@ def _words(result: TorusMap) -> list[Markup]:
 
 
 def _stages(result: TorusMap) -> Markup:
-    stages = [stage for stage in result.report.get("stages", []) if isinstance(stage, dict)]
+    given = result.report.get("stages")
+    stages = [stage for stage in given if isinstance(stage, dict)] if isinstance(given, list) else []
     lines = []
     for name, words, form in FIGURES:
         values = [stage.get(name) for stage in stages]
@@ -95,7 +96,7 @@ def _stages(result: TorusMap) -> Markup:
     return table(["", *(str(stage.get("name", "")) for stage in stages)], lines)
 
 
-def _number(form: str, value: Any) -> str:
+def _number(form: str, value: object) -> str:
     """A value of a report in words, which may come from a file."""
     if value is None:
         return ""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -37,7 +35,7 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     where = resolve_device(device)
     (target_corners, target_owners), (source_corners, source_owners) = target.cells, source.cells
 
-    def send(corners: NDArray[np.float64]) -> tuple[Any, Any, Any]:
+    def send(corners: NDArray[np.float64]) -> tuple[wp.array, wp.array, wp.array]:
         polygons = wp.array(np.ascontiguousarray(corners), dtype=wp.vec3d, device=where)
         lower, upper = (wp.empty(len(corners), dtype=wp.vec3, device=where) for _ in range(2))
         wp.launch(box_polygons, dim=len(corners), inputs=[polygons], outputs=[lower, upper], device=where)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from omtwarp.files import as_path, staged
 from omtwarp.inputs import holds_array, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
+from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
@@ -48,7 +49,11 @@ class SpherePoints:
         return np.bincount(self.grid.faces.ravel(), weights=shares, minlength=count).astype(np.float64)
 
 
-def as_points(given: Any, name: str = "the sphere") -> SpherePoints:
+PointsLike: TypeAlias = SpherePoints | SphereGrid | MapResult | str | os.PathLike[str] | MeshLike
+"""One end of a resampling in any of the forms that :func:`as_points` takes."""
+
+
+def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
     """One end of a resampling, in any form.
 
     Args:
@@ -202,7 +207,7 @@ class Resampling:
         with staged(as_path(path)) as file, open(file, "wb") as stream:
             sparse.save_npz(stream, self.matrix)
 
-    def _require_length(self, array: NDArray[Any]) -> None:
+    def _require_length(self, array: NDArray[np.generic]) -> None:
         count = self.matrix.shape[1]
         if array.ndim == 0 or len(array) != count:
             length = "one number" if array.ndim == 0 else str(len(array))
@@ -210,8 +215,8 @@ class Resampling:
 
 
 def resample(
-    source: Any,
-    target: Any,
+    source: PointsLike,
+    target: PointsLike,
     *,
     method: str = Interpolation.BARYCENTRIC,
     source_areas: ArrayLike | None = None,
@@ -268,7 +273,7 @@ def resample(
     return Resampling(matrix, chosen, here, there)
 
 
-def _of_truth(values: Any) -> TypeGuard[NDArray[np.bool_]]:
+def _of_truth(values: object) -> TypeGuard[NDArray[np.bool_]]:
     """Whether data are an array of truth values, such as a mask of a region."""
     return isinstance(values, np.ndarray) and values.dtype.kind == "b"
 

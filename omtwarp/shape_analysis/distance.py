@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from omtwarp.alignment import align
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.checks import HasTriangles
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.moser import moser_map
 from omtwarp.options import Progress
@@ -165,7 +165,7 @@ def density_distance(surface: Surface, sphere: Floats, target: TargetDensity, *,
     return float(np.sqrt(transport_cost(surface, optimal, start=sphere, device=device) / SPHERE_AREA))
 
 
-def distance_matrix(spheres: list[Floats], maps: list[Any], degree: int, scale: bool = False) -> Floats:
+def distance_matrix(spheres: list[Floats], maps: Sequence[HasTriangles], degree: int, scale: bool = False) -> Floats:
     """Coefficient distances of all pairs of a group in one position, shape [N, N].
 
     Args:
@@ -185,9 +185,9 @@ def distance_matrix(spheres: list[Floats], maps: list[Any], degree: int, scale: 
             raise OmtwarpError(f"map {k + 1}: {error}") from None
         coefficients.append(numbers * np.sqrt(SPHERE_AREA / (numbers**2).sum()) if scale else numbers)
     out = np.zeros((len(maps), len(maps)))
-    for i, one in enumerate(coefficients):
+    for i, numbers in enumerate(coefficients):
         for j in range(i):
-            out[i, j] = out[j, i] = coefficient_distance(one, coefficients[j])
+            out[i, j] = out[j, i] = coefficient_distance(numbers, coefficients[j])
     return out
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,11 +54,12 @@ def write_group_report(
         raise OmtwarpError(f"cannot write to '{folder}': {error.strerror}") from None
     columns = ["id", *(["group"] if labels else []), "from_mean", "scale"]
     columns += [f"score_{k + 1}" for k in range(len(study.components.deviations))]
-    rows = []
+    rows: list[list[str | float]] = []
     for k, name in enumerate(names):
         numbers = [study.from_mean[k], study.alignment.scales[k], *study.components.scores[k]]
         rows.append([name, *([labels[k]] if labels else []), *map(float, numbers)])
     files = [_write_csv(folder / "table.csv", columns, rows)]
+    apart: list[list[str | float]]
     for file, distances in (("distances.csv", study.distances), ("transport.csv", study.transport)):
         if distances is not None:
             apart = [[name, *map(float, line)] for name, line in zip(names, distances, strict=True)]
@@ -79,7 +79,7 @@ def write_group_report(
     return files
 
 
-def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Path:
+def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Sequence[str | float]]) -> Path:
     with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(columns)
@@ -87,7 +87,7 @@ def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]
     return path
 
 
-def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[Markup]:
+def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[Markup]:
     known = study.components
     body = [
         element("p", f"{len(rows)} shapes, {len(study.alignment.mean)} corresponding points."),

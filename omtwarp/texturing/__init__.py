@@ -4,7 +4,31 @@ Names are looked up when they are used, so that importing the package does not s
 """
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from omtwarp.texturing.areas import cell_areas as cell_areas
+    from omtwarp.texturing.atlas import ATLASES as ATLASES
+    from omtwarp.texturing.atlas import make_atlas as make_atlas
+    from omtwarp.texturing.baking import VertexValues as VertexValues
+    from omtwarp.texturing.baking import bake as bake
+    from omtwarp.texturing.baking import bake_to_uv as bake_to_uv
+    from omtwarp.texturing.baking import bake_vertex_values as bake_vertex_values
+    from omtwarp.texturing.baking import resample as resample
+    from omtwarp.texturing.baking import sample as sample
+    from omtwarp.texturing.baking import uv_to_sphere as uv_to_sphere
+    from omtwarp.texturing.image import read_image as read_image
+    from omtwarp.texturing.patterns import PATTERNS as PATTERNS
+    from omtwarp.texturing.patterns import Pattern as Pattern
+    from omtwarp.texturing.patterns import pattern as pattern
+    from omtwarp.texturing.projection import direction_to_image as direction_to_image
+    from omtwarp.texturing.projection import image_to_direction as image_to_direction
+    from omtwarp.texturing.projection import rotation_matrix as rotation_matrix
+    from omtwarp.texturing.rasterizing import rasterize as rasterize
+    from omtwarp.texturing.seams import unwrap as unwrap
+    from omtwarp.texturing.textured import TexturedSurface as TexturedSurface
+    from omtwarp.texturing.textured import texture as texture
+
 
 _HOMES = {
     "TexturedSurface": "textured",
@@ -55,7 +79,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ from omtwarp.device.threads import core_count, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import kernels, smooth_kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
-from omtwarp.texturing.image import as_floats, read_image
+from omtwarp.texturing.image import PictureLike, as_floats, read_image
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection
 from omtwarp.texturing.seams import Unwrapped, unwrap
@@ -51,6 +51,10 @@ class _Source(ABC):
         """Write the values, float64 [N, channels], of directions, vec3d [N]."""
 
 
+Source: TypeAlias = "_Source | Pattern | Callable[[Floats], ArrayLike] | PictureLike"
+"""What can be baked: the name of a pattern, a pattern, a function of directions, or a picture."""
+
+
 class _PatternSource(_Source):
     channels = 3
 
@@ -64,10 +68,10 @@ class _PatternSource(_Source):
 class _PictureSource(_Source):
     """A picture of the sphere in one of the atlases or projections."""
 
-    def __init__(self, picture: NDArray[Any], kind: int, offset: float, gutter: float, device: Any):
+    def __init__(self, picture: NDArray[np.generic], kind: int, offset: float, gutter: float, device: wp.Device):
         self.channels = picture.shape[2]
         self._kind, self._offset, self._gutter = kind, offset, gutter
-        self._picture: Any = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
+        self._picture = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
 
     def values(self, directions: wp.array, out: wp.array) -> None:
         numbers = [self._kind, wp.float64(self._offset), wp.float64(self._gutter), self._picture]
@@ -97,7 +101,7 @@ class _CallableSource(_Source):
         wp.copy(out, wp.array(np.ascontiguousarray(got), dtype=wp.float64, device=out.device), count=got.size)
 
 
-def _source(given: Any, projection: str, device: Any) -> _Source:
+def _source(given: Source, projection: str, device: wp.Device) -> _Source:
     check_projection(projection)
     if isinstance(given, _Source):
         return given
@@ -107,7 +111,9 @@ def _source(given: Any, projection: str, device: Any) -> _Source:
         return _PatternSource(pattern(given))
     if callable(given) and not hasattr(given, "__array__"):
         return _CallableSource(given)
-    return _PictureSource(read_image(given), 0 if projection == "equirectangular" else 3, 0.0, 0.0, device)
+    return _PictureSource(
+        read_image(cast(PictureLike, given)), 0 if projection == "equirectangular" else 3, 0.0, 0.0, device
+    )
 
 
 def _target(atlas: str | Atlas, size: int | tuple[int, int] | None) -> Atlas:
@@ -115,13 +121,13 @@ def _target(atlas: str | Atlas, size: int | tuple[int, int] | None) -> Atlas:
 
 
 def bake(
-    source: Any,
+    source: Source,
     atlas: str | Atlas = "equirectangular",
     *,
     size: int | tuple[int, int] | None = None,
     projection: str = "equirectangular",
     supersample: int = 3,
-    device: Any = "auto",
+    device: str | wp.Device | None = "auto",
 ) -> Picture:
     """Bake a function on the sphere into the picture of an atlas.
 
@@ -146,7 +152,7 @@ def bake(
 
 
 def bake_on_map(
-    source: Any,
+    source: Source,
     atlas: Atlas,
     cut: Unwrapped,
     smooth: SmoothMap,
@@ -155,7 +161,7 @@ def bake_on_map(
     rotation: Floats,
     projection: str = "equirectangular",
     supersample: int = 3,
-    device: Any = "auto",
+    device: str | wp.Device | None = "auto",
 ) -> Picture:
     """Bake a function on the sphere into the picture of an atlas as a mesh shows it through its smooth map.
 
@@ -183,7 +189,13 @@ class _Bend:
     """Moves directions on a picture from the linear map of a mesh to its smooth one."""
 
     def __init__(
-        self, atlas: Atlas, cut: Unwrapped, smooth: SmoothMap, faces: NDArray[np.int32], rotation: Floats, where: Any
+        self,
+        atlas: Atlas,
+        cut: Unwrapped,
+        smooth: SmoothMap,
+        faces: NDArray[np.int32],
+        rotation: Floats,
+        where: wp.Device,
     ):
         turned, given = smooth.sphere @ rotation, smooth.given @ rotation
         layout, part = sphere_layout(cut, atlas, given, None, where)
@@ -193,7 +205,7 @@ class _Bend:
         offset, gutter = atlas.parameters
         self._picture = [atlas.kind, atlas.width, atlas.height, wp.float64(offset), wp.float64(gutter)]
         self._owner = layout.owner
-        self._tables: list[Any] = [
+        self._tables: list[wp.array] = [
             wp.array(np.ascontiguousarray(given), dtype=kind, device=where)
             for given, kind in (
                 (np.where(moved, np.arange(len(faces)), NOBODY)[cut.source_face[part]], wp.int32),
@@ -220,7 +232,7 @@ class _Bend:
         return out
 
 
-def _bake(given: _Source, target: Atlas, supersample: int, bend: _Bend | None, where: Any) -> Picture:
+def _bake(given: _Source, target: Atlas, supersample: int, bend: _Bend | None, where: wp.Device) -> Picture:
     picture = wp.empty((target.width * target.height, given.channels), dtype=wp.float32, device=where)
     offset, gutter = target.parameters
     numbers = [target.kind, target.width, target.height, wp.float64(offset), wp.float64(gutter)]
@@ -246,11 +258,18 @@ def _bake(given: _Source, target: Atlas, supersample: int, bend: _Bend | None, w
     return picture.numpy().reshape(target.height, target.width, given.channels)
 
 
-def _fill(given: _Source, texels: NDArray[np.int32], samples: int, look: Any, picture: wp.array, where: Any) -> None:
+def _fill(
+    given: _Source,
+    texels: NDArray[np.int32],
+    samples: int,
+    look: Callable[[wp.array, wp.array], wp.array],
+    picture: wp.array,
+    where: wp.Device,
+) -> None:
     """Evaluate a source in texels, some at a time; ``look`` gives the directions of their samples, in room for them."""
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
-        part: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         count = len(part) * samples**2
         directions = wp.empty(count, dtype=wp.vec3d, device=where)
         values = wp.empty((count, given.channels), dtype=wp.float64, device=where)
@@ -258,7 +277,7 @@ def _fill(given: _Source, texels: NDArray[np.int32], samples: int, look: Any, pi
         _average(values, samples, part, picture, where)
 
 
-def _average(values: wp.array, samples: int, texels: wp.array, picture: wp.array, where: Any) -> None:
+def _average(values: wp.array, samples: int, texels: wp.array, picture: wp.array, where: wp.Device) -> None:
     """Write the mean of the samples of every texel to its place in the picture."""
     launch_parts(
         kernels.average_samples,
@@ -280,7 +299,11 @@ def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
 
 
 def sample(
-    picture: Any, directions: ArrayLike, atlas: str | Atlas = "equirectangular", *, device: Any = "auto"
+    picture: PictureLike,
+    directions: ArrayLike,
+    atlas: str | Atlas = "equirectangular",
+    *,
+    device: str | wp.Device | None = "auto",
 ) -> Floats:
     """Sample the picture of an atlas in directions: the inverse of :func:`bake`, bilinear between texels.
 
@@ -302,7 +325,7 @@ def sample(
     return out.numpy()
 
 
-def picture_source(array: NDArray[Any], atlas: str | Atlas, where: Any) -> _PictureSource:
+def picture_source(array: NDArray[np.generic], atlas: str | Atlas, where: wp.Device) -> _PictureSource:
     height, width = array.shape[:2]
     target = (
         atlas
@@ -318,13 +341,13 @@ def picture_source(array: NDArray[Any], atlas: str | Atlas, where: Any) -> _Pict
 
 
 def resample(
-    picture: Any,
+    picture: PictureLike,
     atlas: str | Atlas,
     to: str | Atlas = "equirectangular",
     *,
     size: int | tuple[int, int] | None = None,
     supersample: int = 2,
-    device: Any = "auto",
+    device: str | wp.Device | None = "auto",
 ) -> Picture:
     """Carry a picture from one atlas to another; float32, shape [H, W, C]."""
     where = resolve_device(device)
@@ -335,16 +358,16 @@ def resample(
 class Layout:
     """Triangles laid out on a picture: which one owns each texel, and values linear over it."""
 
-    def __init__(self, corner_uv: Floats, width: int, height: int, where: Any, padding: int = -1):
+    def __init__(self, corner_uv: Floats, width: int, height: int, where: wp.Device, padding: int = -1):
         self.width, self.height, self.where = width, height, where
         self._atlas: Atlas | None = None
         texels = np.stack([corner_uv[..., 0] * width, (1.0 - corner_uv[..., 1]) * height], axis=-1)
-        self.corners: Any = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
+        self.corners = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
         owner = self._claim(GROW)
         if padding:
             ring = self._claim(RING if padding < 0 else min(RING, float(padding)))
             owner = np.where(owner == NOBODY, ring, owner)
-        self.owner: Any = wp.array(owner, dtype=wp.int32, device=where)
+        self.owner = wp.array(owner, dtype=wp.int32, device=where)
         self.known = owner != NOBODY
 
     def _claim(self, grow: float) -> NDArray[np.int32]:
@@ -389,11 +412,11 @@ class Layout:
     def show_sphere(self, atlas: Atlas, chords: Floats) -> None:
         """Take places in triangles from the directions of an atlas from now on; ``chords``: corners, [F, 3, 3]."""
         self._atlas = atlas
-        self._chords: Any = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
+        self._chords = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
 
     def dilate(self, picture: wp.array, rings: int) -> wp.array:
         """Fill texels around the owned ones, one ring after another; -1 fills all."""
-        known: Any = wp.array(self.known.astype(np.uint8), dtype=wp.uint8, device=self.where)
+        known = wp.array(self.known.astype(np.uint8), dtype=wp.uint8, device=self.where)
         other, other_known = wp.empty_like(picture), wp.empty_like(known)
         ring = 0
         while ring != rings and not (rings < 0 and known.numpy().all()):
@@ -434,7 +457,7 @@ def _picture_size(size: int | tuple[int, int]) -> tuple[int, int]:
 
 
 def bake_to_uv(
-    source: Any,
+    source: Source | VertexValues,
     sphere: ArrayLike,
     faces: ArrayLike,
     uv: ArrayLike,
@@ -445,7 +468,7 @@ def bake_to_uv(
     projection: str = "equirectangular",
     supersample: int = 3,
     padding: int = 16,
-    device: Any = "auto",
+    device: str | wp.Device | None = "auto",
 ) -> Picture:
     """Bake a function on the sphere into a picture for a mesh's own texture coordinates.
 
@@ -473,7 +496,7 @@ def bake_to_uv(
         return _bake_linear(layout, source.corner_values(faces), supersample, padding)
     given = _source(source, projection, where)
     turned = s if rotation is None else s @ np.asarray(rotation, dtype=np.float64)
-    points: Any = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
+    points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
     picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
 
     def fill(texels: NDArray[np.int32], samples: int) -> None:
@@ -514,14 +537,14 @@ class VertexValues:
 
 def _bake_linear(layout: Layout, corner_values: Floats, supersample: int, padding: int) -> Picture:
     where = layout.where
-    values: Any = wp.array(np.ascontiguousarray(corner_values), dtype=wp.float64, device=where)
+    values = wp.array(np.ascontiguousarray(corner_values), dtype=wp.float64, device=where)
     channels = corner_values.shape[2]
     picture = wp.zeros((layout.width * layout.height, channels), dtype=wp.float32, device=where)
 
     texels, samples = layout.owned(), max(int(supersample), 1)
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
-        part: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         out = wp.empty((len(part) * samples**2, channels), dtype=wp.float64, device=where)
         layout.interpolate(values, part, samples, out)
         wp.launch(kernels.average_samples, dim=len(part), inputs=[out, samples, part, picture], device=where)
@@ -537,7 +560,7 @@ def bake_vertex_values(
     size: int | tuple[int, int] | None = None,
     rotation: ArrayLike | None = None,
     supersample: int = 2,
-    device: Any = "auto",
+    device: str | wp.Device | None = "auto",
 ) -> Picture:
     """Bake numbers at the vertices of a mesh into the picture of an atlas, through the mesh's map to the sphere.
 
@@ -564,7 +587,7 @@ def bake_vertex_values(
 
 
 def uv_to_sphere(
-    picture: Any,
+    picture: PictureLike,
     sphere: ArrayLike,
     faces: ArrayLike,
     uv: ArrayLike,
@@ -574,7 +597,7 @@ def uv_to_sphere(
     size: int | tuple[int, int] | None = None,
     rotation: ArrayLike | None = None,
     supersample: int = 2,
-    device: Any = "auto",
+    device: str | wp.Device | None = "auto",
 ) -> Picture:
     """Resample a texture on a mesh's own coordinates onto the sphere: the inverse of :func:`bake_to_uv`.
 
@@ -599,14 +622,14 @@ def uv_to_sphere(
     # A part of a face has the own coordinates of that face: linear, whatever seams the mesh's coordinates have.
     corner_own = own_at_parts(cut, faces, own)
     layout, part = sphere_layout(cut, target, sphere, rotation, where)
-    values: Any = wp.array(np.ascontiguousarray(corner_own[part]), dtype=wp.float64, device=where)
-    source: Any = wp.array(np.ascontiguousarray(as_floats(array)), dtype=wp.float32, device=where)
+    values = wp.array(np.ascontiguousarray(corner_own[part]), dtype=wp.float64, device=where)
+    source = wp.array(np.ascontiguousarray(as_floats(array)), dtype=wp.float32, device=where)
     channels = array.shape[2]
     out = wp.zeros((target.width * target.height, channels), dtype=wp.float32, device=where)
     texels, samples = layout.owned(), max(int(supersample), 1)
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
-        some: Any = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
+        some = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         count = len(some) * samples**2
         points = wp.empty((count, 2), dtype=wp.float64, device=where)
         colours = wp.empty((count, channels), dtype=wp.float64, device=where)
@@ -617,7 +640,7 @@ def uv_to_sphere(
 
 
 def sphere_layout(
-    cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: Any
+    cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: wp.Device
 ) -> tuple[Layout, NDArray[np.int64]]:
     """The parts of faces laid out on the picture of an atlas, and which part each triangle of the layout is, [K]."""
     points = cut.weights @ np.asarray(sphere, dtype=np.float64)

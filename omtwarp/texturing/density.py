@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,13 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.location import Locator
 from omtwarp.measures import TargetDensity
-from omtwarp.texturing.image import as_floats, read_image
+from omtwarp.texturing.image import PictureLike, as_floats, read_image
 from omtwarp.texturing.projection import direction_to_image
 
 GREY = (0.2126, 0.7152, 0.0722)  # ITU-R BT.709
 
+Function: TypeAlias = Callable[[NDArray[np.float64]], ArrayLike]
+TargetLike: TypeAlias = "TargetDensity | Function | tuple[ArrayLike, ArrayLike, ArrayLike] | PictureLike"
+"""A density on the sphere in any of the forms that :func:`as_target` takes."""
 
-def image_density(image: Any, floor: float = 0.0) -> TargetDensity:
+
+def image_density(image: PictureLike, floor: float = 0.0) -> TargetDensity:
     """Take the grey values of an equirectangular picture as a density: the brighter, the more mass.
 
     Args:
@@ -85,7 +90,7 @@ def vertex_density(
     return TargetDensity(density, floor)
 
 
-def as_target(target: Any, floor: float = 0.0, *, device: str | None = "auto") -> TargetDensity | None:
+def as_target(target: TargetLike | None, floor: float = 0.0, *, device: str | None = "auto") -> TargetDensity | None:
     """Take a target density in any of the accepted forms; None is the uniform one.
 
     Args:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +29,9 @@ class GltfFile:
 
     def __init__(self, wraps: bool, wraps_rows: bool):
         self._buffer = bytearray()
-        self._views: list[dict[str, Any]] = []
-        self._accessors: list[dict[str, Any]] = []
-        self._images: list[dict[str, Any]] = []
+        self._views: list[dict[str, object]] = []
+        self._accessors: list[dict[str, object]] = []
+        self._images: list[dict[str, object]] = []
         self._known: dict[int, int] = {}
         self._sampler = {
             "magFilter": LINEAR,
@@ -44,17 +43,17 @@ class GltfFile:
     def _view(self, content: bytes, target: int | None = None) -> int:
         """Append bytes and return the number of their view."""
         self._buffer.extend(b"\0" * (-len(self._buffer) % 4))
-        entry: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": len(content)}
+        entry: dict[str, object] = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": len(content)}
         if target is not None:
             entry["target"] = target
         self._views.append(entry)
         self._buffer.extend(content)
         return len(self._views) - 1
 
-    def accessor(self, array: NDArray[Any], bounds: bool = False) -> int:
+    def accessor(self, array: NDArray[np.generic], bounds: bool = False) -> int:
         """Append rows of numbers, float32 or uint32 indices, and return the number of their accessor."""
         indices = array.dtype == np.uint32
-        entry: dict[str, Any] = {
+        entry: dict[str, object] = {
             "bufferView": self._view(array.tobytes(), ELEMENT_ARRAY_BUFFER if indices else ARRAY_BUFFER),
             "componentType": UNSIGNED_INT if indices else FLOAT,
             "count": len(array),
@@ -74,14 +73,14 @@ class GltfFile:
             self._images.append({"bufferView": view, "mimeType": "image/png", "name": name})
         return {"index": self._known[id(picture)], "texCoord": 0}
 
-    def content(self, primitives: list[dict[str, Any]], materials: list[dict[str, Any]]) -> bytes:
+    def content(self, primitives: list[dict[str, object]], materials: list[dict[str, object]]) -> bytes:
         """The whole file, with one mesh of triangles.
 
         Args:
             primitives: attributes and indices of each, by the numbers of their accessors.
             materials: of the primitives, one each.
         """
-        document: dict[str, Any] = {
+        document: dict[str, object] = {
             "asset": {"version": "2.0", "generator": "omtwarp"},
             "scene": 0,
             "scenes": [{"nodes": [0]}],

@@ -7,7 +7,7 @@ import os
 import threading
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,13 +20,15 @@ from omtwarp.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+PictureLike: TypeAlias = "str | os.PathLike[str] | Image | ArrayLike"
+"""A picture in any of the forms that public functions take: a path, a PIL image, or an array [H, W] or [H, W, C]."""
 # Formats of pixels that Pillow decodes by itself; it would hand others, such as EPS, to programs of the system.
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")
 
 _pillow = threading.Lock()  # over Pillow's own limit, which is one number for the whole process
 
 
-def read_image(source: str | os.PathLike[str] | Image | ArrayLike) -> NDArray[Any]:
+def read_image(source: PictureLike) -> NDArray[np.generic]:
     """A picture as an array, row 0 on top.
 
     Args:
@@ -74,7 +76,7 @@ def _open(stream: BinaryIO) -> Image:
             pil.MAX_IMAGE_PIXELS = limit
 
 
-def _from_pil(image: Image, name: str) -> NDArray[Any]:
+def _from_pil(image: Image, name: str) -> NDArray[np.generic]:
     from PIL import ImageOps
 
     if max(image.size) > LONGEST_SIDE:
@@ -92,7 +94,7 @@ def _from_pil(image: Image, name: str) -> NDArray[Any]:
     return np.asarray(turned.convert("RGBA" if alpha else "RGB"))
 
 
-def _from_array(source: Any) -> NDArray[Any]:
+def _from_array(source: ArrayLike) -> NDArray[np.generic]:
     try:
         array = np.asarray(source)
     except Exception as error:
@@ -121,7 +123,7 @@ def _from_array(source: Any) -> NDArray[Any]:
     return values
 
 
-def as_floats(image: NDArray[Any]) -> NDArray[np.float32]:
+def as_floats(image: NDArray[np.generic]) -> NDArray[np.float32]:
     """A picture as float32 in 0..1."""
     return (
         image.astype(np.float32) / np.float32(255.0)
@@ -130,11 +132,11 @@ def as_floats(image: NDArray[Any]) -> NDArray[np.float32]:
     )
 
 
-def as_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
+def as_bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     """A picture as uint8, rounded to the nearest and clipped."""
     if image.dtype == np.uint8:
-        return image
-    return np.clip(image * np.float32(255.0) + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
+        return image.astype(np.uint8, copy=False)
+    return np.clip(np.multiply(image, np.float32(255.0)) + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import heapq
 from abc import ABC, abstractmethod
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -307,7 +306,7 @@ def _default(name: str) -> Pattern:
     return PATTERNS[name]()
 
 
-def pattern(name: str | Pattern, **options: Any) -> Pattern:
+def pattern(name: str | Pattern, **options: int | str) -> Pattern:
     """A built-in pattern by name, with the options of its class.
 
     Raises:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.start import wp
 from omtwarp.texturing.atlas import Equirectangular, check_size
 from omtwarp.texturing.baking import bake
 from omtwarp.texturing.image import as_bytes
@@ -45,7 +44,7 @@ def rasterize(
 
 
 def _rasterize_sinusoidal(
-    given: Pattern, width: int, height: int, supersample: int, device: Any
+    given: Pattern, width: int, height: int, supersample: int, device: wp.Device
 ) -> NDArray[np.float32]:
     picture = np.empty((height, width, 3), dtype=np.float32)
     x = ((np.arange(width * supersample) + 0.5) / (width * supersample) - 0.5) * 2.0 * np.pi

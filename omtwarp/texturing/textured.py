@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from omtwarp.mesh.checks import as_faces
 from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
 from omtwarp.texturing.baking import bake, bake_on_map
 from omtwarp.texturing.export import export
-from omtwarp.texturing.image import as_bytes, read_image
+from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 from omtwarp.texturing.mesh import TexturedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
@@ -25,9 +25,6 @@ from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
 from omtwarp.texturing.sharpness import sharp_size
 from omtwarp.texturing.smooth import smooth_map
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -63,6 +60,15 @@ class TexturedSurface(TexturedMesh):
         return export(self, path, keep=keep)
 
 
+class TexturesItself(Protocol):
+    """A map to another domain than the sphere, which makes its own textures: a :class:`omtwarp.TorusMap`."""
+
+    def textured(
+        self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
+    ) -> object:
+        """The surface with a picture."""
+
+
 class SphereMap(Protocol):
     """A surface and its map to the sphere, such as a :class:`~omtwarp.MapResult`."""
 
@@ -80,8 +86,8 @@ class SphereMap(Protocol):
 
 
 def texture(
-    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
-    image: str | os.PathLike[str] | Image | ArrayLike | None = None,
+    result: SphereMap | TexturesItself | tuple[ArrayLike, ArrayLike, ArrayLike],
+    image: PictureLike | None = None,
     *,
     pattern: str | Pattern | None = None,
     projection: str = "equirectangular",
@@ -140,7 +146,7 @@ def texture(
             raise OmtwarpError("projection, atlas, rotation and seam are of textures on the sphere: a torus has none")
         on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=size)
         return on_its_own
-    vertices, faces, sphere = as_map(result)
+    vertices, faces, sphere = as_map(cast(SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike], result))
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     check_projection(projection)
@@ -185,14 +191,14 @@ def texture(
 
 
 def _source(
-    image: str | os.PathLike[str] | Image | ArrayLike | None,
+    image: PictureLike | None,
     pattern: str | Pattern | None,
     projection: str,
     atlas: str,
     size: int | tuple[int, int] | None,
     seam: float,
 ) -> tuple[NDArray | Pattern, Atlas, NDArray[np.uint8] | None]:
-    """What a texture shows, its layout, and its texels where the picture is to be kept to the byte."""
+    """Source of a texture, its layout, and its texels where the picture is to be kept to the byte."""
     if image is None:
         chosen = "circles" if pattern is None else pattern
         return by_name(chosen) if isinstance(chosen, str) else chosen, make_atlas(atlas, size, seam=seam), None
@@ -263,7 +269,7 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
     Raises:
         OmtwarpError: it is no map, or one with points at the centre of the sphere.
     """
-    parts: tuple[Any, ...]
+    parts: tuple[ArrayLike, ...]
     if isinstance(result, (tuple, list)) and len(result) == 3:
         parts = tuple(result)
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
@@ -46,7 +46,7 @@ class Part:
         return not self.loops and self.genus == 1
 
 
-def parts_of(vertices: NDArray[np.float64], faces: NDArray, name: str = "") -> list[Part]:
+def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part]:
     """The connected pieces of an oriented manifold mesh, in the order of their first faces.
 
     Args:

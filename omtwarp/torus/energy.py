@@ -10,7 +10,6 @@ that none of its points moves farther than to the nearest of the torus's copies 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +75,7 @@ class TorusEnergy:
         self.area_weight, self.start = area_weight, start
         self.wanted = 3.0 * surface.vertex_areas
         mesh = surface.on("cpu")
-        self.rows: list[Any] = mesh.vertex_corners
+        self.rows: list[wp.array] = mesh.vertex_corners
         self._mesh = mesh
         self._weights = surface.face_areas / SPHERE_AREA
         self._shift = self._kept(torus.wraps @ torus.lattice, wp.vec2d)
@@ -184,15 +183,15 @@ class TorusEnergy:
         self._launch(kernels.plane_couplings, edges, inputs, [forward, backward])
         return np.stack([forward.numpy(), backward.numpy()])
 
-    def _map(self, points: Floats) -> list[Any]:
+    def _map(self, points: Floats) -> list[wp.array]:
         return [self._kept(points, wp.vec2d), self._shift, self._mesh.faces]
 
     @staticmethod
-    def _kept(values: NDArray, dtype: Any) -> wp.array:
+    def _kept(values: NDArray, dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu")
 
     @staticmethod
-    def _launch(kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
+    def _launch(kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[wp.array]) -> None:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device="cpu")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +11,13 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.options import AreaMatch
+from omtwarp.options import AreaMatch, Progress, Record
+from omtwarp.result import StageReport
 from omtwarp.torus.cells import TorusCellEnergy, quartered_torus
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.optimality import torus_optimality
 from omtwarp.torus.torus_map import TorusMap
-from omtwarp.torus.transport import TorusTransport, exact_on_torus, refine_on_torus, transport_on_torus
+from omtwarp.torus.transport import Report, TorusTransport, exact_on_torus, refine_on_torus, transport_on_torus
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def map_to_torus(
     exact: bool = False,
     optimality: bool = True,
     strict: bool = False,
-    progress: Any = None,
+    progress: Progress | None = None,
 ) -> TorusMap:
     """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
 
@@ -60,22 +60,24 @@ def map_to_torus(
 class _Run:
     """The maps of one surface, stage by stage."""
 
-    def __init__(self, surface: Surface, progress: Any):
+    def __init__(self, surface: Surface, progress: Progress | None):
         self.surface, self.progress = surface, progress
         self.clock = self.begin = time.perf_counter()
-        self.origins: dict[str, Any] = {}
-        self.history: list[dict[str, Any]] = []
-        self.stages: list[dict[str, Any]] = []
-        self.measured: dict[str, Any] | None = None
+        self.origins: dict[str, NDArray[np.int64]] = {}
+        self.history: list[Record] = []
+        self.stages: list[StageReport] = []
+        self.shape_weight = 0.0  # of the last stage
+        self.largest_ring_error = 0.0  # after the optimal map
+        self.measured: dict[str, float | None] | None = None
         self.notify("conformal")(0, 1, {})
         self.conformal = conformal_torus(surface)
         self.torus = embedded_torus(surface, self.conformal)
         self.finish("conformal", {}, self.conformal)
 
-    def notify(self, stage: str) -> Any:
+    def notify(self, stage: str) -> Report:
         """Report the progress of a stage."""
 
-        def report(done: int, total: int, details: dict[str, Any]) -> None:
+        def report(done: int, total: int, details: Record) -> None:
             if self.progress is not None:
                 self.progress(stage, done, total, details)
 
@@ -84,7 +86,8 @@ class _Run:
     def optimal(self, measure: bool) -> None:
         """The discrete optimal map."""
         found = transport_on_torus(self.surface, self.conformal, self.torus, progress=self.notify("omt"))
-        self.take("omt", found, largest_ring_error=found.history[-1]["ring_largest"])
+        self.largest_ring_error = found.history[-1]["ring_largest"]
+        self.take("omt", found, {"largest_ring_error": self.largest_ring_error})
         if measure:
             lattice = self.conformal.lattice
             x, shift = self.conformal.coordinates @ lattice, self.conformal.wraps @ lattice
@@ -102,35 +105,42 @@ class _Run:
             "face_origin": quartered.parents.astype(np.int64),
         }
         self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
-        weight = float(self.stages[-1]["shape_weight"])
-        energy = TorusCellEnergy(quartered, self.conformal, x @ lattice, weight)
+        energy = TorusCellEnergy(quartered, self.conformal, x @ lattice, self.shape_weight)
         found = exact_on_torus(energy, y @ lattice, progress=self.notify("exact"))
         self.measured = None  # that was of the map before
-        self.take("exact", found, largest_area_error=found.history[-1]["ring_largest"])
+        self.take("exact", found, {"largest_area_error": found.history[-1]["ring_largest"]})
 
     def refine(self, weight: AreaMatch | str | float) -> None:
         """Less distortion of shape, at more cost."""
         points = self.torus.coordinates @ self.torus.lattice
         found, used = refine_on_torus(self.surface, self.conformal, points, weight, progress=self.notify("refine"))
         self.measured = None
-        self.take("refine", found, weight=used)
+        self.take("refine", found, {"weight": used})
 
-    def take(self, name: str, found: TorusTransport, **details: Any) -> None:
+    def take(self, name: str, found: TorusTransport, details: StageReport) -> None:
         """Go on with a map that was found."""
         known = len(self.history)
         self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
         lattice = self.conformal.lattice
         self.torus = FlatTorus(quantised(found.points @ np.linalg.inv(lattice)), self.conformal.wraps, lattice)
         last = found.history[-1]
-        details |= {"iterations": len(found.history) - 1, "converged": found.converged, "ended": found.ended}
-        details |= {"transport_cost": last["cost"], "area_error": last["ring_rms"], "shape_weight": found.shape_weight}
-        self.finish(name, details, self.torus)
+        self.shape_weight = found.shape_weight
+        whole: StageReport = {
+            **details,
+            "iterations": len(found.history) - 1,
+            "converged": found.converged,
+            "ended": found.ended,
+            "transport_cost": last["cost"],
+            "area_error": last["ring_rms"],
+            "shape_weight": found.shape_weight,
+        }
+        self.finish(name, whole, self.torus)
 
-    def finish(self, name: str, details: dict[str, Any], torus: FlatTorus) -> None:
+    def finish(self, name: str, details: StageReport, torus: FlatTorus) -> None:
         """Record a stage."""
         now = time.perf_counter()
         shown = self.made(torus).distortion().to_dict()
-        self.stages.append({"name": name, "seconds": now - self.clock} | details | shown)
+        self.stages.append({"name": name, "seconds": now - self.clock, **details, **shown})
         self.clock = now
 
     def made(self, torus: FlatTorus) -> TorusMap:
@@ -145,7 +155,8 @@ class _Run:
             lattice=torus.lattice * np.sqrt(area / SPHERE_AREA),
             conformal=self.conformal.coordinates,
             history=self.history,
-            **self.origins,
+            vertex_origin=self.origins.get("vertex_origin"),
+            face_origin=self.origins.get("face_origin"),
         )
 
     def result(self, strict: bool) -> TorusMap:
@@ -157,7 +168,7 @@ class _Run:
         result = self.made(self.torus)
         if not result.bijective:
             raise OmtwarpError(f"the map to the torus is not one to one: {result.certificate}")
-        wrong = next((stage["largest_ring_error"] for stage in self.stages if "largest_ring_error" in stage), 0.0)
+        wrong = self.largest_ring_error
         if wrong > WRONG_AREA:
             text = f"areas around vertices are kept to {wrong:.1%} at worst: remesh with more triangles, evenly shaped"
             if strict:
@@ -172,8 +183,9 @@ class _Run:
                 "stages": self.stages,
                 "certificate": result.certificate.to_dict(),
             }
-            | ({} if self.measured is None else {"optimality": self.measured})
         )
+        if self.measured is not None:
+            result.report["optimality"] = self.measured
         return result
 
 

@@ -10,7 +10,6 @@ is found exactly, and a branch of triangles is left out only where it is proven 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +47,7 @@ class TorusOptimality:
     wrapped: int
     ascent_steps: int
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, float | None]:
         """Return plain values, ready for JSON; None for one that is not finite."""
         return {name: value if np.isfinite(value) else None for name, value in vars(self).items()}
 
@@ -221,7 +220,7 @@ class _Dual:
         return vectors[np.argsort((vectors**2).sum(axis=1), kind="stable")]
 
 
-def _on_host(values: Floats, dtype: Any) -> wp.array:
+def _on_host(values: Floats, dtype: type) -> wp.array:
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
 
 

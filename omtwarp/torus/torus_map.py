@@ -6,7 +6,7 @@ import json
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,9 @@ from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
-from omtwarp.texturing.image import as_bytes, read_image
+from omtwarp.options import Record
+from omtwarp.result import MeshReport, StageReport
+from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 from omtwarp.texturing.textured import unit_normals, vertex_normals
 from omtwarp.torus.pictures import TexturedTorus, ring_torus, textured_torus, torus_pattern
 
@@ -28,6 +30,18 @@ if TYPE_CHECKING:
     import trimesh
 
 Floats = NDArray[np.float64]
+
+
+class TorusReport(TypedDict, total=False):
+    """How a map to a torus was made, as plain values ready for JSON."""
+
+    domain: str
+    mesh: MeshReport
+    quantum: float
+    seconds: float
+    stages: list[StageReport]
+    certificate: dict[str, int | bool]
+    optimality: dict[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -49,7 +63,7 @@ class TorusCertificate:
         """No flip and degree 1: a point that is covered once by triangles of one orientation has one preimage."""
         return self.flips == 0 and self.degree == 1
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, int | bool]:
         """Return plain values, ready for JSON."""
         return vars(self) | {"bijective": self.bijective}
 
@@ -95,8 +109,9 @@ class TorusMap(Shown):
     conformal: Floats
     vertex_origin: NDArray[np.int64] | None = None
     face_origin: NDArray[np.int64] | None = None
-    history: list[dict[str, Any]] = field(default_factory=list)
-    report: dict[str, Any] = field(default_factory=dict)
+
+    history: list[Record] = field(default_factory=list)
+    report: TorusReport = field(default_factory=lambda: cast(TorusReport, {}))
 
     domain = "torus"
 
@@ -156,7 +171,9 @@ class TorusMap(Shown):
         solid = areas * (SPHERE_AREA / whole)
         return summarize(surface, areas, determinant, angle, areas, solid, bool(np.isfinite(corner).all()))
 
-    def textured(self, image: Any = None, *, pattern: str | None = None, size: int | None = None) -> TexturedTorus:
+    def textured(
+        self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
+    ) -> TexturedTorus:
         """The surface with a picture that closes up both ways; ``.export("name.glb")`` writes it.
 
         Args:
@@ -178,7 +195,7 @@ class TorusMap(Shown):
         source = as_path(image) if isinstance(image, str | os.PathLike) else None
         return textured_torus(self.vertices, self.faces, normals, self.coordinates, self.wraps, picture, source)
 
-    def trimesh(self, image: Any = None) -> trimesh.Trimesh:
+    def trimesh(self, image: PictureLike | None = None) -> trimesh.Trimesh:
         """The surface with a texture that closes up both ways, as a :class:`trimesh.Trimesh`.
 
         Args:
@@ -225,7 +242,7 @@ class TorusMap(Shown):
         history = report.pop("history", [])
         history = [entry for entry in history if isinstance(entry, dict)] if isinstance(history, list) else []
         try:
-            return cls(**arrays, history=history, report=report)
+            return cls(**arrays, history=history, report=cast(TorusReport, report))
         except OmtwarpError as error:
             raise OmtwarpError(f"'{path}' is not a map to a torus: {error}") from None
 

@@ -7,8 +7,9 @@ back, vertex by vertex, where a triangle would turn over.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +39,9 @@ from omtwarp.optimal.solver import (
     SHAPE_WEIGHT,
     STIFFER,
 )
-from omtwarp.options import AreaMatch, parse_refinement
+from omtwarp.options import AreaMatch, Record, parse_refinement
 from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.torus.cells import TorusCellEnergy
 from omtwarp.torus.energy import PlaneTerms, TorusEnergy
 from omtwarp.torus.harmonic import FlatTorus
@@ -47,6 +49,8 @@ from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.triangle_newton.motion_kernels import hold_back
 
 Floats = NDArray[np.float64]
+Report: TypeAlias = Callable[[int, int, Record], None]
+"""How a minimisation reports on itself: ``report(done, most, record)``."""
 
 ITERATIONS = 100  # most steps
 # β is this times the root mean squared distance of the start where that is less than the sphere's: see
@@ -84,7 +88,7 @@ class TorusTransport:
 
     points: Floats
     multipliers: Floats
-    history: list[dict[str, Any]]
+    history: list[Record]
     converged: bool
     ended: str
     shape_weight: float
@@ -97,7 +101,7 @@ def transport_on_torus(
     *,
     shape_weight: float | None = None,
     iterations: int = ITERATIONS,
-    progress: Any = None,
+    progress: Report | None = None,
 ) -> TorusTransport:
     """Find the optimal map of a surface to a flat torus.
 
@@ -124,7 +128,7 @@ def transport_on_torus(
     return _with_right_areas(energy, found, RESTORATIONS)
 
 
-def exact_on_torus(energy: TorusCellEnergy, points: Floats, *, progress: Any = None) -> TorusTransport:
+def exact_on_torus(energy: TorusCellEnergy, points: Floats, *, progress: Report | None = None) -> TorusTransport:
     """Find the optimal map of a quartered surface, in which every triangle of the mesh keeps its area.
 
     Args:
@@ -140,7 +144,12 @@ def exact_on_torus(energy: TorusCellEnergy, points: Floats, *, progress: Any = N
 
 
 def refine_on_torus(
-    surface: Surface, torus: FlatTorus, points: Floats, weight: AreaMatch | str | float, *, progress: Any = None
+    surface: Surface,
+    torus: FlatTorus,
+    points: Floats,
+    weight: AreaMatch | str | float,
+    *,
+    progress: Report | None = None,
 ) -> tuple[TorusTransport, float]:
     """Move a map to a minimum of angle plus λ times area distortion: see :mod:`omtwarp.optimal.refinement`.
 
@@ -198,7 +207,7 @@ def minimise(
     gain: float,
     iterations: int = ITERATIONS,
     penalty: float | None = None,
-    progress: Any = None,
+    progress: Report | None = None,
 ) -> TorusTransport:
     """Minimise an energy under its constraints.
 
@@ -231,7 +240,7 @@ class _Newton:
         self.multipliers = np.zeros(len(energy.wanted)) if multipliers is None else multipliers
         self.damping = LEAST_DAMPING
 
-    def run(self, points: Floats, iterations: int, progress: Any) -> TorusTransport:
+    def run(self, points: Floats, iterations: int, progress: Report | None) -> TorusTransport:
         """Take steps until the map is as good as asked for.
 
         One function, as every decision on how to go on rests on the same matrix, step and map.
@@ -296,8 +305,15 @@ class _Newton:
     def _solve(self, first: Floats, second: Floats) -> tuple[Floats, Floats]:
         return self.factor.solve(first, second)
 
-    def _search(self, points: Floats, terms: PlaneTerms, step: Floats, decrement: float, halvings: int) -> Any:
-        """A step that lowers the merit and flips nothing: map, terms, length, vertices held back, what it gained."""
+    def _search(
+        self, points: Floats, terms: PlaneTerms, step: Floats, decrement: float, halvings: int
+    ) -> tuple[Floats, PlaneTerms, float, int, float] | None:
+        """Search for a step that lowers the merit and flips nothing.
+
+        Returns:
+            The map, its terms, the step's length, how many vertices were held back, and what the step gained; None
+            where no step was found.
+        """
         before = self._merit(terms)
         length = min(1.0, REACH / max(float(np.linalg.norm(step, axis=1).max()), 1e-300))
         for _ in range(halvings + 1):
@@ -312,7 +328,7 @@ class _Newton:
 
     def _record(
         self, terms: PlaneTerms, decrement: float = 0.0, length: float = 0.0, factorised: bool = False, held: int = 0
-    ) -> dict[str, Any]:
+    ) -> Record:
         rms, largest = self.energy.area_errors(terms)
         missing = self.energy.missing(terms)
         cost = self.energy.cost_weight * self.energy.cost(terms) / SPHERE_AREA
@@ -365,7 +381,12 @@ def _error(energy: TorusEnergy, terms: PlaneTerms) -> float:
 
 
 def _factorise(
-    energy: TorusEnergy, factor: Any, points: Floats, terms: PlaneTerms, damping: float, compliance: Floats
+    energy: TorusEnergy,
+    factor: SaddlePointFactor,
+    points: Floats,
+    terms: PlaneTerms,
+    damping: float,
+    compliance: Floats,
 ) -> None:
     diagonal, off_diagonal, gradients = energy.blocks(points, terms, damping)
     own = diagonal[:, [0, 1], [0, 1]]
