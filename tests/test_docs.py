@@ -29,7 +29,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS, CODE = ("console", "bash", "sh", "shell"), ("python", "py")
 # What sets a machine up, or runs all of this from outside; run.py has tests of its own.
 SET_UP = ("apt", "apt-get", "sudo", "git", "pip", "cd", "uv", "source", "export", ".venv/bin/pip")
-SET_UP_BY_PYTHON = ("run.py", "-m venv", "-m pip", "-m sphinx")
+SET_UP_BY_PYTHON = ("run.py", "-m venv", "-m pip", "-m sphinx", "docs/versions.py")
 
 
 @dataclass(frozen=True)
