@@ -40,7 +40,7 @@ def run(
     subdivisions: int = 0,
     devices: Sequence[str] = ("cpu",),
     repeats: int = 3,
-    refine: str | float | None = "area",
+    refine: str | float | None = "none",
     kernels: bool = False,
     cold: bool = False,
     largest_reference: int = LARGEST_REFERENCE,

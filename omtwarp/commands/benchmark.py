@@ -57,7 +57,7 @@ def benchmark(
         str, typer.Option("--device", metavar="cpu,cuda:0", help="Where to map; auto is all there is.")
     ] = "auto",
     repeats: Annotated[int, typer.Option(min=1, max=MOST_REPEATS, help="Maps of which the median counts.")] = 3,
-    refine: RefineOption = "area",
+    refine: RefineOption = "none",
     kernels: Annotated[bool, typer.Option("--kernels", help="Also every kernel beside the memory it moves.")] = False,
     cold: Annotated[bool, typer.Option("--cold", help="Also compilation into an empty cache, and starts.")] = False,
     json_output: Annotated[

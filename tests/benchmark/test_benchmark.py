@@ -25,7 +25,9 @@ from omtwarp.wavelets.kernels import scale_values
 
 @pytest.fixture(scope="module")
 def result():
-    return run(sizes=(400, 800), meshes=[(icosphere(4).vertices, icosphere(4).faces)], repeats=2, kernels=True)
+    return run(
+        sizes=(400, 800), meshes=[(icosphere(4).vertices, icosphere(4).faces)], repeats=2, kernels=True, refine="area"
+    )
 
 
 def test_every_stage_of_every_mesh_is_measured(result):
