@@ -3,7 +3,7 @@ Surfaces with handles
 =====================
 
 A surface with one handle goes to a flat torus, and a picture that repeats both ways closes up on it. A surface with
-more is cut open along short loops, one around each handle, and goes to the sphere.
+more is cut open along the shortest loops, one around each handle, and goes to the sphere.
 """
 
 import numpy as np

@@ -132,7 +132,7 @@ TogetherOption = Annotated[
 ]
 CutOption = Annotated[
     bool,
-    typer.Option("--cut", help="Cut handles open along short loops and map to the sphere; a texture breaks there."),
+    typer.Option("--cut", help="Cut handles open along shortest loops and map to the sphere; a texture breaks there."),
 ]
 TorusOption = Annotated[bool, typer.Option("--torus", help="Map a closed surface of genus 1 to a flat torus.")]
 SizeOption = Annotated[

@@ -272,7 +272,8 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
             a, b = (int(end) for end in topology.handle_edge)
             handles = number(genus, "handle")
             text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
-            remedy = "only genus 0 maps to the sphere: cut the handles with --cut, or map genus 1 with --torus"
+            torus = ", or map genus 1 with --torus" if genus == 1 else ""
+            remedy = f"only genus 0 maps to the sphere: cut the handles with --cut{torus}"
             found.append(Defect("genus", genus, a, text, remedy))
 
     if sound and not found and _signed_volume(points, faces) < 0:

@@ -105,7 +105,8 @@ def options_for(parts: list[Part]) -> list[str]:
     if len(parts) == 1 and parts[0].is_torus:
         lines.append("--torus: map the surface to the flat torus that it is conformal to")
     if genus:
-        lines.append(f"--cut: cut {number(genus, 'handle')} open along short loops, the cuts filled small")
+        handles = number(genus, "handle")
+        lines.append(f"--cut: cut {handles} open along the shortest loops, fill the cuts small, and map to the sphere")
     return lines
 
 
