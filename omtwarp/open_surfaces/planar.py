@@ -13,7 +13,7 @@ from omtwarp.flips.predicates import flipped_faces
 Floats = NDArray[np.float64]
 # Of repair on the sphere: sweeps over the corners of flipped triangles, which take in one more ring of vertices after
 # so many of them, while there are at most so many to move. Surfaces of 250 to 9,700 faces took one or two.
-SWEEPS, SWEEPS_PER_RING, MOST_MOVED = 24, 4, 2_000
+SWEEPS, SWEEPS_PER_RING, MOST_MOVED = 24, 4, 400
 LEAST_MARGIN = 1e-9  # of a place that flips nothing
 SOLVES = 3  # of the convex combinations: the first leaves no flips, but for rounding
 
