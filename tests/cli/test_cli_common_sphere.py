@@ -233,6 +233,34 @@ def test_bad_input_is_one_line(desk, capsys, words, message):
     assert not list(desk.glob("x.*"))
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["align", "bad.npz", "-o", "x.npz"],
+        ["resample", "bad.npz", "--to", "ico2", "-o", "x.ply"],
+        ["spharm", "bad.npz", "-o", "x.coef"],
+        ["distance", "lh.npz", "bad.npz"],
+        ["group", "lh.npz", "bad.npz", "-o", "x.study"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_maps_that_are_none_are_refused_by_every_command(desk, capsys, words):
+    with np.load("lh.npz") as file:
+        whole = dict(file)
+    holes = whole["sphere"].copy()
+    holes[3, 0] = np.nan
+    for sphere, message in (
+        (holes, "1 number that is not finite, first in row 3"),
+        (3.0 * whole["sphere"], "not on the unit sphere"),
+        (whole["sphere"][1:], f"shape [{COUNT - 1}, 3], not [{COUNT}, 3]"),
+    ):
+        np.savez("bad.npz", **whole | {"sphere": sphere})
+        assert run(*words) == 1
+        said = capsys.readouterr().err
+        assert message in said and "'bad.npz' is not a map" in said and said.count("\n") == 1
+    assert not list(desk.glob("x.*"))
+
+
 @pytest.mark.parametrize("command", ["align", "resample"])
 def test_help_has_an_example(command, capsys):
     assert run(command, "--help") == 0
