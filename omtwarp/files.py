@@ -77,6 +77,25 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *
     return target
 
 
+def check_folder(path: str | os.PathLike[str]) -> Path:
+    """Make sure that a folder of outputs is there or can be made, before anything long is computed; make nothing.
+
+    Raises:
+        OmtwarpError: something there that is no directory, or no right to write.
+    """
+    given = as_path(path)
+    try:
+        there = next(folder for folder in (given, *given.absolute().parents) if os.path.lexists(folder))
+        if not there.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, f"'{there}' is not a directory")
+        if not os.access(there, os.W_OK):
+            raise PermissionError(errno.EACCES, "Permission denied")
+    except (OSError, ValueError) as error:
+        words = getattr(error, "strerror", None) or error
+        raise OmtwarpError(f"cannot write to '{given}': {words}") from None
+    return given
+
+
 def _destination(path: Path) -> Path:
     """The file that is written for a path: links followed, and nothing there that must not be replaced.
 

@@ -10,6 +10,7 @@ import typer
 from omtwarp.commands._options import DeviceOption, QuietOption
 from omtwarp.commands._streams import STREAM, input_file, input_table
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_folder
 
 
 def group(
@@ -44,6 +45,7 @@ def group(
     from omtwarp.shape_analysis.group import study_group, two_groups
     from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report
 
+    check_folder(output)
     names, paths, labels = _members(sources)
     if len(paths) < 2:
         raise OmtwarpError(f"{len(paths)} map in all: a group needs at least two")

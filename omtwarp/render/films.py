@@ -36,6 +36,7 @@ Floats = NDArray[np.float64]
 
 HD = (1920, 1080)
 SMALL = (640, 360)  # of films that browsers load as pictures: .gif and .webp
+CAPTIONED_HEIGHT = 44  # in pixels: a caption of legible letters takes half of that
 # Share of the picture that edges sweep over from one frame to the next. Circles on a creature then move by a pixel or
 # two of a picture of 1920 x 1080, and no more than a fiftieth of its pixels change.
 PACE = 0.008
@@ -168,7 +169,7 @@ def film(
         up: axis that points upwards; None guesses from the shape, as :func:`omtwarp.preview` does.
         front: axis that points at the viewer in the front view.
         background: a colour, (top, bottom) colours, or ``"studio"``.
-        captions: name what is seen below the picture.
+        captions: name what is seen below the picture, where it has 44 pixels of height.
         backend: ``"pyrender"`` (OpenGL), ``"warp"`` (ray caster) or ``"auto"``.
         device: where the pattern is computed and the ray caster runs.
         progress: called with the stage, frames done, frames in all and further facts.
@@ -384,7 +385,7 @@ class _Studio:
         """The pictures of the film, drawn as they are asked for; moments in which nothing moves are drawn once."""
         width, height = size
         letters = max(11.0, height / 26.0)
-        band = round(2.0 * letters) if self.captions else 0
+        band = round(2.0 * letters) if self.captions and height >= CAPTIONED_HEIGHT else 0
         ink = annotate.ink(self.background, False)
         moments = sorted(set(times))
         repeats = {moment: times.count(moment) for moment in moments}

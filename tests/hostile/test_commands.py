@@ -1,0 +1,135 @@
+"""Commands for finished maps in hostile places: one line and exit status 1, or the output; nothing left or replaced."""
+
+from __future__ import annotations
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+from omtwarp import files
+from omtwarp.cli import main
+from omtwarp.mesh import shapes
+from omtwarp.result import MapResult
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="of POSIX")
+
+# Every command with an output, without -o, and the output.
+COMMANDS = {
+    "align": (["align", "map.npz"], "out.npz"),
+    "resample": (["resample", "map.npz", "--to", "ico1"], "out.ply"),
+    "spharm": (["spharm", "--map", "map.npz", "--degree", "2"], "out.coef"),
+    "group": (["group", "map.npz", "map.npz", "--grid", "ico1", "--degree", "2"], "study"),
+    "film": (["film", "map.npz", "--size", "16x16", "--seconds", "0.2", "--fps", "2", "--backend", "warp"], "out.gif"),
+    "transfer": (
+        ["transfer", "own.glb", "own.glb", "--map-from", "map.npz", "--map-to", "map.npz", "--size", "16"],
+        "out.glb",
+    ),
+    "unwrap": (["unwrap", "map.npz"], "out.glb"),
+    "texture": (["texture", "own.glb", "--map", "map.npz", "--uv", "own", "--size", "16"], "out.glb"),
+}
+FOLDERS = ("group",)  # write into a folder
+SINGLE = [name for name in COMMANDS if name not in FOLDERS]
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """A folder with a map and a mesh with texture coordinates."""
+    folder = tmp_path_factory.mktemp("inputs")
+    ball = shapes.icosphere(2)
+    ovoid = ball.vertices * [1.0, 1.3, 1.7]
+    MapResult(ovoid, ball.faces, ball.vertices, ball.vertices, np.ones(ball.vertex_count)).save(folder / "map.npz")
+    finished, plain, own = (str(folder / name) for name in ("map.npz", "plain.glb", "own.glb"))
+    for words in (["unwrap", finished, "-o", plain], ["texture", plain, "--map", finished, "--uv", "own", "-o", own]):
+        with pytest.raises(SystemExit) as end:
+            main(words + ["--size", "16"] * (words[0] == "texture"))
+        assert not end.value.code
+    return folder
+
+
+@pytest.fixture
+def place(inputs, tmp_path, monkeypatch):
+    """A working folder with copies of the inputs."""
+    for file in inputs.iterdir():
+        shutil.copy(file, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def ended(capsys, words) -> tuple[int, str]:
+    """Exit status and the last line on standard error."""
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    text = capsys.readouterr().err
+    assert "Traceback" not in text and "internal error" not in text and files.PREFIX not in text
+    lines = [line for line in text.splitlines() if line.startswith("omtwarp: error: ")]
+    status = end.value.code or 0
+    assert (status == 0) == (not lines) and len(lines) <= 1, text
+    return status, lines[0] if lines else ""
+
+
+def listing(folder) -> dict[str, tuple]:
+    """What is in a folder: names, kinds and contents' times."""
+    return {path.name: (os.lstat(path).st_mode, os.lstat(path).st_mtime_ns) for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_outputs_that_are_no_files_are_refused_before_the_work(place, capsys, name):
+    words, output = COMMANDS[name]
+    os.mkfifo("pipe" + os.path.splitext(output)[1])
+    os.symlink("/dev/full", "full" + os.path.splitext(output)[1])
+    if name in FOLDERS:
+        (place / "file").write_text("the user's")
+    else:
+        (place / ("folder" + os.path.splitext(output)[1])).mkdir()
+    before = listing(place)
+    bad = ["pipe", "full", "folder"] if name in SINGLE else ["pipe", "full", "file"]
+    for kind in bad:
+        there = kind + os.path.splitext(output)[1]
+        status, line = ended(capsys, [*words, "-o", there])
+        assert status == 1 and there in line, (kind, line)
+    assert listing(place) == before
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_a_link_is_followed_and_kept(place, capsys, name):
+    words, output = COMMANDS[name]
+    (place / "real").mkdir()
+    (place / output).symlink_to(place / "real" / output)
+    status, line = ended(capsys, [*words, "-o", output])
+    assert status == 0, line
+    assert (place / output).is_symlink() and (place / "real" / output).stat().st_size > 20
+    assert not list(place.rglob(files.PREFIX + "*"))
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, "distance"])
+def test_inputs_that_are_folders_or_missing(place, capsys, name):
+    words, output = COMMANDS.get(name, (["distance", "map.npz", "map.npz", "--degree", "2"], ""))
+    (place / "folder.npz").mkdir()
+    before = listing(place)
+    for bad in ("folder.npz", "missing.npz"):
+        status, line = ended(
+            capsys, [bad if word == "map.npz" else word for word in words] + ["-o", output] * bool(output)
+        )
+        assert status == 1 and bad in line, line
+    assert listing(place) == before
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_an_interruption_leaves_nothing(place, monkeypatch, name):
+    """At the moment when the output has been written beside its place, and is about to be moved there."""
+    words, output = COMMANDS[name]
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    before = listing(place)
+    monkeypatch.setattr(files, "_move", interrupted)
+    with pytest.raises((SystemExit, KeyboardInterrupt)) as end:
+        main([*words, "-o", output])
+    assert end.type is KeyboardInterrupt or end.value.code == 130
+    if (place / "study").is_dir():
+        assert not list((place / "study").iterdir())
+        (place / "study").rmdir()
+    assert listing(place) == before
