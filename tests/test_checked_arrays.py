@@ -1,5 +1,7 @@
 """Arrays that callers hand over: whatever is wrong with them is told in one line before any kernel runs."""
 
+import os
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,6 +12,16 @@ import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.result import MapResult
+
+
+@pytest.fixture(autouse=True, scope="module")
+def elsewhere(tmp_path_factory):
+    """Work in a folder of its own: a word that is taken for the name of a file may be written."""
+    before = os.getcwd()
+    os.chdir(tmp_path_factory.mktemp("words"))
+    yield
+    os.chdir(before)
+
 
 SURFACE = blob(seed=3, amplitude=0.2, degree=3, sphere=80)
 VERTICES, FACES = SURFACE.vertices, SURFACE.faces
