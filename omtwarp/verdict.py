@@ -104,6 +104,8 @@ def judge(
 ) -> list[Finding]:
     """List what a map is to be warned of; nothing of areas where the options do not ask for a map that keeps them.
 
+    One function, as each warning is a few lines, in the order in which they are given.
+
     Args:
         goal: the surface, with the area that each of its triangles is to have on the sphere.
         sphere: the map, unit vectors, shape [V, 3].

@@ -20,6 +20,7 @@ from omtwarp.commands._options import (
     RefineOption,
     RepairOption,
     SchemeOption,
+    SolverOption,
     UntilOption,
 )
 from omtwarp.commands._streams import input_table
@@ -82,6 +83,7 @@ def cohort(
     refine: RefineOption = str(Refinement.NONE),
     repair: RepairOption = False,
     device: DeviceOption = MapOptions.device,
+    solver: SolverOption = MapOptions.solver,
     as_json: Annotated[bool, typer.Option("--json", help="Print what became of the cohort as JSON.")] = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -116,6 +118,7 @@ def cohort(
             refine=refine,
             optimality=optimality,
             device=device,
+            solver=solver,
         )
     if as_json:
         known = {

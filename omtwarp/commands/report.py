@@ -59,7 +59,10 @@ def report_on_map(
     verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file."""
+    """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file.
+    \f
+    One function, as most of its lines are options and where they are passed on.
+    """
     from omtwarp.commands._work import map_from, show_facts, start_device
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report

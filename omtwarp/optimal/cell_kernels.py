@@ -25,6 +25,8 @@ def vertex_squares(
     square[v] = distance * distance
 
 
+# Beside transport_gradient, which sums the potentials of a triangle's corners from the vertex itself on: kept by
+# triangle, as here, that sum would have one order for all three, and round differently.
 @wp.kernel
 def cell_gradient(
     start: wp.array[wp.vec3d],

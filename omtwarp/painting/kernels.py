@@ -3,6 +3,7 @@
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.texturing.kernels import edge_side, sign_of
+from omtwarp.texturing.openness_kernels import open_share
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -140,21 +141,5 @@ def cast_open_rays(
     ``numbers`` turn the pattern of rays differently for every point, so that no bands show.
     """
     i = wp.tid()
-    n = normals[i]
-    helper = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(n[0]) > 0.7:
-        helper = wp.vec3(0.0, 1.0, 0.0)
-    t = wp.normalize(wp.cross(n, helper))
-    b = wp.cross(n, t)
     turn = float(numbers[i] % 1021) * 0.7548777
-    free = int(0)
-    for k in range(rays):
-        # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
-        r = wp.sqrt((float(k) + 0.5) / float(rays))
-        angle = float(k) * 2.3999632 + turn
-        up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
-        direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
-        query = wp.mesh_query_ray(mesh, origins[i], direction, 4.0)
-        if not query.result:
-            free += 1
-    openness[i] = float(free) / float(rays)
+    openness[i] = open_share(mesh, origins[i], normals[i], turn, rays)

@@ -63,6 +63,8 @@ def paint(
     atlas, all materials share one picture. Coordinates outside [0, 1] repeat the picture. Where triangles overlap on
     the picture, as mirrored halves do, the first one has the texel, and a warning says how much of it is so.
 
+    One function, as it is checks of options and two calls.
+
     Args:
         result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three as a
             tuple.

@@ -1,9 +1,30 @@
 # mypy: ignore-errors
-"""Kernel for the openness of a surface. Single precision: it is an estimate, and ray queries have no other."""
+"""Kernels for the openness of a surface. Single precision: it is an estimate, and ray queries have no other."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
+
+
+@wp.func
+def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, rays: int) -> float:
+    """Part of the cosine-weighted rays from a point that leave the surface behind them, their pattern turned."""
+    helper = wp.vec3(1.0, 0.0, 0.0)
+    if wp.abs(n[0]) > 0.7:
+        helper = wp.vec3(0.0, 1.0, 0.0)
+    t = wp.normalize(wp.cross(n, helper))
+    b = wp.cross(n, t)
+    free = int(0)
+    for k in range(rays):
+        # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
+        r = wp.sqrt((float(k) + 0.5) / float(rays))
+        angle = float(k) * 2.3999632 + turn
+        up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
+        direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
+        query = wp.mesh_query_ray(mesh, origin, direction, 4.0)
+        if not query.result:
+            free += 1
+    return float(free) / float(rays)
 
 
 @wp.kernel
@@ -17,20 +38,4 @@ def vertex_openness(
 ):
     """Part of the cosine-weighted rays from a point that leave the surface behind them."""
     i, _compiled_once = wp.tid()
-    n = normals[i]
-    helper = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(n[0]) > 0.7:
-        helper = wp.vec3(0.0, 1.0, 0.0)
-    t = wp.normalize(wp.cross(n, helper))
-    b = wp.cross(n, t)
-    free = int(0)
-    for k in range(rays):
-        # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
-        r = wp.sqrt((float(k) + 0.5) / float(rays))
-        angle = float(k) * 2.3999632 + float(i) * 0.7548777
-        up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
-        direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
-        query = wp.mesh_query_ray(mesh, origins[i], direction, 4.0)
-        if not query.result:
-            free += 1
-    openness[i] = float(free) / float(rays)
+    openness[i] = open_share(mesh, origins[i], normals[i], float(i) * 0.7548777, rays)
