@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "omtwarp"
 SENTENCE = "One function, as "
 MOST_LINES = 70  # from def on, without the docstring
-MOST_BRANCHES = 17  # cyclomatic complexity (McCabe 1976), as radon counts it
+MOST_BRANCHES = 19  # cyclomatic complexity (McCabe 1976), as radon counts it
 BRANCHES = (ast.If, ast.IfExp, ast.For, ast.While, ast.ExceptHandler, ast.Assert, ast.match_case)
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
