@@ -107,7 +107,7 @@ class Backend(StrEnum):
     WARP = "warp"
 
 
-PICTURE_SIZE = (1024, 1024)
+PICTURE_SIZE = (1024, 1024)  # pixels of a view where no size is given
 BACKGROUND = "white"
 FILM_RATE = 20.0  # frames per second; a .gif counts in hundredths of a second, of which this is a whole number
 

@@ -279,6 +279,8 @@ def healpix(side: int, nested: bool = False) -> SphereGrid:
     return SphereGrid(name, points[order], None, (len(order),), corners, owners)
 
 
+# Of the centres of the twelve base pixels (Górski et al. 2005, figure 3): rows between the poles at 0 and 4, and
+# longitudes in quarters of π.
 _HEALPIX_ROWS = np.array([1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3])
 _HEALPIX_COLUMNS = np.array([1, 3, 5, 7, 0, 2, 4, 6, 1, 3, 5, 7])
 

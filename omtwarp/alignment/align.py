@@ -26,11 +26,11 @@ from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
 
-DEGREE = 16
+DEGREE = 16  # of the harmonics that are correlated by default: they resolve about 180 / 16 = 11 degrees
 # Two surfaces with the same faces are taken as one where a similarity brings them this near, as a part of their size:
 # noise of a thousandth of the size at every vertex leaves 0.0045, another of the made hippocampi 0.026 or more.
 SAME_SHAPE = 0.01
-MIRROR = np.diag([-1.0, 1.0, 1.0])
+MIRROR = np.diag([-1.0, 1.0, 1.0])  # reflects in the plane x = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
 
-ROUNDS = 20
+ROUNDS = 20  # at most
 # Radians, or parts of the mean's size: what no figure of a group shows.
 TOLERANCE = 1e-6
 

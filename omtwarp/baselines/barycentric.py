@@ -56,8 +56,8 @@ Weights = Literal["tutte", "mean-value"]
 Balance = Literal["centroid", "free"]
 Report = Callable[[str, int, float], None]
 
-RELAXATION_STEPS = 300
-NEWTON_STEPS = 40
+RELAXATION_STEPS = 300  # at most: what the relaxation leaves is for Newton's method
+NEWTON_STEPS = 40  # at most; it doubles its digits at each step once it is near
 MOST_STEPS = {"relax": RELAXATION_STEPS, "newton": NEWTON_STEPS}
 RELAXATION_TOLERANCE = 1e-6
 """The relaxation ends when the root mean square force at right angles to the constraint is below this."""

@@ -24,8 +24,8 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.pipeline import map_to_sphere
 from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
 
-PER_THREAD = 16
-MANY_THREADS = 1024
+PER_THREAD = 16  # elements of an array that a thread is taken to touch at most: a vertex has six neighbours on average
+MANY_THREADS = 1024  # launches of fewer threads may go through whole arrays in a loop: these are counted whole
 # Kernels that work through a list whose length only the device knows: next to nothing, and counted as nothing.
 LISTED = ("omtwarp.flips.guard_kernels.find_bad_around", "omtwarp.flips.guard_kernels.shorten_steps")
 

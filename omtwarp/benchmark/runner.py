@@ -24,12 +24,12 @@ from omtwarp.pipeline import map_to_sphere
 from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
 from omtwarp.solvers.cholesky.saddle import expand
 
-SIZES = (5_000, 20_000, 80_000)
+SIZES = (5_000, 20_000, 80_000)  # faces, each four times the one before, as a subdivision has them
 # SuperLU needs about 10 kB per vertex, and minutes, beyond this many faces.
 LARGEST_REFERENCE = 500_000
 # Growth is measured from here on, where there are two sizes: below, fixed costs flatten it.
 ASYMPTOTIC = 20_000
-FORMAT = 1
+FORMAT = 1  # of the file of results; to be raised when a field changes its meaning
 
 
 def run(

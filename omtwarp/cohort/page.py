@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from omtwarp.cohort.item import OK, Row
+from omtwarp.mesh.arrays import TINY
 from omtwarp.render import preview
 from omtwarp.reporting.markup import Markup, element
 from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
@@ -21,7 +22,7 @@ MEASURES = {
     "ring": "area around vertices",
     "seconds": "seconds",
 }
-PICTURE = (360, 270)
+PICTURE = (360, 270)  # pixels
 
 
 def write_page(rows: Sequence[Row], folder: Path) -> Path:
@@ -59,7 +60,7 @@ def outliers(done: Sequence[Row], most: int = OUTLIERS) -> list[tuple[Row, str]]
         if not np.isfinite(values).any():
             continue
         middle = np.nanmedian(values)
-        spread = max(np.nanmedian(np.abs(values - middle)), 1e-9 * max(abs(middle), 1e-300))
+        spread = max(np.nanmedian(np.abs(values - middle)), 1e-9 * max(abs(middle), TINY))
         for row, value in zip(done, values, strict=True):
             distance = (value - middle) / spread
             name_of_item = str(row["id"])

@@ -23,8 +23,8 @@ from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface, as_unit_vectors
 from omtwarp.options import Progress, Record
 
-TOLERANCE = 1e-13
-MAXIMUM_STEPS = 100
+TOLERANCE = 1e-13  # on the length of the mean of the points: some hundred times the round-off of float64
+MAXIMUM_STEPS = 100  # at most; Newton's method needs few where there is a centre
 MAX_CENTRE = 0.7  # of the ball's radius: Newton's centre can lie outside the ball, where there is no transformation
 MIN_CENTRE = 1e-16  # a step halved to less than this moves nothing in float64
 FULL_STEP_MEAN = 1e-10  # below this size of the mean the decrease is lost in round-off: steps are taken whole

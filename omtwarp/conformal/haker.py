@@ -25,7 +25,7 @@ from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
-TIE_BREAKER = np.array([0.6180, 0.2361, 0.7503])
+TIE_BREAKER = np.array([0.6180, 0.2361, 0.7503])  # chosen: any direction oblique to the axes will do
 PARTS = 4  # of the work as progress counts it: half is the factorisation
 
 

@@ -17,7 +17,7 @@ from omtwarp.device.start import wp
 from omtwarp.flips.predicates import exact_signs, orientation_signs
 from omtwarp.flips.ring_kernels import SCALE, add_turning_angles
 
-UNIT_ROUNDOFF = 2.0**-53
+UNIT_ROUNDOFF = 2.0**-53  # of float64, rounding to nearest
 # The difference of two points and their cross product are rounded four times in each of three components.
 _DIRECTION_ERROR = 16.0 * UNIT_ROUNDOFF
 # The angle between two given directions: products, lengths, arc tangent and sum.

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from omtwarp.mesh.surface import Surface
 
-LEVELS = 60
+LEVELS = 60  # distances at which rings are measured, in equal steps of 1/61 of the longest
 LEAST_SHARE = 0.01  # smaller caps have few triangles
 
 

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
-WHITE = (1.0, 1.0, 1.0, 1.0)
+WHITE = (1.0, 1.0, 1.0, 1.0)  # sRGB and opacity: the factor that leaves a picture as it is
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 SAME_PLACE = 1e-5
 ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of another mesh"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from omtwarp.materials.base import Floats, Ints
+from omtwarp.mesh.arrays import TINY
 
 
 def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) -> Floats:
@@ -41,9 +42,9 @@ def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) 
     # Where triangles have no area in the picture any tangent will do.
     helper = np.where(np.abs(normal[:, :1]) < 0.7, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     other = np.cross(normal, helper)
-    other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), 1e-300)
-    degenerate = length <= 1e-12 * max(float(length.max(initial=0.0)), 1e-300)
-    unit = np.where(degenerate, other, flat / np.maximum(length, 1e-300))
+    other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), TINY)
+    degenerate = length <= 1e-12 * max(float(length.max(initial=0.0)), TINY)
+    unit = np.where(degenerate, other, flat / np.maximum(length, TINY))
     return np.concatenate([unit, np.repeat(sign, 3)[:, None]], axis=1).reshape(-1, 3, 4)
 
 

@@ -17,7 +17,7 @@ from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
 
-RAYS = 32
+RAYS = 32  # all have to count the same degree; without flips one would do, and the others check it
 # Rays that pass an edge this closely (as a triple product of unit vectors) are drawn again.
 CLEARANCE = 1e-13
 

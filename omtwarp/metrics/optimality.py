@@ -56,11 +56,11 @@ from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 Array = NDArray[np.float64]
 
-ASCENT_STEPS = 3
+ASCENT_STEPS = 3  # by default, as each costs as much as the bound itself
 GOOD_ENOUGH = 1e-4
 """Ascent stops at this gap by default: a tenth of what separates the maps of practice from the optimum."""
 TRIALS = 6  # lengths of an ascent step that are tried, each SHORTER times the one before
-SHORTER, LONGER = 0.4, 1.6
+SHORTER, LONGER = 0.4, 1.6  # factors of a step that has not raised the bound, and of one that has
 
 
 class SphereMaps(Protocol):

@@ -20,10 +20,11 @@ vec6d = wp.types.vector(length=6, dtype=wp.float64)
 # the largest coordinate along both axes, and the largest distance from its centre.
 vec11d = wp.types.vector(length=11, dtype=wp.float64)
 
-LARGE = wp.constant(wp.float64(1.0e300))
+LARGE = wp.constant(wp.float64(1.0e300))  # in place of infinity, which minima begin with
+# Relative, added to the diagonal of the normal equations of a fit, which few or collinear points leave singular.
 RIDGE = wp.constant(wp.float64(1.0e-10))
-SLACK = wp.constant(wp.float64(1.0e-14))
-SAMPLES = wp.constant(6)
+SLACK = wp.constant(wp.float64(1.0e-14))  # lowers bounds of numbers of size 1 by fifty times float64's round-off
+SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
 # Triangles of a node that its paraboloid is fitted to; the level that makes it a bound looks at all of them.
 FITTED = wp.constant(4)
 

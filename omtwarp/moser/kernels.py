@@ -6,9 +6,10 @@ from omtwarp.location.kernels import walk
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-LONGEST_STEP = wp.constant(wp.float64(2.0))
+LONGEST_STEP = wp.constant(wp.float64(2.0))  # of the 14 units of time of a path
 SHORTEST_STEP = wp.constant(wp.float64(1e-3))  # where slivers would ask for less: a path has 14 units of time
 MAX_STEPS = wp.constant(20000)  # of a path: more than FINAL_TIME / SHORTEST_STEP, so that every path ends
+# Coefficients of Ralston's method of third order (1962).
 QUARTER = wp.constant(wp.float64(0.25))
 THREE_QUARTERS = wp.constant(wp.float64(0.75))
 TWO_NINTHS = wp.constant(wp.float64(2.0 / 9.0))

@@ -33,7 +33,7 @@ from omtwarp.untangling.kernels import solid_angles
 Numbers = NDArray[np.float64]
 
 CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a cell's mass
-ITERATIONS = 60
+ITERATIONS = 60  # at most; a map that needs more says that it is not optimal
 # Root mean square and largest relative error of the triangles' areas with which the minimisation ends, and the largest
 # after what is left of them was made right.
 MAX_CELL_RMS, MAX_CELL_ERROR = 1e-3, 0.05

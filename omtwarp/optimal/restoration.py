@@ -23,9 +23,9 @@ from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
-ROUNDS = 30
+ROUNDS = 30  # at most
 STIFFNESS = 1e7  # of the areas beside cost and shape, which only choose among the steps that make areas right
-MAX_HALVINGS = 12
+MAX_HALVINGS = 12  # of a step, down to 1/4096
 SUFFICIENT = 0.1  # of what the first derivative promises of the areas' errors
 LEAST = 1e-3  # see omtwarp.optimal.kernels.cost_metric
 # Relative to the diagonal: what makes the matrix definite, and what it grows by where rounding asks for more.

@@ -23,7 +23,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
+from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
@@ -367,7 +367,7 @@ class _Newton:
         """
         before = self._merit(terms)
         reach = float(np.sqrt((direction.numpy() ** 2).sum(axis=1).max()))
-        length = min(1.0, REACH / max(reach, 1e-300))
+        length = min(1.0, REACH / max(reach, TINY))
         volume = terms.shape.d_volume
         for attempt in range(halvings + 1):
             tried = []

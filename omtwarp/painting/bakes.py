@@ -13,6 +13,7 @@ from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
 from omtwarp.materials.base import Bytes, Floats, Ints
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.painting import kernels
@@ -21,7 +22,7 @@ from omtwarp.render.colors import colormap_table
 from omtwarp.texturing.textured import vertex_normals
 
 BAKES = ("normal", "ao", "curvature", "area")
-RAYS = 64
+RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with noise of 1/16 at most
 MOST_RAYS = 6_000_000  # of one picture of ambient occlusion; a core casts about a million in a second
 SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours tell apart; few corners have far more
 
@@ -77,7 +78,7 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     scale = float((high - low).max())
     normal = rows[known, 3:]
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
     # Single precision resolves 1e-7 of the extent: rays start a thousand times farther off the surface.
     origins = ((rows[known, :3] - low) / scale + 1e-4 * normal).astype(np.float32)
     where = wp.get_device(target.device)
@@ -248,7 +249,7 @@ def mean_curvature(vertices: Floats, faces: Ints) -> Floats:
     share = np.where(obtuse.any(axis=1, keepdims=True), np.where(obtuse, 0.5, 0.25) * whole, voronoi)
     area = np.bincount(faces.ravel(), share.ravel(), minlength=len(vertices))
     outward = np.where((flow * vertex_normals(vertices, faces)).sum(axis=1) < 0, -1.0, 1.0)
-    return outward * np.linalg.norm(flow, axis=1) / (2.0 * np.maximum(area, 1e-300))
+    return outward * np.linalg.norm(flow, axis=1) / (2.0 * np.maximum(area, TINY))
 
 
 def area_ratio(vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
@@ -257,7 +258,7 @@ def area_ratio(vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
     for points in (sphere, vertices):
         each = triangle_areas(points, faces)
         around = np.bincount(faces.ravel(), np.repeat(each / each.sum(), 3), minlength=len(vertices))
-        shares.append(np.maximum(around, 1e-300))
+        shares.append(np.maximum(around, TINY))
     return shares[0] / shares[1]
 
 

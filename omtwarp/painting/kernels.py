@@ -1,15 +1,11 @@
 # mypy: ignore-errors
 """Kernels on the texels of a mesh's texture."""
 
-from omtwarp.device.start import KERNEL_OPTIONS, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.texturing.kernels import edge_side, sign_of
 from omtwarp.texturing.openness_kernels import open_share
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-HALF = wp.constant(wp.float64(0.5))
-ONE = wp.constant(wp.float64(1.0))
-ZERO = wp.constant(wp.float64(0.0))
 
 
 @wp.kernel

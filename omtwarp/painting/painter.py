@@ -16,6 +16,7 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.materials.base import WHITE, Bytes, Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.materials.tangents import corner_tangents
+from omtwarp.mesh.arrays import TINY
 from omtwarp.painting import bakes
 from omtwarp.painting.texels import PADDING, bake_materials, covered, over, overlap, tiled_copies, tinted
 from omtwarp.texturing.baking import Layout, bake_to_uv
@@ -38,6 +39,7 @@ MOST_DIVIDED = 400_000
 """Triangles up to which a mesh is divided for smooth lines; those of larger meshes are small on the picture."""
 
 NEUTRAL = (0.8, 0.8, 0.8, 1.0)
+"""Colour of a mesh that has no material, on which ambient occlusion shows: a light grey."""
 
 
 def paint(
@@ -410,7 +412,7 @@ def _weights(points: Floats, corners: Floats) -> Floats:
     """
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(e1, e2)
-    square = np.maximum((normal * normal).sum(axis=1), 1e-300)[:, None]
+    square = np.maximum((normal * normal).sum(axis=1), TINY)[:, None]
     to = points - corners[:, None, 0]
     v = np.einsum("tij,tj->ti", np.cross(to, e2[:, None, :]), normal) / square
     w = np.einsum("tij,tj->ti", np.cross(e1[:, None, :], to), normal) / square

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Floats, Material
 from omtwarp.materials.painted import PaintedMesh
+from omtwarp.mesh.arrays import TINY
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.textured import SphereMap, as_map
 
@@ -100,7 +101,7 @@ def _placed(plane: Floats, chart: NDArray[np.intp], aspect: float, margin: float
     inner = cell - 2.0 * margin
     if (inner <= 0).any():
         raise OmtwarpError(f"a margin of {margin} leaves no room for charts")
-    scale = float((inner / np.maximum((high - low).max(axis=0), 1e-300)).min())
+    scale = float((inner / np.maximum((high - low).max(axis=0), TINY)).min())
     corner = np.stack([chart % 3, 1 - chart // 3], axis=1)
     centre = (corner + 0.5) * cell
     moved = (plane - (0.5 * (low + high))[chart][:, None, :]) * scale + centre[:, None, :]

@@ -1,12 +1,13 @@
 """Kernels of Newton steps whose vectors and inner products stay on the device."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, wp
+from omtwarp.mesh import surface
 from omtwarp.triangle_newton.newton_kernels import edge_block, vertex_block
 from omtwarp.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-SPHERE_AREA = wp.constant(wp.float64(12.566370614359172))
+SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))  # of the unit sphere, 4π
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.render.colors import parse_color
 from omtwarp.render.scene import Arrows, Part, SurfaceView, normalisation, welded_normals
 
-_SIDES = 8
+_SIDES = 8  # of an arrow's shaft and head: at the size of an arrow, no corner of it is seen
 
 
 def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:

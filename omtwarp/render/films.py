@@ -34,7 +34,7 @@ from omtwarp.texturing.smooth import smooth_map
 
 Floats = NDArray[np.float64]
 
-HD = (1920, 1080)
+HD = (1920, 1080)  # pixels of an .mp4 where no size is given
 SMALL = (640, 360)  # of films that browsers load as pictures: .gif and .webp
 CAPTIONED_HEIGHT = 44  # in pixels: a caption of legible letters takes half of that
 # Share of the picture that edges sweep over from one frame to the next. Circles on a creature then move by a pixel or

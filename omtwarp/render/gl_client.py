@@ -19,9 +19,10 @@ from omtwarp.render.drawing_process import receive, send
 from omtwarp.render.pyrender_compat import INSTALL_GL, INSTALL_PYRENDER
 from omtwarp.render.scene import RenderJob
 
+# Chosen so long that a driver in software on a busy machine is not given up: one that has not answered by then hangs.
 START_SECONDS = 120.0
 PICTURE_SECONDS = 180.0
-IDLE_SECONDS = 60.0
+IDLE_SECONDS = 60.0  # after which the drawing process ends, and gives its memory back
 
 _PACKAGE_ROOT = str(Path(__file__).resolve().parents[2])
 _COMMAND = "import sys; sys.path.insert(0, sys.argv[1]); from omtwarp.render.drawing_process import main; main()"

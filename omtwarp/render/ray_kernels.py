@@ -10,7 +10,8 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 wp.set_module_options(KERNEL_OPTIONS)
 
 PI_F = wp.constant(wp.float32(3.14159265358979))
-MOST_PROBES = wp.constant(wp.float32(48.0))
+MOST_PROBES = wp.constant(wp.float32(48.0))  # along a footprint: anisotropy that textures are filtered with at most
+# How a part's corners say their colour: by itself, by texture coordinates, or by directions on the sphere.
 KIND_COLOR = wp.constant(0)
 KIND_UV = wp.constant(1)
 KIND_SPHERE = wp.constant(2)

@@ -14,9 +14,9 @@ from omtwarp.render.camera import Shot
 from omtwarp.render.colors import colormap_table, parse_color
 from omtwarp.render.light import Light
 
-CLAY = (0.80, 0.79, 0.77)
+CLAY = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
 SMOOTH_FACES = 150_000  # parts that triangles are divided into: at 1024 x 1024 pixels one covers six or so
-MOST_PARTS = 8
+MOST_PARTS = 8  # that an edge is divided into: with eight, a quarter circle is drawn to 0.5 % of its radius
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ from omtwarp.reporting.markup import Markup, element, html
 
 Floats = NDArray[np.float64]
 
-WIDTH = 560.0
+WIDTH = 560.0  # of a chart in its own units, which the page scales to the column
 
 
 @dataclass(frozen=True)

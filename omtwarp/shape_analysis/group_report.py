@@ -20,8 +20,8 @@ from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
 from omtwarp.shape_analysis.group import GroupStudy, vertex_normals
 
 SHOWN = 2.0  # standard deviations to either side of the mean
-SIGNIFICANT = 0.05
-PICTURE = (420, 300)
+SIGNIFICANT = 0.05  # level of the corrected p values, the customary one
+PICTURE = (420, 300)  # pixels
 DRAWN = 3  # components with pictures on the page
 MOST_ROWS = 200  # of the table on the page; table.csv has all
 

@@ -16,11 +16,11 @@ MAX_VALENCE = 12
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
 Ring = wp.types.vector(length=MAX_VALENCE, dtype=wp.int32)
 
-FORBIDDEN_COST = wp.constant(wp.float64(1.0e300))
-NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-_FOUR_ROOT_THREE = wp.constant(wp.float64(6.928203230275509))
-_WORST_SHAPE = wp.constant(wp.float64(20.0))
-_MAX_FREE_VALENCE = wp.constant(wp.int32(8))
+FORBIDDEN_COST = wp.constant(wp.float64(1.0e300))  # of a removal that would break the mesh: more than any other
+NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))  # the largest int64, after every key
+_FOUR_ROOT_THREE = wp.constant(wp.float64(6.928203230275509))  # Σ of squared sides over area, if equilateral
+_WORST_SHAPE = wp.constant(wp.float64(20.0))  # chosen: needles beyond are equally bad, or one would outweigh its ring
+_MAX_FREE_VALENCE = wp.constant(wp.int32(8))  # degrees up to which a vertex is not crowded; twelve fit the arrays
 
 
 @wp.func

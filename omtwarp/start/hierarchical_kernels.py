@@ -7,7 +7,7 @@ from omtwarp.start.decimation_kernels import MAX_VALENCE
 wp.set_module_options(KERNEL_OPTIONS)
 
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
-_INFEASIBLE = wp.constant(wp.float64(1.0e300))
+_INFEASIBLE = wp.constant(wp.float64(1.0e300))  # energy of a ring with a flipped triangle: more than any other
 # det[a, b, c] evaluated in float64 from unit vectors is right to about 3e-16: no move may bring a triangle nearer to 0
 # than this, unless it is already nearer.
 _SAFE_DETERMINANT = wp.constant(wp.float64(1.0e-12))

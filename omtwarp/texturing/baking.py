@@ -33,7 +33,7 @@ from omtwarp.texturing.smooth import SmoothMap
 Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
-NOBODY = 2**31 - 1
+NOBODY = 2**31 - 1  # the largest int32, in place of the number of a triangle: the least number owns a texel
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
 CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more are worth more samples; a soft gradient is not
 LEAST_MOVED = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear

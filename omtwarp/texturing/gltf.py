@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing.image import png_bytes
 
-REPEAT, CLAMP = 10497, 33071  # glTF 2.0, sampler.wrapS and wrapT
+# Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, targets, modes.
+REPEAT, CLAMP = 10497, 33071
 LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
 FLOAT, UNSIGNED_INT = 5126, 5125
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963

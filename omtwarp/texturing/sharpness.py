@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 SCREEN = 1024  # pixels across a picture that the surface fills
 TEXEL = 1.5  # pixels of that picture that a texel may cover: bilinear filtering hides the steps of smaller ones
 LARGEST_SIZE = 8192  # texels: the largest picture that every graphics card of the last ten years takes
-SMALLEST_SIZE = 256
+SMALLEST_SIZE = 256  # texels: less would save next to nothing, at 200 kB
 # Widths of the picture, in texels, for one texel along a right angle of the sphere, where texels are largest: measured
 # at 20,000 points and in 16 directions, gutters included.
 SIDES = {"cube": 3.76, "octahedral": 3.94, "equirectangular": 4.0}

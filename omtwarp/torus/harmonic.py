@@ -22,6 +22,7 @@ from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
@@ -114,7 +115,7 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
         corner = (values[surface.faces] + torus.wraps) @ torus.lattice
         one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
         areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
-        around = np.maximum(surface.sum_to_vertices(areas) / 3.0, 1e-300)
+        around = np.maximum(surface.sum_to_vertices(areas) / 3.0, TINY)
         wrong = np.log(masses / around)
         spread = float(np.sqrt(masses @ wrong**2 / SPHERE_AREA))
         if (areas > 0.0).all():

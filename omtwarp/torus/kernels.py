@@ -4,11 +4,12 @@ The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plan
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.mesh import arrays
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 LINE = wp.constant(wp.float64(1e-9))  # see omtwarp.optimal.kernels
-SMALLEST = wp.constant(wp.float64(1e-300))
+SMALLEST = wp.constant(wp.float64(arrays.TINY))
 
 
 @wp.func

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH, LONGER, SHORTER, TRIALS
 from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, space_order
@@ -237,7 +238,7 @@ class _EdgeFit:
         wanted = 0.5 * (along * (y[a] - x[a] + y[b] - x[b])).sum(axis=1)
         width = (along * before).sum(axis=1)
         narrow = NARROWEST * np.linalg.norm(along, axis=1) * np.linalg.norm(before, axis=1)
-        weights = 1.0 / np.maximum(width, np.maximum(narrow, NARROWEST * float(np.median(np.abs(width)))) + 1e-300)
+        weights = 1.0 / np.maximum(width, np.maximum(narrow, NARROWEST * float(np.median(np.abs(width)))) + TINY)
         weights /= weights.mean()
         flow, count = weights * wanted, surface.vertex_count
         self.flow: Floats = (np.bincount(b, flow, count) - np.bincount(a, flow, count)).astype(np.float64)

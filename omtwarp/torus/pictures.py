@@ -25,7 +25,7 @@ CIRCLES = 162  # as many as the sphere's pattern has
 COVERAGE = 0.56  # the share of the torus that circles cover
 CHECKS = 6  # of the shorter lattice vector
 TEXELS = 1 << 21  # of a pattern, as of one that is 2048 wide on the sphere
-LIGHT = np.array([0.96, 0.94, 0.90])
+LIGHT = np.array([0.96, 0.94, 0.90])  # sRGB between the circles, and of every other field
 
 
 @dataclass(repr=False)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.refinement import (
     LEAST_WEIGHT,
@@ -315,7 +316,7 @@ class _Newton:
             where no step was found.
         """
         before = self._merit(terms)
-        length = min(1.0, REACH / max(float(np.linalg.norm(step, axis=1).max()), 1e-300))
+        length = min(1.0, REACH / max(float(np.linalg.norm(step, axis=1).max()), TINY))
         for _ in range(halvings + 1):
             found = _held_back(self.energy, points, terms, length * step)
             if found is not None:

@@ -6,11 +6,11 @@ from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))
-AREA_HALVINGS = wp.constant(3)
-STEP_TRIALS = wp.constant(30)
+SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))  # share of what the slope promises that a step has to gain (Armijo)
+AREA_HALVINGS = wp.constant(3)  # of a step that loses too much area, at most
+STEP_TRIALS = wp.constant(30)  # lengths of a step, at most: halved so often, it is below 1e-9 of the first
 TENTH = wp.constant(wp.float64(0.1))
-ROUND_OFF = wp.constant(wp.float64(1e-14))
+ROUND_OFF = wp.constant(wp.float64(1e-14))  # relative: some fifty times that of float64
 
 
 # Why a descent ended, in the order of ENDINGS in the file of the flow; 0 while it goes on.

@@ -51,7 +51,7 @@ from omtwarp.options import Cost, Progress, Record, choose
 from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
-V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)
+V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)  # levels of wavelets in turn, as the paper's Algorithm 2 goes through them
 HIGHEST_RESOLUTION = 8  # its wavelets are on a hierarchy of 655,362 nodes and the next level
 COURANT = 0.1  # of the size of the triangle that a point crosses: the longest way it goes in a step
 WITHIN_COURANT = 0.999  # share of the points that COURANT is kept for; the others are held back

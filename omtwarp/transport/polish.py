@@ -37,7 +37,7 @@ from omtwarp.transport.polish_kernels import (
     weak_curl_and_area,
 )
 
-MAX_ROUNDS = 18
+MAX_ROUNDS = 18  # at most; it ends sooner where a round gains too little
 # The part of the way that a round goes: where the map contracts strongly a full step overshoots. A round that does not
 # lower the curl, or is paid for with area, is taken back and tried again at half of it; the area is restored with twice
 # the step.

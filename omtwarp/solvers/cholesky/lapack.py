@@ -16,7 +16,7 @@ PANEL = 192  # columns eliminated at once where threads share a front
 STRIP = 256  # columns of what is left that one of them updates at a time
 
 LETTERS = np.frombuffer(b"LRTN", dtype=np.uint8).copy()
-ONES = np.array([1.0, -1.0])
+ONES = np.array([1.0, -1.0])  # the factors that routines of BLAS take by address
 
 
 @lru_cache
