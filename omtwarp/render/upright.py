@@ -25,6 +25,7 @@ SAMPLES = 4000  # points by which symmetry is measured: 1 to 2 hundredths of the
 SYMMETRIC, BETTER = 0.025, 0.66
 GROUND = 0.03  # of the extent: what is no higher than that above the lowest point stands on the ground
 FIRM = 0.3  # share of the footprint over which a surface stands that is said to stand
+FLAT = 0.01  # of the extent: a picture on a sheet, which has no face of its own, is looked at from +z
 LONG = 1.5  # length over width of bodies with a head at one end
 HEAD = 0.7  # of the height: where the head begins
 
@@ -71,7 +72,7 @@ def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None
     corner = places[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = np.linalg.norm(normal, axis=1)
-    if not area.sum() > 0.0:
+    if not area.sum() > 0.0 or (high - low).min() < FLAT * extent:
         return "y", None
     normal /= np.maximum(area, np.finfo(float).tiny)[:, None]
     middle = corner.mean(axis=1)

@@ -33,6 +33,8 @@ def test_shapes_without_a_face_keep_the_customary_axes():
         assert upright(surface.vertices, surface.faces)[0] == "y"
     flat = np.zeros((3, 3)), np.array([[0, 1, 2]])
     assert upright(*flat) == ("y", None)
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    assert upright(*square) == ("y", None)
 
 
 def test_what_is_given_is_taken():
