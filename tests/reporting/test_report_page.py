@@ -152,8 +152,8 @@ def test_scene_data_are_the_mesh_and_its_maps(page, result):
         np.testing.assert_allclose(directions, sphere, atol=2e-5)
     placed = array("position", "<i2").reshape(-1, 3) / 32767
     assert np.linalg.norm(placed, axis=1).max() == pytest.approx(1.0, abs=1e-4)
-    # z is up, so (x, y, z) became (x, z, -y), moved and scaled.
-    given = result.vertices[:, [0, 2, 1]] * (1, 1, -1)
+    # z is up and the creature looks along x, so (x, y, z) became (y, z, x), moved and scaled.
+    given = result.vertices[:, [1, 2, 0]]
     moved = given - 0.5 * (given.min(axis=0) + given.max(axis=0))
     np.testing.assert_allclose(placed, moved / np.linalg.norm(moved, axis=1).max(), atol=1e-4)
     turn = np.reshape(header["turn"], (3, 3))
