@@ -217,8 +217,8 @@ def as_in_file(
     from omtwarp.result import MapResult
 
     file_faces = None
-    whole = to_sphere and result.vertex_origin is None
-    if isinstance(result, MapResult) and whole and sound.vertex_of_file is not None:
+    joined = to_sphere and sound.vertex_of_file is not None
+    if joined and isinstance(result, MapResult) and result.vertex_origin is None:
         result = replace(result, vertex_of_file=sound.vertex_of_file)
         file_faces = sound.file_faces
     if sound.origins:
