@@ -157,8 +157,8 @@ def _ffmpeg() -> str:
         return imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
         raise OmtwarpError(
-            "an .mp4 needs the program ffmpeg, and none is found: install it (apt, brew or winget install ffmpeg; "
-            "or pip install imageio-ffmpeg), or write a .gif or .webp"
+            "an .mp4 needs the program ffmpeg, and none is found: install it (apt, brew or winget install ffmpeg, "
+            "or the package imageio-ffmpeg), or write a .gif or .webp"
         ) from None
 
 

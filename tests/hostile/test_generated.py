@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import signal
 import time
 import warnings
@@ -128,6 +129,7 @@ def needs_device(case: Case) -> bool:
 
 def test_generated_cases_end_well(tmp_path, monkeypatch, capsys, quick):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"")))
     (tmp_path / "folder").mkdir()
     found, times = [], []
     for case in cases(tmp_path):

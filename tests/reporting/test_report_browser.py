@@ -84,7 +84,7 @@ def test_view_shows_the_surface_as_our_own_pictures_do(browser, page, result):
     assert 0.2 < changed[rows, columns].mean() < 0.95  # a creature with legs, no rectangle
 
     view = SurfaceView(
-        result.vertices, result.faces, image=rasterize("circles", 1024, device="cpu"), sphere=result.sphere, up="z"
+        result.vertices, result.faces, image=rasterize("circles", 1024, device="cpu"), sphere=result.sphere
     )
     ours = preview(view, size=(900, 600), camera=Camera(margin=0.02), transparent=True, light="flat", device="cpu")
     ours = ours.crop(ours.getchannel("A").point(lambda a: 255 * (a > 127)).getbbox())
