@@ -30,6 +30,17 @@ FITTED = wp.constant(4)
 
 
 @wp.func
+def next_subtree(node: int) -> int:
+    """Return the node after a subtree of a binary tree in heap order whose root is node 1; 0 after the last one."""
+    after = int(node)
+    while after % 2 == 1 and after > 1:  # up while this is a right child
+        after = after // 2
+    if after == 1:
+        return 0
+    return after + 1
+
+
+@wp.func
 def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
     """c(x, y) = d(x, y)² / 2."""
     d = geodesic_distance(x, y)
@@ -545,13 +556,7 @@ def c_transform(
                         best = value
                         best_leaf = f
                         best_weights = b
-            # To the next subtree: up while this is a right child, then over to the right.
-            while node % 2 == 1 and node > 1:
-                node = node // 2
-            if node == 1:
-                node = 0
-            else:
-                node = node + 1
+            node = next_subtree(node)
     proven_out[i] = wp.min(best, relied)
     leaf_out[i] = best_leaf
     weights_out[i] = best_weights

@@ -7,7 +7,7 @@ heap order, in which node k has the children 2k and 2k + 1.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
-from omtwarp.metrics.optimality_kernels import LARGE, lowest_on_triangle, potential_at
+from omtwarp.metrics.optimality_kernels import LARGE, lowest_on_triangle, next_subtree, potential_at
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -135,13 +135,7 @@ def best_images(
                         best = value
                         best_leaf = f
                         best_shares = at
-                # To the next subtree: up while this is a right child, then over to the right.
-                while node % 2 == 1 and node > 1:
-                    node = node // 2
-                if node == 1:
-                    node = 0
-                else:
-                    node = node + 1
+                node = next_subtree(node)
     proven[i] = wp.min(best, relied)
     leaf[i] = best_leaf
     shares[i] = best_shares
