@@ -38,7 +38,7 @@ class Mixed:
         vertices: shape [V, 3].
         faces: shape [F, 3].
         domain, fill_area: as of :func:`omtwarp.map_surface`.
-        mend: whether it has defects and is mended first.
+        repair: whether it has defects and is repaired first.
     """
 
     words: str
@@ -46,7 +46,7 @@ class Mixed:
     faces: np.ndarray
     domain: str
     fill_area: str
-    mend: bool
+    repair: bool
 
 
 def mixed_surface(seed: int, most_faces: int = MOST_FACES) -> Mixed:
@@ -186,9 +186,9 @@ def examine(mixed: Mixed) -> dict[str, Any]:
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", omtwarp.OmtwarpWarning)
-            if mixed.mend:
-                mended = omtwarp.repair(vertices, faces, whole=False)
-                vertices, faces = mended.vertices, mended.faces
+            if mixed.repair:
+                repaired = omtwarp.repair(vertices, faces, whole=False)
+                vertices, faces = repaired.vertices, repaired.faces
             result = omtwarp.map_surface((vertices, faces), domain=mixed.domain, fill_area=mixed.fill_area)
         measured = result.distortion()
         row |= {"flips": measured.flips, "area": measured.area["surface"], "angle": measured.angle["surface"]}

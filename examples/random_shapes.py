@@ -269,7 +269,7 @@ def collapse_edges(surface: Surface, vertex_count: int, seed: int) -> Surface:
         near = best.copy()
         np.maximum.at(near, kept, best[gone])
         np.maximum.at(near, gone, best[kept])
-        for end in (kept, gone):  # nobody within two edges may have a better claim
+        for end in (kept, gone):  # none within two edges may have a better claim
             alone = near[end[allowed]] == priority
             allowed, priority = allowed[alone], priority[alone]
         allowed = allowed[: count - vertex_count]

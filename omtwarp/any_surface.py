@@ -21,7 +21,7 @@ from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
-from omtwarp.open_surfaces.planar import mend_in_plane, mend_on_sphere
+from omtwarp.open_surfaces.planar import untangle_in_plane, untangle_on_sphere
 from omtwarp.options import Domain, FillArea, MapKeywords, MapOptions, Progress, Solver, choose, parse_refinement
 from omtwarp.pipeline import map_double, map_to_sphere
 from omtwarp.result import MapResult, MeshReport, SurfaceReport
@@ -45,7 +45,9 @@ LEAST_SIDE = 0.25
 
 SLITS = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open: loops around handles keep clear of it
 # Where sides of large triangles reach from one cap into another, caps are made smaller, at most so many times.
-GNOMONIC_SHARE = 0.45  # of the sphere: up to this a cap is mended in its gnomonic projection, which half a sphere lacks
+GNOMONIC_SHARE = (
+    0.45  # of the sphere: up to this a cap is untangled in its gnomonic projection, which half a sphere lacks
+)
 ROUNDS_APART, LESS_COVERED = 6, 0.85
 
 AnyMap = TypeVar("AnyMap", bound=MapResult)
@@ -276,7 +278,7 @@ def _arrays(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
 
 @dataclass(frozen=True)
 class _Opened:
-    """A part made ready: cut, split, and filled but for the loop that becomes the equator.
+    """A part prepared for mapping: cut, split, and filled except for the loop that becomes the equator.
 
     Attributes:
         vertices, faces: of the map to be.
@@ -338,7 +340,7 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
     """Cut the triangles of what was opened into four as those of an exact map are, and put the map in its order.
 
     Args:
-        opened: the surface made ready.
+        opened: the surface prepared for mapping.
         closed: the exact map of the filled surface.
         surface: the filled surface as it was mapped.
     """
@@ -563,7 +565,7 @@ def _on_hemisphere(
 
 
 def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
-    """A map to the hemisphere carried to the disk or to a cap, the triangles that this turns over mended."""
+    """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips."""
     whole, faces = _whole(result)
     share = 0.5
     if domain == "cap":
@@ -573,7 +575,7 @@ def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
         share = float(areas[hole.patch < 0].sum() / areas.sum())
         result = _on_cap(result, share)
     else:
-        disk, flips = mend_in_plane(hemisphere_to_disk(whole), faces, _rim(faces, len(whole)))
+        disk, flips = untangle_in_plane(hemisphere_to_disk(whole), faces, _rim(faces, len(whole)))
         if flips:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
@@ -587,20 +589,20 @@ def _on_cap(result: SurfaceMap, share: float) -> SurfaceMap:
     """A map to the hemisphere carried to the cap with a share of the sphere around the north pole.
 
     Returns:
-        The first that is one to one of: the map as it is projected, the same with flipped triangles mended, on small
-        caps in their gnomonic projection, where sides are straight, and a map mended in the disk before. The last one
-        if none is.
+        The first that is one to one of: the map as it is projected, the same with flipped triangles untangled, on small
+        caps in their gnomonic projection, where sides are straight, and a map untangled in the disk before. The last
+        one if none is.
     """
     whole, faces = _whole(result)
     rim, laid = _rim(faces, len(whole)), hemisphere_to_disk(whole)
     cap = disk_to_cap(laid, share)
     ways: list[Callable[[], Floats]] = [
         lambda: cap,
-        lambda: mend_on_sphere(cap, faces, rim),
-        lambda: disk_to_cap(mend_in_plane(laid, faces, rim)[0], share),
+        lambda: untangle_on_sphere(cap, faces, rim),
+        lambda: disk_to_cap(untangle_in_plane(laid, faces, rim)[0], share),
     ]
     if share < GNOMONIC_SHARE:
-        ways.insert(1, lambda: from_gnomonic(mend_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))
+        ways.insert(1, lambda: from_gnomonic(untangle_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))
     for way in ways:
         points = way()
         filled = None if result.filled_sphere is None else points

@@ -4,7 +4,7 @@
 class OmtwarpError(ValueError):
     """Input that cannot be used, or a request that cannot be met, in one clear line.
 
-    The text names the defect, how many there are, where the first one is and what mends it; the command line prints
+    The text names the defect, how many there are, where the first one is and how to repair it; the command line prints
     exactly this text and exits with a status other than 0.
 
     Example:

@@ -286,7 +286,7 @@ class _Run:
         return AreaMonitor(self.goal(sphere), resolve_device(self.device)).error(self.points(sphere))
 
     def finish(self, name: str, sphere: NDArray[np.float64], iterations: int, **details: str | float | None) -> None:
-        """Close a stage: keep the map it hands on, and record its time and what the map is like."""
+        """End a stage: keep its map, and record its time and the quality of the map."""
         seconds = time.perf_counter() - self.stage_begun
         if self.first is None:
             self.source = sphere if self.source is None else self.source
@@ -424,12 +424,12 @@ class _Run:
                 self.surface, self.points(sphere), target=self.target, device=self.device, progress=notify
             )
             steps += flowed.steps
-            mended, flips = self.mend(sphere, flowed.sphere)
+            untangled, flips = self.untangle(sphere, flowed.sphere)
             repaired += flips
-            error = self.area_error(mended)
+            error = self.area_error(untangled)
             if error >= least:
                 break  # where the image is badly stretched, repairs can lose more than the flow gains
-            sphere, least = self.symmetric(mended), error
+            sphere, least = self.symmetric(untangled), error
         self.finish(Stage.MOSER, sphere, steps, repaired=repaired)
 
     def transport(self) -> None:
@@ -454,7 +454,7 @@ class _Run:
             progress=self.progress,
         )
         last = moved
-        sphere, repaired = self.mend(initial, moved.sphere)
+        sphere, repaired = self.untangle(initial, moved.sphere)
         self.history = moved.history
         if self.options.scheme is Scheme.DEFAULT and self.options.cost is Cost.SQUARED:
             # With a target the areas asked for depend on where triangles are: few rounds at a time, and areas anew.
@@ -469,7 +469,7 @@ class _Run:
                     progress=self.progress,
                 )
                 last = polished
-                sphere, more = self.mend(sphere, polished.sphere)
+                sphere, more = self.untangle(sphere, polished.sphere)
                 repaired += more
                 first = len(self.history)
                 self.history = self.history + [
@@ -514,7 +514,7 @@ class _Run:
             weight *= float(np.clip(0.7 / excess, *SHAPE_DECAY))
         assert found is not None
         sphere = found.sphere
-        sphere, repaired = self.mend(initial, sphere)
+        sphere, repaired = self.untangle(initial, sphere)
         details: dict[str, str | float | None] = {
             "repaired": repaired,
             "converged": found.converged,
@@ -603,14 +603,14 @@ class _Run:
         self.first = vectors(self.source, resolve_device(self.device))
         # Great circles cut what is one to one into what is one to one, but for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
-        before, crowded = self.mend(self.sphere, self.sphere)
+        before, crowded = self.untangle(self.sphere, self.sphere)
         solve = exact_map
         if self.mirror is not None and is_symmetric(self.mirror, before):
             solve = partial(symmetric_exact_map, self.mirror)
         found = solve(quartered, before, start=self.source, shape_weight=weight, device=self.device, progress=notify)
         known = len(self.history)
         self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
-        sphere, repaired = self.mend(before, found.sphere)
+        sphere, repaired = self.untangle(before, found.sphere)
         self.measured = None  # that was of the map before
         self.finish(
             EXACT,
@@ -633,7 +633,7 @@ class _Run:
             device=self.device,
             progress=self.progress,
         )
-        sphere, repaired = self.mend(initial, flowed.sphere)
+        sphere, repaired = self.untangle(initial, flowed.sphere)
         self.history = flowed.history
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=flowed.converged)
 
@@ -647,7 +647,7 @@ class _Run:
         repaired = 0
         for _ in range(1 if self.target is None else TARGET_ROUNDS):
             refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=self.progress)
-            sphere, flips = self.mend(sphere, refined.sphere)
+            sphere, flips = self.untangle(sphere, refined.sphere)
             repaired += flips
         sphere = self.symmetric(sphere, repair=True)
         record = {"weight": self.options.to_dict()["refine"], "converged": refined.converged, "repaired": repaired}
@@ -665,7 +665,7 @@ class _Run:
         return self.maps[best.name]
 
     def optimality(self) -> dict[str, float | int | None]:
-        """How far the map that is handed out is from optimal, and what refinement added to the cost of transport."""
+        """Measure how far the final map is from optimal, and what refinement added to the transport cost."""
         give_back()
         assert self.source is not None
         self.notify(OPTIMALITY, 0, 1, {})
@@ -702,7 +702,7 @@ class _Run:
         sphere = self.orient(solved.sphere)
         self.finish(method, sphere, solved.iterations, converged=solved.converged)
 
-    def mend(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    def untangle(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Repair what keeps a stage's map from being one to one, or hold it back towards the map before it.
 
         Repair may end with all triangles positive and the sphere covered twice: such maps are not taken either.

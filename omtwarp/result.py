@@ -148,7 +148,7 @@ class _Arrays(TypedDict):
 
 @dataclass(frozen=True)
 class StageRecord:
-    """How a stage went, and what the map is like that it handed on.
+    """The record of a stage: its time, its history and the quality of its map.
 
     Attributes:
         name: the stage, or the method where one system makes the whole map.

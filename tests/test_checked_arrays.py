@@ -1,4 +1,4 @@
-"""Arrays that callers hand over: whatever is wrong with them is told in one line before any kernel runs."""
+"""Mistakes in the arrays that callers pass are named in one line before any kernel runs."""
 
 import os
 
@@ -194,7 +194,7 @@ TAKES_A_NAME = {
     "distortion of a stage": MAP.distortion,
     "optimality of a stage": lambda value: omtwarp.map_optimality(MAP, value),
 }
-# Of files nobody finds: no number is a name.
+# Files that do not exist; no number is a name.
 BROKEN_PATH = (1, 0.5, None, 1j, [1], {}, object())
 TAKES_A_PATH = {
     "read_mesh": omtwarp.read_mesh,

@@ -41,4 +41,4 @@ def test_most_surfaces_of_the_sample_are_mapped_and_the_same_every_time():
     first, again = (mixed_topology.mixed_surface(3, MOST_FACES) for _ in range(2))
     np.testing.assert_array_equal(first.vertices, again.vertices)
     np.testing.assert_array_equal(first.faces, again.faces)
-    assert first.mend and "holes" in first.words
+    assert first.repair and "holes" in first.words

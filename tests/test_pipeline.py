@@ -200,7 +200,7 @@ def test_exact_areas_are_those_of_the_optimal_map(options):
 
 
 def test_the_report_tells_how_far_the_map_is_from_optimal():
-    """Of the map that is handed over, in a stage of its own, and what refinement added to the cost."""
+    """The optimality of the final map is a stage of its own, with what refinement added to the cost."""
     surface = blob(seed=6, amplitude=0.3, degree=5, sphere=1280)
     told = []
     kept = mapped(surface, optimality=True, progress=lambda *arguments: told.append(arguments))
@@ -293,7 +293,7 @@ def told_otherwise(surface: Surface, change: str) -> tuple[Surface, np.ndarray]:
 
 
 def creature() -> Surface:
-    """A shape with limbs, whose conformal map shrinks them a thousandfold: its stages flip triangles and mend them."""
+    """A shape with limbs that the conformal map shrinks a thousandfold, so that stages flip triangles."""
     return demo_shape(3000)
 
 

@@ -1,4 +1,4 @@
-"""Every stage keeps what it promises on a random shape of each kind, and hands on no worse a map."""
+"""Every stage has its documented properties on a random shape of each kind, and returns no worse a map."""
 
 import sys
 from pathlib import Path
@@ -64,6 +64,6 @@ def test_no_stage_makes_a_map_worse(seed):
         for name in ("conformal", "moser", "omt", "refine")
     ]
     assert energies[3] <= min(energies[:3]) + LEFT
-    # What the report says of the map that is handed over is so.
+    # The report is true of the map that is returned.
     found = result.report["optimality"]
     assert found["lower_bound"] <= found["cost"] and 0.0 <= found["relative_curl"]

@@ -199,7 +199,7 @@ def make_folders(folder: Path) -> None:
 
 
 class DaskCluster:
-    """A Dask cluster, which hands the items of a worker that dies to another.
+    """A Dask cluster, which gives the items of a worker that dies to another one.
 
     Args:
         address: of its scheduler; empty for a cluster of processes here.

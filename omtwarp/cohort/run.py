@@ -70,7 +70,7 @@ def run_cohort(
         retry: work again on items that failed.
         collect: only write the table and the page of what is there.
         progress: called as ``progress("cohort", done, total, {"failed": ...})``.
-        repair: mend meshes first, as ``omtwarp map --repair`` does.
+        repair: repair meshes first, as ``omtwarp map --repair`` does.
         options: of :func:`omtwarp.map_to_sphere`.
 
     Raises:

@@ -41,10 +41,10 @@ def run_item(job: Job) -> Row:
 
 def _map(job: Job) -> Row:
     options = dict(job.options)
-    mended = bool(options.pop("repair", False))
-    mesh = read_joined_mesh(Path(job.path), triangulate=mended)
+    repair_first = bool(options.pop("repair", False))
+    mesh = read_joined_mesh(Path(job.path), triangulate=repair_first)
     vertices, faces = mesh.vertices, mesh.faces
-    if mended:
+    if repair_first:
         repaired = repair(vertices, faces)
         vertices, faces = repaired.vertices, repaired.faces
     result = map_to_sphere((vertices, faces), **cast(MapKeywords, options))

@@ -28,12 +28,12 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     mesh = read_painted_mesh(path, triangulate=repair)
     notes = list(mesh.notes)
     if repair:
-        from omtwarp.mesh.repair import repair as mend
+        from omtwarp.mesh.repair import repair as repair_mesh
 
-        mended = mend(mesh.vertices, mesh.faces)
-        if mended.actions:
-            mesh = mesh.on(mended.vertices, mended.faces, mended.face_origin)
-            notes += mended.actions
+        repaired = repair_mesh(mesh.vertices, mesh.faces)
+        if repaired.actions:
+            mesh = mesh.on(repaired.vertices, repaired.faces, repaired.face_origin)
+            notes += repaired.actions
     for note in notes:
         say(f"{path}: {note}")
     surface = Surface(*require_valid(mesh.vertices, mesh.faces, str(path)))

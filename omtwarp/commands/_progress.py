@@ -11,7 +11,7 @@ from omtwarp.options import Progress, Record
 
 @contextlib.contextmanager
 def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
-    """A progress callback that draws on standard error, or None where nobody would see it."""
+    """Show progress on standard error; the callback is None where that is no terminal."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -40,7 +40,7 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
 
 
 def steps(progress: Progress | None, stage: str, total: int) -> Callable[[int], None]:
-    """A function that tells how many of a command's steps are done, where somebody is to be told."""
+    """Return a function that shows how many of a command's steps are done, if progress is shown at all."""
 
     def notify(done: int) -> None:
         if progress is not None:

@@ -25,15 +25,16 @@ if TYPE_CHECKING:
 
 @dataclass
 class Input:
-    """A mesh that was read, mended if asked for, and found sound.
+    """A mesh that was read, repaired if asked for, and found free of defects.
 
     Attributes:
         surface: the mesh, examined.
         sizes: how many vertices and faces the file had.
-        notes: what reading and mending did, in words.
-        origins: ``vertex_origin`` [V] and ``face_origin`` [F] (indices in the file, -1 for new faces) after mending,
+        notes: what reading and repair did, in words.
+        origins: ``vertex_origin`` [V] and ``face_origin`` [F] (indices in the file, -1 for new faces) after repair,
             or after copies of vertices along seams were joined.
-        vertex_of_file: the vertex that each of the file's is, shape [N], where copies were joined and nothing mended.
+        vertex_of_file: the vertex that each of the file's is, shape [N], where copies were joined and nothing was
+            repaired.
         file_faces: the file's faces, in its own vertices, shape [F, 3], beside that.
     """
 
@@ -63,7 +64,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
 
     Args:
         path: the file.
-        repair: whether to mend the mesh first.
+        repair: whether to repair the mesh first.
         any_surface: whether holes, handles and several parts are left to :func:`omtwarp.map_surface`.
 
     Raises:
@@ -82,15 +83,15 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     if vertex_of_file is not None:
         origins = {"vertex_origin": mesh.vertex_origin, "face_origin": np.arange(len(faces))}
     if repair:
-        from omtwarp.mesh.repair import repair as mend
+        from omtwarp.mesh.repair import repair as repair_mesh
 
-        mended = mend(vertices, faces, whole=not any_surface)
-        if mended.actions:
-            vertices, faces = mended.vertices, mended.faces
-            notes += mended.actions
+        repaired = repair_mesh(vertices, faces, whole=not any_surface)
+        if repaired.actions:
+            vertices, faces = repaired.vertices, repaired.faces
+            notes += repaired.actions
             origins = {
-                "vertex_origin": composed(mended.vertex_origin, mesh.vertex_origin),
-                "face_origin": mended.face_origin,
+                "vertex_origin": composed(repaired.vertex_origin, mesh.vertex_origin),
+                "face_origin": repaired.face_origin,
             }
             vertex_of_file = None
     for note in notes:
@@ -326,7 +327,7 @@ def map_from(
     Args:
         mesh: a mesh, or a finished map in its place.
         finished: a finished map.
-        repair: whether to mend the mesh first.
+        repair: whether to repair the mesh first.
         quiet: whether to draw no progress.
         device: where kernels run.
         torus: whether a map to a torus will do.

@@ -1,4 +1,4 @@
-"""``omtwarp check``: what is wrong with a mesh, and what would mend it."""
+"""``omtwarp check``: what is wrong with a mesh, and how to repair it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class WrittenMesh(TypedDict):
 
 
 class MeshFacts(TypedDict, total=False):
-    """A mesh, its defects, what was mended and what may keep its map from being good, ready for JSON."""
+    """A mesh, its defects, its repairs, and what may make its map worse, ready for JSON."""
 
     mesh: Required[str]
     vertices: Required[int]
@@ -109,11 +109,11 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> MeshFacts:
         "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces), "notes": list(given.notes), "repairs": [],
     }  # fmt: skip
     if repair and defects:
-        from omtwarp.mesh.repair import repair as mend
+        from omtwarp.mesh.repair import repair as repair_mesh
 
-        mended = mend(vertices, faces)
-        facts["repairs"] = list(mended.actions)
-        vertices, faces = mended.vertices, mended.faces
+        repaired = repair_mesh(vertices, faces)
+        facts["repairs"] = list(repaired.actions)
+        vertices, faces = repaired.vertices, repaired.faces
         defects = check(vertices, faces)
         facts["defects_before"] = [{"kind": defect.kind, "text": str(defect)} for defect in before]
     facts["defects"] = [{"kind": defect.kind, "text": str(defect)} for defect in defects]
@@ -130,11 +130,11 @@ def lines_about(facts: MeshFacts) -> list[str]:
     """The facts about a mesh for readers, a line each."""
     lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]
     lines += [f"  note: {note}" for note in facts["notes"]]
-    mended = "defects_before" in facts
-    found = facts["defects_before"] if mended else facts["defects"]
+    repaired = "defects_before" in facts
+    found = facts["defects_before"] if repaired else facts["defects"]
     lines += [f"  {defect['kind']}: {defect['text']}" for defect in found]
     lines += [f"  repair: {action}" for action in facts["repairs"]]
-    lines += [f"  left: {defect['text']}" for defect in facts["defects"] if mended]
+    lines += [f"  left: {defect['text']}" for defect in facts["defects"] if repaired]
     lines += [f"  option {text}" for text in facts["options"]]
     if "output" in facts:
         written = facts["output"]

@@ -231,10 +231,10 @@ def as_in_file(
 
 
 def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
-    """Read weights, and bring them in the order of a mesh that was mended.
+    """Read weights, and reorder them for a mesh that was repaired.
 
     Raises:
-        OmtwarpError: no numbers, or the mended mesh has parts that the weights do not speak of.
+        OmtwarpError: no numbers, or the repaired mesh has parts without weights.
     """
     from omtwarp.measures.weights import read_numbers
 

@@ -245,7 +245,7 @@ class LookKeywords(TypedDict):
 
 
 class PaintKeywords(LookKeywords):
-    """The options of :func:`omtwarp.paint` that the command line hands on."""
+    """The options of :func:`omtwarp.paint` that the command line passes on."""
 
     uv: str
     keep: str | None

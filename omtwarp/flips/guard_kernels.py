@@ -8,7 +8,7 @@ from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# Places of the counters: triangles to be mended in this round and the next, vertices changed, rounds begun, and
+# Places of the counters: triangles to be corrected in this round and the next, vertices changed, rounds begun, and
 # vertices held back in all.
 BAD = wp.constant(0)
 NEXT = wp.constant(1)

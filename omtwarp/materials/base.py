@@ -163,7 +163,7 @@ class PaintedArrays:
         return self.uv
 
     def on(self, vertices: ArrayLike, faces: ArrayLike, face_origin: ArrayLike | None = None) -> Self:
-        """Carry coordinates and materials over to a mended, welded or renumbered copy of the mesh.
+        """Carry coordinates and materials over to a repaired, welded or renumbered copy of the mesh.
 
         Corners are found again by their places.
 

@@ -1,1 +1,1 @@
-"""Triangle meshes: reading, checking, mending and making them."""
+"""Triangle meshes: reading, checking, repairing and generating them."""

@@ -1,4 +1,4 @@
-"""Arrays that callers hand over: of numbers, of the shape wanted, nothing hidden in their type."""
+"""Check the arrays that callers pass: type, shape and values."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def fitting_arrays(
 
 
 def owned(values: object, dtype: type[np.generic]) -> NDArray[np.generic]:
-    """An array that nobody else can write to: a read-only copy, or the array itself if it is one already."""
+    """Return a read-only copy, or the array itself if it is one already."""
     array = np.asarray(values)
     if array.dtype != dtype or array.flags.writeable or not array.flags.owndata or not array.flags.c_contiguous:
         array = np.array(array, dtype=dtype, order="C")

@@ -81,8 +81,8 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
     try:
         with warnings.catch_warnings(action="ignore"):  # of what parsers guess; results are looked at below
             reader = _reader(suffix, data)
-            mended = triangulate if together is None or reader is not _read_scene else together
-            vertices, faces, notes = reader(data, file, mended)
+            split = triangulate if together is None or reader is not _read_scene else together
+            vertices, faces, notes = reader(data, file, split)
         mesh = MeshFile(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64), tuple(notes))
     except OmtwarpError as error:
         raise OmtwarpError(f"{file}: {error}") from None

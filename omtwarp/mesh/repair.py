@@ -1,4 +1,4 @@
-"""Mending a mesh without moving a vertex, and telling what was done and where everything came from."""
+"""Repair a mesh without moving a vertex, and record what was done and where vertices and faces came from."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CRUMBS = 8
 
 
 class Repaired(NamedTuple):
-    """A mended mesh.
+    """A repaired mesh.
 
     Attributes:
         vertices: float64, shape [V, 3].
@@ -36,7 +36,7 @@ class Repaired(NamedTuple):
 
 
 def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repaired:
-    """Mend what can be mended without inventing anything: never a vertex is moved.
+    """Repair the defects that need no new shape; no vertex is moved.
 
     In this order: faces with impossible vertices are dropped; vertices with equal coordinates on the boundary or at
     faces of zero area are merged; faces of zero area and duplicates are dropped or flipped away; the largest component
@@ -62,8 +62,8 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repa
     Example:
         >>> import omtwarp
         >>> surface = omtwarp.shapes.icosphere(2)
-        >>> mended = omtwarp.repair(surface.vertices, surface.faces[1:])
-        >>> omtwarp.check(mended.vertices, mended.faces)
+        >>> repaired = omtwarp.repair(surface.vertices, surface.faces[1:])
+        >>> omtwarp.check(repaired.vertices, repaired.faces)
         []
     """
     points, triangles = as_arrays(vertices, faces)
@@ -89,7 +89,7 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repa
 
 
 class _Work:
-    """The mesh while it is mended; every method mends one thing and notes what it did."""
+    """A mesh under repair; every method repairs one kind of defect and notes what it did."""
 
     def __init__(self, points: NDArray[np.float64], faces: NDArray[np.int64]):
         self.points, self.faces = points, faces.copy()
@@ -110,7 +110,7 @@ class _Work:
         self.keep(np.logical_not(strange.any(axis=(1, 2))), "with NaN or infinite coordinates")
 
     def merge_coincident_vertices(self) -> None:
-        """Merge equal vertices where that can mend something; elsewhere they may touch without being one."""
+        """Merge equal vertices where that can repair a defect; elsewhere two vertices may share a position."""
         if not len(self.faces):
             return
         import trimesh

@@ -33,7 +33,7 @@ class Defect:
         count: how many there are.
         where: index of the first one (a vertex or a face, as the message says); -1 where there is none to name.
         message: the defect, how many, where the first one is.
-        remedy: what mends it.
+        remedy: how to repair it.
 
     Example:
         >>> import omtwarp
@@ -62,7 +62,7 @@ def check(vertices: ArrayLike, faces: ArrayLike) -> list[Defect]:
 
     Returns:
         The defects, the most basic first. Conditions that only make sense on a sounder mesh (an inside for an open
-        one) are left out until the others are mended.
+        one) are left out until the others are repaired.
 
     Example:
         >>> import omtwarp
@@ -108,7 +108,7 @@ def require_valid(
         Vertices, float64 [V, 3], and faces, int32 [F, 3], in the order given.
 
     Raises:
-        OmtwarpError: the first defect, how many, where the first is, what mends it, and the other kinds of defect.
+        OmtwarpError: the first defect, how many, where the first is, how to repair it, and the other kinds of defect.
     """
     defects = check(vertices, faces)
     if defects:
@@ -244,7 +244,7 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
     if not orientable and not crowded.any():
         a, b = (int(end) for end in topology.edges[np.argmax(clashing)])
         text = f"not orientable: a one-sided surface, its sides meet first between vertices {a} and {b}"
-        remedy = "nothing mends it: only surfaces with an inside map to the sphere"
+        remedy = "no repair is possible: only surfaces with an inside map to the sphere"
         found.append(Defect("not-orientable", 1, a, text, remedy))
     elif clashing.any():
         a, b = (int(end) for end in topology.edges[np.argmax(clashing)])

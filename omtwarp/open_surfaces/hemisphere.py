@@ -84,10 +84,10 @@ def symmetric_map(
         return None
     image = symmetrised(double, sphere)
     for _ in range(ROUNDS):
-        mended = untangle(surface, image, budget=budget, device=device).sphere
-        if not is_bijective(mended, surface.faces, device=device):
+        untangled = untangle(surface, image, budget=budget, device=device).sphere
+        if not is_bijective(untangled, surface.faces, device=device):
             return None
-        turned = mended @ mirror_frame(double, mended, surface.vertex_areas)
+        turned = untangled @ mirror_frame(double, untangled, surface.vertex_areas)
         for image in (folded_map(double, turned), symmetrised(double, turned)):
             if is_bijective(image, surface.faces, device=device):
                 return image

@@ -30,7 +30,7 @@ def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
     return flipped_faces(np.concatenate([points, np.ones((len(points), 1))], axis=1), faces)
 
 
-def mend_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> tuple[Floats, int]:
+def untangle_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> tuple[Floats, int]:
     """Turn flipped triangles of a map to the unit disk back, with the boundary left where it is.
 
     A disk has more room than the polygon between its boundary's vertices: what lies outside is drawn inside first. If
@@ -60,7 +60,7 @@ def mend_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> tu
     return moved, int(flipped.sum())
 
 
-def mend_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> Floats:
+def untangle_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> Floats:
     """Turn flipped triangles of a map to a part of the sphere back, by moving their corners one after the other.
 
     A corner goes to the point from which its triangles are as far as possible from being flipped: the largest t with
@@ -152,4 +152,4 @@ def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: ND
     return moved
 
 
-__all__ = ["flipped_in_plane", "mend_in_plane", "mend_on_sphere"]
+__all__ = ["flipped_in_plane", "untangle_in_plane", "untangle_on_sphere"]

@@ -362,8 +362,8 @@ class _Newton:
         """Search along the direction for a step that lowers the merit and flips nothing.
 
         Returns:
-            The map, its terms, the step's length, how many vertices were mended, and the merit before and after; None
-            where no step was found.
+            The map, its terms, the step's length, how many vertices were untangled or held back, and the merit before
+            and after; None where no step was found.
         """
         before = self._merit(terms)
         reach = float(np.sqrt((direction.numpy() ** 2).sum(axis=1).max()))

@@ -167,9 +167,9 @@ def _transport_facts(
     if optimality.get("gap") is not None:
         facts.append(("Gap", f"the optimal cost is at most {optimality['gap']:.3%} lower"))
     repaired = [(stage.label, stage.record.get("repaired", 0)) for stage in stages]
-    mended = ", ".join(f"{count} after {label}" for label, count in repaired if count)
+    after = ", ".join(f"{count} after {label}" for label, count in repaired if count)
     if any("repaired" in stage.record for stage in stages):
-        facts.append(("Flips repaired", mended or "none were needed"))
+        facts.append(("Flips repaired", after or "none were needed"))
     return facts
 
 

@@ -1,7 +1,7 @@
 """Direct factorisations of matrices whose pattern is the edges of a mesh: SciPy's, or the built-in one.
 
 Both are made by the functions at the end, which ask :mod:`omtwarp.device.policy` for the choice. SciPy's is the plain
-way: it takes the same blocks, makes an ordinary sparse matrix of them and hands that to SuperLU.
+way: it takes the same blocks, makes an ordinary sparse matrix of them and passes it to SuperLU.
 """
 
 from __future__ import annotations

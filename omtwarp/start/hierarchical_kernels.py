@@ -165,7 +165,7 @@ def relax_vertices(
     """One Newton step with a line search for vertices no two of which are neighbours.
 
     The energy of ``star_energy`` is a sum of quadratics over positive linear functions of ``x``, hence convex: its
-    Hessian needs no mending and the step is a descent direction.
+    Hessian needs no modification and the step is a descent direction.
     """
     slot, _compiled_once = wp.tid()
     i = slots[slot]

@@ -164,8 +164,8 @@ def untangle(
         >>> surface = omtwarp.shapes.icosphere(8)
         >>> tangled = surface.vertices.copy()
         >>> tangled[5] = surface.vertices[surface.faces[0]].mean(axis=0)  # carried over other triangles
-        >>> mended = omtwarp.untangle(surface, tangled, device="cpu")
-        >>> mended.flips_before > 0, mended.flips_after, mended.bijective
+        >>> untangled = omtwarp.untangle(surface, tangled, device="cpu")
+        >>> untangled.flips_before > 0, untangled.flips_after, untangled.bijective
         (True, 0, True)
     """
     surface = as_surface(surface)

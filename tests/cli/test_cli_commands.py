@@ -138,7 +138,7 @@ def test_check_of_a_sound_mesh(tmp_path, capsys, blob):
     assert "genus 0: it can be mapped" in out
 
 
-def test_check_mends_and_writes(tmp_path, capsys, blob):
+def test_check_repairs_and_writes(tmp_path, capsys, blob):
     write_mesh(tmp_path / "bad.ply", blob.vertices, blob.faces[3:])
     status, out, err = run(capsys, "check", tmp_path / "bad.ply", "--repair", "-o", tmp_path / "good.obj")
     assert (status, err) == (0, "")

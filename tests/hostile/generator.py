@@ -1,4 +1,4 @@
-"""Files that nobody meant to write, and options out of range, made from a seed; each case is one command line.
+"""Damaged files, and options out of range, made from a seed; each case is one command line.
 
 ``OMTWARP_HOSTILE_CASES`` says how many cases are made, and ``OMTWARP_HOSTILE_SEED`` where the seed starts.
 """

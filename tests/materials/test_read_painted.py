@@ -108,7 +108,7 @@ def test_ply_with_coordinates(tmp_path, per_face):
 
 
 def test_coordinates_follow_a_repair_that_turns_faces(tmp_path):
-    """After mending, every corner has the coordinates of the place where it lies."""
+    """After repairing, every corner has the coordinates of the place where it lies."""
     path, *_ = two_halves(tmp_path)
     mesh = read_painted_mesh(path)
     faces = mesh.faces.copy()
@@ -116,9 +116,9 @@ def test_coordinates_follow_a_repair_that_turns_faces(tmp_path):
     uv = mesh.uv.copy()
     uv[::3] = uv[::3, ::-1]
     mixed = PaintedMesh(mesh.vertices, faces[1:], uv[1:], mesh.materials, mesh.face_material[1:])
-    mended = omtwarp.repair(mixed.vertices, mixed.faces)
-    after = mixed.on(mended.vertices, mended.faces, mended.face_origin)
-    old = mended.face_origin >= 0
+    repaired = omtwarp.repair(mixed.vertices, mixed.faces)
+    after = mixed.on(repaired.vertices, repaired.faces, repaired.face_origin)
+    old = repaired.face_origin >= 0
     places = after.vertices[after.faces[old]]
     np.testing.assert_allclose(after.uv[old][..., 1], 0.5 + 0.49 * places[..., 2], atol=1e-12)
     assert np.isfinite(after.uv).all() and len(after.faces) == len(mesh.faces)

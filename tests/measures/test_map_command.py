@@ -38,8 +38,8 @@ def test_weights_from_text_and_arrays_give_the_same_map(desk):
     assert first["measure"][above].sum() / first["measure"].sum() > 1.2 * SURFACE.face_areas[above].sum() / (4 * np.pi)
 
 
-def test_weights_follow_a_mesh_that_is_mended(desk):
-    """Mending removes the vertex that no face uses, and turns faces: weights are of the file's vertices."""
+def test_weights_follow_a_mesh_that_is_repaired(desk):
+    """Repairing removes the vertex that no face uses, and turns faces: weights are of the file's vertices."""
     faces = SURFACE.faces.copy()
     faces[::9] = faces[::9, ::-1]
     vertices = np.vstack([[9.0, 9.0, 9.0], SURFACE.vertices])

@@ -1,4 +1,4 @@
-"""Repair mends what it says, says what it did, tells where everything came from, and leaves sound meshes alone."""
+"""Repair does what it reports, gives the origin of vertices and faces, and leaves meshes without defects alone."""
 
 import numpy as np
 import pytest
@@ -15,24 +15,24 @@ def ball(frequency: int = 4) -> tuple[np.ndarray, np.ndarray]:
     return sphere.vertices.copy(), sphere.faces.astype(np.int64)
 
 
-def assert_mended(given_vertices: np.ndarray, given_faces: np.ndarray, mended: Repaired) -> None:
+def assert_repaired(given_vertices: np.ndarray, given_faces: np.ndarray, repaired: Repaired) -> None:
     """No defect is left, and the origins lead back to the input."""
-    assert [str(defect) for defect in check(mended.vertices, mended.faces)] == []
-    np.testing.assert_array_equal(mended.vertices, given_vertices[mended.vertex_origin])
-    old = mended.face_origin >= 0
-    was = given_vertices[given_faces[mended.face_origin[old]]]
-    now = mended.vertices[mended.faces[old]]
+    assert [str(defect) for defect in check(repaired.vertices, repaired.faces)] == []
+    np.testing.assert_array_equal(repaired.vertices, given_vertices[repaired.vertex_origin])
+    old = repaired.face_origin >= 0
+    was = given_vertices[given_faces[repaired.face_origin[old]]]
+    now = repaired.vertices[repaired.faces[old]]
     np.testing.assert_allclose(np.sort(was, axis=1), np.sort(now, axis=1), rtol=1e-6, atol=0)
 
 
 def test_a_sound_mesh_comes_back_as_it_is():
     v, f = ball()
-    mended = repair(v, f)
-    assert mended.actions == []
-    np.testing.assert_array_equal(mended.vertices, v)
-    np.testing.assert_array_equal(mended.faces, f)
-    np.testing.assert_array_equal(mended.vertex_origin, np.arange(len(v)))
-    np.testing.assert_array_equal(mended.face_origin, np.arange(len(f)))
+    repaired = repair(v, f)
+    assert repaired.actions == []
+    np.testing.assert_array_equal(repaired.vertices, v)
+    np.testing.assert_array_equal(repaired.faces, f)
+    np.testing.assert_array_equal(repaired.vertex_origin, np.arange(len(v)))
+    np.testing.assert_array_equal(repaired.face_origin, np.arange(len(f)))
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
@@ -40,10 +40,10 @@ def test_a_soup_of_triangles_is_merged_at_any_scale(scale):
     v, f = ball()
     soup = v[f].reshape(-1, 3) * scale
     faces = np.arange(len(soup)).reshape(-1, 3)
-    mended = repair(soup, faces)
-    assert_mended(soup, faces, mended)
-    assert len(mended.vertices) == len(v)
-    assert mended.actions[0] == "merged 798 vertices with an equal one"
+    repaired = repair(soup, faces)
+    assert_repaired(soup, faces, repaired)
+    assert len(repaired.vertices) == len(v)
+    assert repaired.actions[0] == "merged 798 vertices with an equal one"
 
 
 def test_equal_vertices_of_a_sound_mesh_stay_apart():
@@ -59,12 +59,12 @@ def test_faces_turned_at_random_agree_again_and_outward():
     g = f.copy()
     turned = np.random.default_rng(1).random(len(f)) < 0.4
     g[turned] = g[turned][:, ::-1]
-    mended = repair(v, g)
-    assert_mended(v, g, mended)
-    assert mended.actions == [f"turned {turned.sum()} faces to agree with the others"]
+    repaired = repair(v, g)
+    assert_repaired(v, g, repaired)
+    assert repaired.actions == [f"turned {turned.sum()} faces to agree with the others"]
     inward = repair(v, f[:, ::-1])
     assert inward.actions == ["turned all faces outward"]
-    assert_mended(v, f, inward)
+    assert_repaired(v, f, inward)
 
 
 @pytest.mark.parametrize("frequency", [4, 12])
@@ -75,16 +75,16 @@ def test_holes_are_filled_without_new_vertices(frequency):
     fan = (f == np.argmin(v[:, 2])).any(axis=1)
     gone = near | fan
     gone[np.flatnonzero(~gone)[0]] = True
-    mended = repair(v, f[~gone])
-    assert_mended(v, f[~gone], mended)
-    assert any(action.startswith("filled 3 holes with") for action in mended.actions)
+    repaired = repair(v, f[~gone])
+    assert_repaired(v, f[~gone], repaired)
+    assert any(action.startswith("filled 3 holes with") for action in repaired.actions)
 
 
 def test_a_large_hole_is_left_and_named():
     v, f = ball(20)
     half = v[f].mean(axis=1)[:, 2] < 0
-    mended = repair(v, f[half])
-    (defect,) = check(mended.vertices, mended.faces)
+    repaired = repair(v, f[half])
+    (defect,) = check(repaired.vertices, repaired.faces)
     assert defect.kind == "open-boundary" and defect.count > LARGEST_HOLE
 
 
@@ -93,10 +93,10 @@ def test_the_largest_component_is_kept():
     small = shapes.icosphere(2)
     vertices = np.concatenate([small.vertices + 4, v])
     faces = np.concatenate([small.faces, f + small.vertex_count])
-    mended = repair(vertices, faces)
-    assert_mended(vertices, faces, mended)
-    assert mended.actions == ["dropped 80 faces in 1 smaller component", "dropped 42 unused vertices"]
-    assert mended.vertex_origin[0] == 42 and mended.face_origin[0] == 80
+    repaired = repair(vertices, faces)
+    assert_repaired(vertices, faces, repaired)
+    assert repaired.actions == ["dropped 80 faces in 1 smaller component", "dropped 42 unused vertices"]
+    assert repaired.vertex_origin[0] == 42 and repaired.face_origin[0] == 80
 
 
 def test_duplicates_impossible_faces_and_unused_vertices_are_dropped():
@@ -104,10 +104,10 @@ def test_duplicates_impossible_faces_and_unused_vertices_are_dropped():
     vertices = np.concatenate([v, [[9.0, 9, 9], [np.nan, 0, 0]]])
     bad = [f[5], f[9][[1, 0, 2]], [0, 1, 999], [0, 1, len(v) + 1], [3, 3, 4]]
     faces = np.concatenate([f, bad])
-    mended = repair(vertices, faces)
-    assert_mended(vertices, faces, mended)
-    np.testing.assert_array_equal(mended.faces, f)
-    assert len(mended.actions) == 5
+    repaired = repair(vertices, faces)
+    assert_repaired(vertices, faces, repaired)
+    np.testing.assert_array_equal(repaired.faces, f)
+    assert len(repaired.actions) == 5
 
 
 def test_a_folded_flap_goes_whole():
@@ -116,30 +116,30 @@ def test_a_folded_flap_goes_whole():
     a, b = f[0, 0], f[0, 1]
     vertices = np.concatenate([v, [[2.0, 2, 2]]])
     faces = np.concatenate([f, [[a, b, len(v)], [b, a, len(v)]]])
-    mended = repair(vertices, faces)
-    assert_mended(vertices, faces, mended)
-    np.testing.assert_array_equal(mended.faces, f)
+    repaired = repair(vertices, faces)
+    assert_repaired(vertices, faces, repaired)
+    np.testing.assert_array_equal(repaired.faces, f)
 
 
 def test_a_collapsed_edge_is_merged():
     v, f = ball()
     v[f[40, 2]] = v[f[40, 0]]
-    mended = repair(v, f)
-    assert_mended(v, f, mended)
-    assert len(mended.faces) == len(f) - 2
+    repaired = repair(v, f)
+    assert_repaired(v, f, repaired)
+    assert len(repaired.faces) == len(f) - 2
 
 
 def test_a_vertex_on_its_opposite_edge_is_flipped_free():
     v, f = ball()
     v[f[40, 2]] = (v[f[40, 0]] + v[f[40, 1]]) / 2
-    mended = repair(v, f)
-    assert [defect.kind for defect in check(mended.vertices, mended.faces)] == []
-    assert mended.actions == ["flipped the longest edge of 1 face of zero area"]
+    repaired = repair(v, f)
+    assert [defect.kind for defect in check(repaired.vertices, repaired.faces)] == []
+    assert repaired.actions == ["flipped the longest edge of 1 face of zero area"]
 
 
 @given(seed=st.integers(0, 200), share=st.floats(0.0, 0.15))
-def test_repair_never_fails_and_mending_twice_changes_nothing(seed, share):
-    """Random damage of every kind: repair gives valid arrays, and a second repair of a mended mesh is a no-op."""
+def test_repair_never_fails_and_repairing_twice_changes_nothing(seed, share):
+    """Random damage of every kind: repair gives valid arrays, and a second repair of a repaired mesh is a no-op."""
     rng = np.random.default_rng(seed)
     v, f = ball()
     f = f[rng.random(len(f)) >= share]
@@ -147,10 +147,10 @@ def test_repair_never_fails_and_mending_twice_changes_nothing(seed, share):
     f[turn] = f[turn][:, ::-1]
     v[rng.random(len(v)) < share / 10] = np.nan
     f[rng.random(len(f)) < share / 10, 0] = 500
-    mended = repair(v, f)
-    assert mended.faces.min(initial=0) >= 0 and mended.faces.max(initial=0) < max(1, len(mended.vertices))
-    if not check(mended.vertices, mended.faces):
-        again = repair(mended.vertices, mended.faces)
+    repaired = repair(v, f)
+    assert repaired.faces.min(initial=0) >= 0 and repaired.faces.max(initial=0) < max(1, len(repaired.vertices))
+    if not check(repaired.vertices, repaired.faces):
+        again = repair(repaired.vertices, repaired.faces)
         assert again.actions == []
 
 
@@ -163,9 +163,12 @@ def bowl() -> tuple[np.ndarray, np.ndarray]:
 def test_an_open_surface_keeps_its_hole_and_its_parts():
     v, f = bowl()
     both = np.concatenate([v, v + 3.0]), np.concatenate([f, f[:, ::-1] + len(v), [[0, 1, 1]]])
-    mended = repair(*both, whole=False)
-    assert {defect.kind for defect in check(mended.vertices, mended.faces)} == {"open-boundary", "several-components"}
-    np.testing.assert_array_equal(mended.faces, both[1][:-1])
+    repaired = repair(*both, whole=False)
+    assert {defect.kind for defect in check(repaired.vertices, repaired.faces)} == {
+        "open-boundary",
+        "several-components",
+    }
+    np.testing.assert_array_equal(repaired.faces, both[1][:-1])
     whole = repair(*both)
     assert check(whole.vertices, whole.faces) == []
 
@@ -176,9 +179,9 @@ def test_fins_crumbs_and_turned_faces_go_from_an_open_surface():
     n = len(v)
     faces = np.concatenate([f, [[f[3, 1], f[3, 0], n]], [[n + 1, n + 2, n + 3]]])
     faces[7] = faces[7][::-1]
-    mended = repair(points, faces, whole=False)
-    np.testing.assert_array_equal(mended.vertices, v)
-    np.testing.assert_array_equal(mended.faces, f)
+    repaired = repair(points, faces, whole=False)
+    np.testing.assert_array_equal(repaired.vertices, v)
+    np.testing.assert_array_equal(repaired.faces, f)
 
 
 def test_vertices_where_an_open_surface_touches_itself_are_split():
@@ -189,8 +192,8 @@ def test_vertices_where_an_open_surface_touches_itself_are_split():
     apart = [k for k in around if len(np.intersect1d(f[k], first)) == 1]  # across the vertex
     faces = np.delete(f, [around[0], apart[0]], axis=0)  # two holes that touch there
     assert "non-manifold-vertices" in {defect.kind for defect in check(v, faces)}
-    mended = repair(v, faces, whole=False)
-    assert {defect.kind for defect in check(mended.vertices, mended.faces)} == {"open-boundary"}
-    assert len(mended.vertices) == len(v) + 1
-    np.testing.assert_array_equal(mended.vertices, v[mended.vertex_origin])
-    np.testing.assert_array_equal(mended.vertex_origin[mended.faces], faces)
+    repaired = repair(v, faces, whole=False)
+    assert {defect.kind for defect in check(repaired.vertices, repaired.faces)} == {"open-boundary"}
+    assert len(repaired.vertices) == len(v) + 1
+    np.testing.assert_array_equal(repaired.vertices, v[repaired.vertex_origin])
+    np.testing.assert_array_equal(repaired.vertex_origin[repaired.faces], faces)

@@ -12,7 +12,7 @@ from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import cap_radius, pack_caps
-from omtwarp.open_surfaces.planar import flipped_in_plane, mend_in_plane, mend_on_sphere
+from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_sphere
 from omtwarp.topology.boundary import boundary_loops
 
 
@@ -202,7 +202,7 @@ def test_caps_lie_apart_and_cover_most_of_the_sphere(count):
     assert (angle > radius + radius[:, None]).all() and covered > 0.75
 
 
-def test_small_caps_are_mended_where_sides_are_straight():
+def test_small_caps_are_untangled_where_sides_are_straight():
     ball = shapes.icosphere(6)
     places, faces = without(ball, ball.vertices[:, 2] > 0.5)
     there = to_gnomonic(places, 0.3)
@@ -223,14 +223,14 @@ def test_lambert_keeps_area():
     assert np.abs(np.linalg.norm(disk_to_cap(disk, 0.8), axis=1) - 1.0).max() < 1e-12
 
 
-def test_flipped_triangles_of_the_plane_are_mended():
+def test_flipped_triangles_of_the_plane_are_untangled():
     flat, faces = round_disk(6)
     held = np.linalg.norm(flat, axis=1) > 0.99
     moved = flat.copy()
     moved[10] += [0.2, 0.1]
     assert flipped_in_plane(moved, faces).sum() > 0
-    mended, left = mend_in_plane(moved, faces, held)
-    assert left == 0 and not flipped_in_plane(mended, faces).any() and np.array_equal(mended[held], flat[held])
+    untangled, left = untangle_in_plane(moved, faces, held)
+    assert left == 0 and not flipped_in_plane(untangled, faces).any() and np.array_equal(untangled[held], flat[held])
 
 
 def thick_ring(around: int = 24, across: int = 16) -> tuple[np.ndarray, np.ndarray]:
@@ -263,7 +263,7 @@ def test_exact_areas_of_parts_and_of_handles_cut_open():
     assert np.allclose(result.vertices[result.vertex_origin < 0], halves)
 
 
-def test_flipped_triangles_of_a_large_cap_are_mended():
+def test_flipped_triangles_of_a_large_cap_are_untangled():
     ball = shapes.icosphere(6)
     places, faces = without(ball, ball.vertices[:, 2] > -0.8)
     rim = np.zeros(len(places), dtype=bool)
@@ -273,8 +273,8 @@ def test_flipped_triangles_of_a_large_cap_are_mended():
         moved[vertex] += 2.0 * np.linalg.norm(places[faces[0, 0]] - places[faces[0, 1]]) * np.roll(places[vertex], 1)
     moved /= np.linalg.norm(moved, axis=1)[:, None]
     assert count_flips(moved, faces) > 3
-    mended = mend_on_sphere(moved, faces, rim)
-    assert count_flips(mended, faces) == 0 and np.array_equal(mended[rim], moved[rim])
+    untangled = untangle_on_sphere(moved, faces, rim)
+    assert count_flips(untangled, faces) == 0 and np.array_equal(untangled[rim], moved[rim])
 
 
 @pytest.mark.parametrize(

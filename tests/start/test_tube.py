@@ -45,8 +45,8 @@ def test_covers_the_sphere_once(surface):
     judged = measure_triangles(surface.vertices, surface.faces, sphere)
     assert judged.degree == pytest.approx(1.0, abs=1e-9)
     assert judged.flips <= 0.1 * surface.face_count
-    mended = untangle(surface, sphere, device="cpu")
-    assert mended.flips_after == 0 and not flipped_faces(mended.sphere, surface.faces).any()
+    repaired = untangle(surface, sphere, device="cpu")
+    assert repaired.flips_after == 0 and not flipped_faces(repaired.sphere, surface.faces).any()
 
 
 def test_a_long_tube_does_not_shrink():
