@@ -45,9 +45,8 @@ LEAST_SIDE = 0.25
 
 SLITS = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open: loops around handles keep clear of it
 # Where sides of large triangles reach from one cap into another, caps are made smaller, at most so many times.
-GNOMONIC_SHARE = (
-    0.45  # of the sphere: up to this a cap is untangled in its gnomonic projection, which half a sphere lacks
-)
+# Share of the sphere up to which a cap is untangled in its gnomonic projection, which half a sphere lacks.
+GNOMONIC_SHARE = 0.45
 ROUNDS_APART, LESS_COVERED = 6, 0.85
 
 AnyMap = TypeVar("AnyMap", bound=MapResult)
@@ -168,7 +167,10 @@ def _certify(maps: list[SurfaceMap]) -> None:
 
 
 def _slit(part: Part) -> Part:
-    """A part with a boundary: a closed one is slit open along a path, as long as leaves room to cut its handles."""
+    """Return a part with a boundary.
+
+    a closed one is slit open along a path, as long as leaves room to cut its handles.
+    """
     if part.loops:
         return part
     for share in SLITS:
@@ -185,13 +187,13 @@ def _slit(part: Part) -> Part:
 
 
 def _mass(part: Part, weights: Floats | None) -> float:
-    """A part's area, in the input's units, times the weights of its faces where there are any."""
+    """Return a part's area, in the input's units, times the weights of its faces where there are any."""
     areas = triangle_areas(part.vertices, part.faces)
     return float(areas.sum() if weights is None else areas @ weights[part.face_origin])
 
 
 def _side_by_side(maps: list[SurfaceMap], masses: list[float]) -> tuple[list[SurfaceMap], Floats, Floats]:
-    """Maps to hemispheres carried to disjoint caps, so that images have areas in proportion to the parts' masses.
+    """Carry maps to hemispheres to disjoint caps, with areas in proportion to the parts' masses.
 
     Returns:
         The maps, the centres of the caps, shape [P, 3], and their shares of the sphere, shape [P].
@@ -218,13 +220,13 @@ def _side_by_side(maps: list[SurfaceMap], masses: list[float]) -> tuple[list[Sur
 
 
 def _whole(each: SurfaceMap) -> tuple[Floats, NDArray]:
-    """Points on the sphere and faces of a map, with what fills its holes."""
+    """Return the points on the sphere and faces of a map, with what fills its holes."""
     points = each.sphere if each.filled_sphere is None else each.filled_sphere
     return points, each.faces if each.filled_faces is None else each.filled_faces
 
 
 def _placed(each: SurfaceMap, centre: Floats, share: float) -> SurfaceMap:
-    """A map to the cap around the north pole turned to another centre, along a great circle."""
+    """Turn a map to the cap around the north pole to another centre, along a great circle."""
     # Householder's reflection that exchanges pole and centre, after the one that turns x over: a rotation.
     across = np.array([0.0, 0.0, 1.0]) - centre
     length = float(across @ across)
@@ -237,7 +239,7 @@ def _placed(each: SurfaceMap, centre: Floats, share: float) -> SurfaceMap:
 
 
 def _reach(each: SurfaceMap, centre: Floats) -> float:
-    """The largest angle from a cap's centre to a point of its triangles: sides of those at the rim may bulge."""
+    """Return the largest angle from a cap's centre to a point of its triangles: sides of those at the rim may bulge."""
     points, faces = _whole(each)
     rim = points[boundary_half_edges(faces, len(points))]
     middle = rim.sum(axis=1)
@@ -246,7 +248,7 @@ def _reach(each: SurfaceMap, centre: Floats) -> float:
 
 
 def _on_torus(part: Part, progress: Progress | None, options: MapKeywords) -> TorusMap:
-    """The map to a flat torus.
+    """Return the map to a flat torus.
 
     Raises:
         OmtwarpError: options that only maps to the sphere have.
@@ -268,7 +270,7 @@ def _on_torus(part: Part, progress: Progress | None, options: MapKeywords) -> To
 
 
 def _arrays(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
-    """Vertices and faces of any of the accepted forms, unchecked."""
+    """Return the vertices and faces of any of the accepted forms, unchecked."""
     if isinstance(mesh, tuple | list) and len(mesh) == 2:
         return mesh[0], mesh[1]
     if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
@@ -386,7 +388,7 @@ class _AtVertices(TypedDict):
 
 
 def _at_vertices(closed: MapResult, which: NDArray[np.int64]) -> _AtVertices:
-    """Rows of some vertices."""
+    """Return the rows of some vertices."""
 
     def rows(points: Floats | None) -> Floats | None:
         return None if points is None else points[which]
@@ -402,7 +404,7 @@ def _at_vertices(closed: MapResult, which: NDArray[np.int64]) -> _AtVertices:
 
 
 def _own_half(closed: MapResult, glued: Double) -> MapResult:
-    """The surface's own half of the map of a double."""
+    """Return the surface's own half of the map of a double."""
     half, count = glued.half, len(glued.half)
     number = np.full(len(glued.mirror), -1, dtype=np.int64)
     number[half] = np.arange(count)
@@ -442,7 +444,7 @@ def _opened(part: Part, fill_area: str, to_rim: bool) -> _Opened:
 
 
 def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
-    """The filled surface, its own areas times the weights of the part's faces, the area of the filling as asked for.
+    """Return filled surface, its own areas times the weights of the part's faces, the area of the filling as asked for.
 
     An inside need not be where the faces say that it is. A map depends on lengths only, and seen in a mirror clockwise
     faces are counter-clockwise.
@@ -472,7 +474,7 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
 
 
 def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, domain: str) -> SurfaceMap:
-    """The map of the surface itself from that of the closed surface, whose first vertices and faces it has."""
+    """Return the map of the surface itself from that of the closed surface, whose first vertices and faces it has."""
     count, face_count = len(opened.vertices), len(opened.faces)
 
     def own(points: Floats | None) -> Floats | None:
@@ -520,7 +522,7 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
 
 
 def _turned(closed: AnyMap, frame: Floats) -> AnyMap:
-    """A map with all its stages turned by a rotation, ``points @ frame``."""
+    """Turn a map with all its stages by a rotation, ``points @ frame``."""
 
     def turned(points: Floats | None) -> Floats | None:
         return None if points is None else points @ frame
@@ -586,7 +588,7 @@ def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
 
 
 def _on_cap(result: SurfaceMap, share: float) -> SurfaceMap:
-    """A map to the hemisphere carried to the cap with a share of the sphere around the north pole.
+    """Carry a map of the hemisphere to the cap with a share of the sphere around the north pole.
 
     Returns:
         The first that is one to one of: the map as it is projected, the same with flipped triangles untangled, on small
@@ -613,7 +615,7 @@ def _on_cap(result: SurfaceMap, share: float) -> SurfaceMap:
 
 
 def _rim(faces: NDArray, count: int) -> NDArray[np.bool_]:
-    """Which vertices lie on the boundary, shape [count]."""
+    """Return which vertices lie on the boundary, shape [count]."""
     rim = np.zeros(count, dtype=bool)
     rim[boundary_half_edges(faces, count)] = True
     return rim

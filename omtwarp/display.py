@@ -21,7 +21,7 @@ class Shown:
     """The ways in which every map can be looked at; nothing is computed before one of these is called."""
 
     def _repr_html_(self) -> str:
-        """The view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""
+        """Return the view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""
         return _viewers().notebook_view(self)
 
     def plot(self, *, pattern: str = "circles", size: tuple[int, int] = (640, 480), **options: object) -> Image:

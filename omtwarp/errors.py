@@ -18,7 +18,7 @@ class OmtwarpError(ValueError):
 
 
 def one_line(text: str) -> str:
-    """A text on one line, with characters that would steer a terminal as their escapes, since it may quote a file.
+    """Return a text on one line with control characters escaped, since it may quote a file.
 
     >>> one_line("no such\\nfile '\\x1b[31m'")
     "no such file '\\\\x1b[31m'"

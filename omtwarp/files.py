@@ -97,7 +97,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def _destination(path: Path) -> Path:
-    """The file that is written for a path: links followed, and nothing there that must not be replaced.
+    """Return the file that is written for a path: links followed, and nothing there that must not be replaced.
 
     Raises:
         OmtwarpError: a directory, a device or pipe, a link to itself, or no directory to write in.
@@ -126,12 +126,12 @@ def _destination(path: Path) -> Path:
 
 
 def _cannot_write(path: Path, error: OSError) -> OmtwarpError:
-    """The line about an output that failed, in the system's words."""
+    """Return the line about an output that failed, in the system's words."""
     return OmtwarpError(f"cannot write '{path}': {error.strerror or error}")
 
 
 def _is_one_of(path: Path, others: Iterable[Path | None]) -> bool:
-    """Whether a path is the same file as one of the others."""
+    """Return whether a path is the same file as one of the others."""
     for other in others:
         with contextlib.suppress(OSError):
             if other is not None and path.samefile(other):
@@ -140,7 +140,7 @@ def _is_one_of(path: Path, others: Iterable[Path | None]) -> bool:
 
 
 def written_by_omtwarp(path: Path) -> bool:
-    """Whether a file carries the mark of those that the package writes beside a named one.
+    """Return whether a file carries the mark of those that the package writes beside a named one.
 
     Raises:
         OSError: the file cannot be read.
@@ -152,7 +152,7 @@ def written_by_omtwarp(path: Path) -> bool:
 
 
 def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path:
-    """A name for a file that belongs beside another, such as the picture of a textured mesh.
+    """Return a name for a file that belongs beside another, such as the picture of a textured mesh.
 
     The name is free, or that of a file which the package wrote there before; never that of a file of the user's.
 
@@ -293,7 +293,7 @@ def _sweep(parent: Path) -> None:
 
 
 def _abandoned(folder: Path) -> bool:
-    """Whether a staging directory is this user's, was left alone for long, and no process holds it.
+    """Return whether a staging directory is this user's, was left alone for long, and no process holds it.
 
     Raises:
         OSError: it cannot be looked at, for instance because it is gone.
@@ -327,7 +327,7 @@ def _die_by(number: int) -> None:
 
 @contextlib.contextmanager
 def _tidy_when_interrupted(folder: Path) -> Iterator[None]:
-    """While there is something to tidy up, an interruption tidies first.
+    """Tidy up first on an interruption, while there is something to tidy up.
 
     Outside of this, an interruption ends the process at once, also in the middle of a long computation in native code
     (see :func:`omtwarp.cli.main`). Here Python's own handler has to run, which waits for native code to return; a

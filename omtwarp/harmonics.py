@@ -79,12 +79,12 @@ def _fill(directions: Floats, degree: int, out: Floats) -> None:
 
 
 def degrees(degree: int) -> NDArray[np.int64]:
-    """The degree l of every harmonic up to a degree L, shape [(L + 1)²]."""
+    """Return the degree l of every harmonic up to a degree L, shape [(L + 1)²]."""
     return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
 
 
 def degree_of(count: int) -> int:
-    """The highest degree of that many coefficients.
+    """Return the highest degree of that many coefficients.
 
     Raises:
         OmtwarpError: the number is not a square.

@@ -79,7 +79,7 @@ def read_bytes(path: str | os.PathLike[str], most: int, kind: str = "file") -> b
 
 
 def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
-    """Some of the arrays of an ``.npz``, whose sizes are checked before anything is inflated; nothing is unpickled.
+    """Read some arrays of an ``.npz``; sizes are checked before anything is inflated, and nothing is unpickled.
 
     Args:
         source: the file.
@@ -105,7 +105,7 @@ def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
 
 
 def holds_array(path: str | os.PathLike[str], name: str) -> bool:
-    """Whether a file is an ``.npz`` with an array of this name; False for what cannot be read."""
+    """Return whether a file is an ``.npz`` with an array of this name; False for what cannot be read."""
     with contextlib.suppress(OmtwarpError, OSError, ValueError, zipfile.BadZipFile):
         with open_input(path, LARGEST_MESH_FILE) as stream:
             _check_directory(stream)
@@ -136,7 +136,7 @@ def _check_directory(source: BinaryIO) -> None:
 
 
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> NDArray:
-    """One array, after its header was found to fit the size of its entry.
+    """Read an array after its header was found to fit the size of its entry.
 
     Raises:
         OmtwarpError: objects, or a header that promises more or less than there is.
@@ -166,7 +166,7 @@ def _check_header(stream: IO[bytes], length: int, name: str) -> None:
 
 
 def array_of(data: bytes, name: str = "data") -> NDArray:
-    """The array of an ``.npy`` file's content.
+    """Return the array of an ``.npy`` file's content.
 
     Raises:
         OmtwarpError: it is none, or damaged, or holds objects.

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 def joined(
     maps: list[SurfaceMap], vertex_count: int, caps: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 ) -> SurfaceMap:
-    """One map of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
+    """Join the maps of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
 
     The input's vertices and faces keep their order. Vertices that split edges, and copies made by cuts, follow.
     One function, as every array of the whole follows from the same numbering.
@@ -80,7 +80,10 @@ def joined(
 
 
 def _numbers(maps: list[SurfaceMap], count: int) -> tuple[list[NDArray], int]:
-    """Numbers of the vertices of each part in the whole, and how many there are: the input's first, then new ones."""
+    """Return the numbers of the vertices of each part in the whole, and how many there are.
+
+    The input's first, then new ones.
+    """
     numbers = []
     for part in maps:
         origin = _known(part.vertex_origin)
@@ -114,7 +117,7 @@ class _Filling(TypedDict, total=False):
 def _filling(
     maps: list[SurfaceMap], numbers: list[NDArray], count: int, at_vertices: Callable[[list[Floats]], Floats]
 ) -> _Filling:
-    """The arrays about filled loops, none where no loop was filled."""
+    """Return the arrays about filled loops, none where no loop was filled."""
     if all(part.loops is None for part in maps):
         return {}
     loops, ends, pairs, points, images, faces, marks = [], [], [], [], [], [], []
@@ -152,7 +155,7 @@ def _filling(
 
 
 def _report(maps: list[SurfaceMap]) -> MapReport:
-    """The reports of the parts, and one certificate for all."""
+    """Return the reports of the parts, and one certificate for all."""
     first = maps[0].report
     seconds = sum(part.report["seconds"] for part in maps)
     return {

@@ -146,7 +146,7 @@ def choose(kind: type[Kind], value: object, *, without: tuple[Kind, ...] = ()) -
 
 
 def _shown(value: object) -> str:
-    """A value as it was given where it is text or a number, and its type otherwise."""
+    """Return a value as it was given where it is text or a number, and its type otherwise."""
     return f"'{value}'" if isinstance(value, str | int | float) else f"of type {type(value).__name__}"
 
 

@@ -272,17 +272,17 @@ class _Run:
             self.progress(str(stage), done, total, details)
 
     def points(self, sphere: NDArray[np.float64]) -> wp.array:
-        """A map where the kernels run; the one asked for last is there already."""
+        """Return a map where the kernels run; the one asked for last is there already."""
         if self.uploaded is None or self.uploaded[0] is not sphere:
             self.uploaded = sphere, vectors(sphere, resolve_device(self.device))
         return self.uploaded[1]
 
     def goal(self, sphere: NDArray[np.float64]) -> Surface:
-        """The surface with the areas that its triangles are to have on the sphere, were each to stay where it is."""
+        """Return surface with the areas that its triangles are to have on the sphere, were each to stay where it is."""
         return self.surface if self.target is None else self.target.goal(self.surface, sphere)
 
     def area_error(self, sphere: NDArray[np.float64]) -> float:
-        """How far areas on the sphere are from the goal's."""
+        """Return how far areas on the sphere are from the goal's."""
         return AreaMonitor(self.goal(sphere), resolve_device(self.device)).error(self.points(sphere))
 
     def finish(self, name: str, sphere: NDArray[np.float64], iterations: int, **details: str | float | None) -> None:
@@ -360,7 +360,7 @@ class _Run:
         return result
 
     def conformal(self) -> None:
-        """The conformal map, or what stands in for it."""
+        """Compute the conformal map, or the start that replaces it."""
         self.notify(Stage.CONFORMAL, 0, 1, {})
         start = bijective_start(self.surface, device=self.device, progress=self.progress)
         self.origin = {"route": start.route, "reason": start.reason}
@@ -404,14 +404,14 @@ class _Run:
         return self.symmetric(sphere @ frame)
 
     def symmetric(self, sphere: NDArray[np.float64], repair: bool = False) -> NDArray[np.float64]:
-        """The map of a double made symmetric, where that flips nothing; the map as it is where it does."""
+        """Return the map of a double made symmetric, where that flips nothing; the map as it is where it does."""
         if self.mirror is None:
             return sphere
         found = symmetric_map(self.mirror, self.surface, sphere, repair=repair, device=self.device)
         return sphere if found is None else found
 
     def moser(self) -> None:
-        """Moser's flow from the start, repeated from its own result, flips repaired after each pass."""
+        """Run Moser's flow from the start, again from its own result, and repair flips after each pass."""
         sphere = self.sphere
         least = self.area_error(sphere)
         steps = repaired = 0
@@ -433,7 +433,7 @@ class _Run:
         self.finish(Stage.MOSER, sphere, steps, repaired=repaired)
 
     def transport(self) -> None:
-        """The optimal map, by the scheme asked for."""
+        """Compute the optimal map by the chosen scheme."""
         if self.options.scheme is Scheme.PAPER:
             self.transport_as_published()
             return
@@ -479,7 +479,7 @@ class _Run:
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **ended)
 
     def transport_by_newton(self) -> None:
-        """The discrete optimal map: areas around vertices kept, cost at its minimum."""
+        """Compute the discrete optimal map: areas around vertices kept, cost at its minimum."""
         surface, initial = self.surface, self.sphere
         assert self.source is not None
         sphere = (
@@ -526,7 +526,7 @@ class _Run:
     def optimal(
         self, sphere: NDArray[np.float64], weight: float, multipliers: NDArray[np.float64] | None = None
     ) -> OptimalMap:
-        """The discrete optimal map with a weight of the shape term; symmetric where the map given is."""
+        """Return the discrete optimal map with a weight of the shape term; symmetric where the map given is."""
         assert self.source is not None
         solve = optimal_map
         if self.mirror is not None and is_symmetric(self.mirror, sphere):
@@ -543,7 +543,7 @@ class _Run:
         )
 
     def shape_excess(self, sphere: NDArray[np.float64]) -> float:
-        """How far gap and curl of a map are above what the shape term may cost; at most 1 where they are not."""
+        """Return how far gap and curl of a map are above what the shape term may cost; at most 1 where they are not."""
         assert self.source is not None
         self.measured = None
         curl = relative_curl(self.surface, sphere, start=self.source, device=self.device)
@@ -582,7 +582,7 @@ class _Run:
         )
 
     def keep_every_area(self) -> None:
-        """The optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
+        """Compute the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
 
         def notify(stage: str, done: int, total: int, details: Record) -> None:
             self.notify(EXACT, done, total, details)
@@ -623,7 +623,7 @@ class _Run:
         )
 
     def transport_as_published(self) -> None:
-        """The optimal map by Algorithms 1 and 2 as the paper prints them."""
+        """Compute the optimal map by Algorithms 1 and 2 as the paper prints them."""
         initial = self.sphere
         flowed = paper_flow(
             self.surface,
@@ -638,7 +638,7 @@ class _Run:
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=flowed.converged)
 
     def refine(self) -> None:
-        """The least distortion near the map, at the weight of area against angle asked for."""
+        """Minimise distortion from the map, at the chosen weight of area against angle."""
         weight = self.options.refine
         assert weight is not None
 
@@ -654,7 +654,7 @@ class _Run:
         self.finish(Stage.REFINE, sphere, len(refined.history), **record)
 
     def least_distorted(self, weight: float) -> NDArray[np.float64]:
-        """The map made so far with the least angle + weight * area distortion, which is what refinement lowers.
+        """Return the map made so far with the least angle + weight * area distortion, which is what refinement lowers.
 
         With a small weight that may be the first: from the last one refinement would have to find back to it along the
         Möbius transformations, which its energy hardly tells apart.
@@ -690,11 +690,11 @@ class _Run:
         return found
 
     def record_of(self, stage: Stage) -> StageRecord | None:
-        """The record of a stage, where it was run."""
+        """Return the record of a stage, where it was run."""
         return next((record for record in self.records if record.name == stage), None)
 
     def barycentric(self) -> None:
-        """The whole map by one of the spherical barycentric systems that the paper compares with."""
+        """Compute the whole map by one of the spherical barycentric systems that the paper compares with."""
         method = self.options.method
         weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"
         solved = barycentric_map(self.surface, weights=weights, device=self.device)
@@ -723,7 +723,7 @@ class _Run:
         return hold_back(self.surface, before, after, device=self.device), flips
 
     def report(self) -> MapReport:
-        """Everything worth knowing about how the map was made, ready for JSON."""
+        """Return the report of the map, ready for JSON."""
         surface = self.surface
         lengths = surface.vertices.max(axis=0) - surface.vertices.min(axis=0)
         return {
@@ -757,7 +757,7 @@ class _Run:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what a result depends on."""
+    """Return the versions of what a result depends on."""
     return {
         "omtwarp": package_version(),
         "python": platform.python_version(),
@@ -768,7 +768,7 @@ def versions() -> dict[str, str]:
 
 
 def _normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points put back on the unit sphere, shape [V, 3]."""
+    """Return the points put back on the unit sphere, shape [V, 3]."""
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 

@@ -175,7 +175,7 @@ class StageRecord:
     details: Mapping[str, str | float | None] = field(default_factory=dict)
 
     def to_dict(self) -> StageReport:
-        """The record as plain values, ready for JSON; the details stand beside the rest."""
+        """Return the record as plain values, ready for JSON; the details stand beside the rest."""
         plain = {name: value for name, value in vars(self).items() if name != "details"}
         whole = plain | {"area": dict(self.area), "angle": dict(self.angle)} | dict(self.details)
         return cast(StageReport, whole)
@@ -245,7 +245,7 @@ class MapResult(Shown):
         return f"MapResult({', '.join(known)})"
 
     def distortion(self, stage: str = "sphere") -> Distortion:
-        """Distortion of the final map, or of a stage: ``conformal``, ``moser`` or ``transported``.
+        """Return the distortion of the final map, or of a stage: ``conformal``, ``moser`` or ``transported``.
 
         Raises:
             OmtwarpError: the stage was not run.
@@ -298,7 +298,7 @@ class MapResult(Shown):
 
 
 def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
-    """The arrays of a map's file, or an error that says what is wrong with it."""
+    """Return the arrays of a map's file, or an error that says what is wrong with it."""
     with open_input(source, LARGEST_MESH_FILE, "map") as stream:
         try:
             return read_arrays(stream, (*LAYOUT, "report"))
@@ -308,7 +308,7 @@ def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
 
 
 def _fitting(arrays: Mapping[str, object]) -> _Arrays:
-    """The arrays of a map in their types, those that there are.
+    """Return the arrays of a map in their types, those that there are.
 
     Raises:
         OmtwarpError: the first that is missing, not of numbers, out of range, or does not fit the others.
@@ -342,7 +342,7 @@ def require_unit_length(points: ArrayLike, name: str) -> None:
 
 
 def _read_report(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[MapReport, list[Record]]:
-    """The report and the history; empty where they are missing or are not what they should be."""
+    """Return the report and the history; empty where they are missing or are not what they should be."""
     try:
         report = json.loads(str(arrays["report"])) if "report" in arrays else {}
     except (ValueError, RecursionError):

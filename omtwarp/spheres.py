@@ -104,14 +104,14 @@ class SphereGrid:
 
 
 def polygon_areas(corners: Floats) -> Floats:
-    """Areas of convex polygons of four great-circle arcs on the unit sphere, corners [M, 4, 3], shape [M]."""
+    """Return areas of convex polygons of four great-circle arcs on the unit sphere, corners [M, 4, 3], shape [M]."""
     return triangle_solid_angles(corners[:, 0], corners[:, 1], corners[:, 2]) + triangle_solid_angles(
         corners[:, 0], corners[:, 2], corners[:, 3]
     )
 
 
 def triangle_solid_angles(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Signed areas of spherical triangles with unit corners, each shape [M, 3] (van Oosterom and Strackee 1983)."""
+    """Return the signed areas of spherical triangles, unit corners of shape [M, 3] (van Oosterom and Strackee 1983)."""
     triple = np.einsum("ij,ij->i", a, np.cross(b - a, c - a))  # differences: small triangles keep their digits
     dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
     return np.asarray(2.0 * np.arctan2(triple, 1.0 + dots[0] + dots[1] + dots[2]))
@@ -131,7 +131,7 @@ def vertex_cells(points: Floats, faces: Integers) -> tuple[Floats, Integers]:
 
 
 def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:
-    """Vertices of a sphere about the origin, of any radius, as unit vectors, float64, shape [V, 3].
+    """Return the vertices of a sphere about the origin, of any radius, as unit vectors, float64, shape [V, 3].
 
     Raises:
         OmtwarpError: not three finite numbers per vertex, or distances from the origin that differ by more than 0.1 %.
@@ -149,7 +149,7 @@ def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:
 
 
 def mesh_grid(points: ArrayLike, faces: ArrayLike, name: str = "the sphere") -> SphereGrid:
-    """A triangulated sphere as a grid.
+    """Return a triangulated sphere as a grid.
 
     Args:
         points: vertices of a sphere about the origin, of any radius, shape [V, 3].
@@ -209,7 +209,7 @@ def named_grid(name: str) -> SphereGrid:
 
 
 def is_named(name: str) -> bool:
-    """Whether a text has the form of a grid's name, be there such a grid or not."""
+    """Return whether a text has the form of a grid's name, be there such a grid or not."""
     return (
         re.fullmatch(r"(ico|fsaverage)\d*|(healpix(-nested)?|equiangular|octahedral):.*", name.strip().lower())
         is not None
@@ -217,7 +217,7 @@ def is_named(name: str) -> bool:
 
 
 def freesurfer_icosahedron(level: int) -> tuple[Floats, Integers]:
-    """FreeSurfer's icosahedral sphere: that of ``fsaverage`` at level 7, of ``fsaverage5`` at level 5.
+    """Return FreeSurfer's icosahedral sphere: that of ``fsaverage`` at level 7, of ``fsaverage5`` at level 5.
 
     The subdivided icosahedron in FreeSurfer's order: midpoints are numbered as they are met, triangle by triangle; the
     children at first corners come first, then the other three of each triangle. Faces are those of FreeSurfer's files
@@ -255,7 +255,7 @@ def freesurfer_icosahedron(level: int) -> tuple[Floats, Integers]:
 
 
 def healpix(side: int, nested: bool = False) -> SphereGrid:
-    """The HEALPix grid of 12 ``side``² pixels, in ring order or nested (``side`` a power of two).
+    """Return the HEALPix grid of 12 ``side``² pixels, in ring order or nested (``side`` a power of two).
 
     Pixels' corners are HEALPix's; arcs of great circles join them, so that areas of cells are equal only nearly.
 
@@ -286,7 +286,7 @@ _HEALPIX_COLUMNS = np.array([1, 3, 5, 7, 0, 2, 4, 6, 1, 3, 5, 7])
 
 
 def _healpix_points(face: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
-    """Unit vectors of places (x, y) in the unit square of the twelve base pixels (Górski et al., section 5)."""
+    """Return unit vectors of places (x, y) in the unit square of the twelve base pixels (Górski et al., section 5)."""
     row = _HEALPIX_ROWS[face] + 1 - x - y
     cap = np.where(row < 1.0, row, np.where(row > 3.0, 4.0 - row, 1.0))
     z = np.where(row < 1.0, 1.0 - cap**2 / 3.0, np.where(row > 3.0, cap**2 / 3.0 - 1.0, (2.0 - row) * 2.0 / 3.0))
@@ -297,7 +297,7 @@ def _healpix_points(face: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
 
 
 def _spread_bits(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Whole numbers below 2^16 with a zero between each two of their bits."""
+    """Insert a zero between each two bits of whole numbers below 2^16."""
     out = np.zeros_like(values)
     for k in range(16):
         out |= (values >> k & 1) << 2 * k
@@ -305,7 +305,7 @@ def _spread_bits(values: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def equiangular(height: int, width: int) -> SphereGrid:
-    """Pixels of equal steps in latitude and longitude; their centres are the points."""
+    """Return the pixels of equal steps in latitude and longitude; their centres are the points."""
     latitude = np.pi / 2.0 - np.pi * np.arange(height + 1) / height
     latitude[[0, -1]] = np.pi / 2.0, -np.pi / 2.0
     longitude = -np.pi + 2.0 * np.pi * np.arange(width + 1) / width
@@ -319,7 +319,9 @@ def equiangular(height: int, width: int) -> SphereGrid:
 
 
 def octahedral(size: int) -> SphereGrid:
-    """The sphere projected from its centre to an octahedron and folded out: north in the middle, south in the corners.
+    """Return the sphere projected from its centre to an octahedron and folded out.
+
+    North in the middle, south in the corners.
 
     Pixels that straddle an edge of the octahedron consist of two triangles.
     """
@@ -342,7 +344,7 @@ def octahedral(size: int) -> SphereGrid:
 
 
 def octahedral_directions(x: Floats, y: Floats) -> Floats:
-    """Unit vectors of places (x, y) of the square from -1 to 1."""
+    """Return the unit vectors of places (x, y) of the square from -1 to 1."""
     z = 1.0 - np.abs(x) - np.abs(y)
     sx, sy = np.where(x < 0, -1.0, 1.0), np.where(y < 0, -1.0, 1.0)
     folded = [np.where(z < 0, (1.0 - np.abs(y)) * sx, x), np.where(z < 0, (1.0 - np.abs(x)) * sy, y), z]

@@ -97,7 +97,7 @@ class SurfaceMap(MapResult):
         return f"SurfaceMap({self.domain}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
 
     def distortion(self, stage: str = "sphere") -> Distortion:
-        """Distortion of the map, or of a stage: ``conformal``, ``moser`` or ``transported``.
+        """Return the distortion of the map, or of a stage: ``conformal``, ``moser`` or ``transported``.
 
         Areas are compared within each part, every part scaled to the area of its image, and all parts count alike;
         where parts lie side by side on one sphere, areas of all are compared.
@@ -189,7 +189,7 @@ class _Arrays(TypedDict, total=False):
 
 
 def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:
-    """The certificate of one part, its vertices numbered anew and its boundary closed."""
+    """Return the certificate of one part, its vertices numbered anew and its boundary closed."""
     used, own = np.unique(faces, return_inverse=True)
     own, places = own.reshape(-1, 3).astype(np.int32), points[used]
     rim = boundary_half_edges(own, len(used))

@@ -53,7 +53,7 @@ class Finding:
         return f"{self.message}; {self.remedy}"
 
     def to_dict(self) -> Warned:
-        """The finding as plain values, ready for JSON."""
+        """Return the finding as plain values, ready for JSON."""
         return {"kind": self.kind, "where": self.where, "text": str(self)}
 
 
@@ -88,7 +88,7 @@ def foretell(surface: Surface) -> list[Finding]:
 
 
 def elongation(surface: Surface) -> NDArray[np.float64]:
-    """Longest edge of every triangle over the height above it, shape [F]; 1.15 for an equilateral one."""
+    """Return the longest edge of every triangle over the height above it, shape [F]; 1.15 for an equilateral one."""
     corners = surface.scaled_vertices[surface.faces]
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
     return edges.max(axis=1) ** 2 / np.maximum(2.0 * surface.own_areas, np.finfo(np.float64).tiny)
@@ -136,7 +136,7 @@ def judge(
 
 
 def refusal(found: Sequence[Finding]) -> OmtwarpError:
-    """The error that stands for warnings where they are not accepted: the first in full, and the other kinds."""
+    """Return the error that stands for warnings where they are not accepted: the first in full, and the other kinds."""
     others = ", ".join(finding.kind for finding in found[1:])
     return OmtwarpError(f"not accepted with --strict: {found[0]}" + (f" (also: {others})" if others else ""))
 

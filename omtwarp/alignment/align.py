@@ -60,14 +60,14 @@ class Alignment:
     basis: str = ""
 
     def to_dict(self) -> dict[str, object]:
-        """Everything but the sphere, ready for JSON."""
+        """Return everything but the sphere, ready for JSON."""
         plain = {name: value for name, value in vars(self).items() if name not in ("sphere", "rotation", "frame")}
         frame = None if self.frame is None else self.frame.tolist()
         return plain | {"rotation": self.rotation.tolist(), "frame": frame}
 
 
 def mirror_image(points: SpherePoints) -> SpherePoints:
-    """A map of the mirror image of the surface: surface and sphere mirrored in x, faces turned round."""
+    """Return a map of the mirror image of the surface: surface and sphere mirrored in x, faces reversed."""
     faces = np.ascontiguousarray(points.grid.triangles[:, ::-1])
     grid = SphereGrid(f"{points.grid.name}, mirrored", points.grid.points @ MIRROR, faces, points.grid.shape)
     return SpherePoints(grid, None if points.vertices is None else points.vertices @ MIRROR)
@@ -203,13 +203,13 @@ def _check_options(by: str, degree: int) -> None:
 
 
 def _same_faces(one: SpherePoints, other: SpherePoints) -> bool:
-    """Whether two spheres have the same triangles."""
+    """Return whether two spheres have the same triangles."""
     first, second = one.grid.triangles, other.grid.triangles
     return first.shape == second.shape and np.array_equal(first, second)
 
 
 def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
-    """In words, why two spheres are taken as those of one surface with the same faces; empty where they are not."""
+    """Return, in words, why two spheres count as those of one surface with the same faces; empty where they do not."""
     if not _same_faces(moving, fixed):
         return ""
     if moving.vertices is None or fixed.vertices is None:
@@ -224,7 +224,7 @@ def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
 
 
 def turned_map(result: MapResult, alignment: Alignment) -> MapResult:
-    """A map in the position that an alignment found: every stage's sphere turned with it, and the report told.
+    """Turn all stages of a map to the position that an alignment found, and record it in the report.
 
     After a mirror image has been aligned, the surface is mirrored in x and its faces are turned round as well.
 
@@ -285,7 +285,7 @@ def common_features(
     features: Mapping[str, ArrayLike] | None,
     to_features: Mapping[str, ArrayLike] | None,
 ) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Features that both sides have, in the same order: those given, or else the surfaces' own."""
+    """Return the features that both sides have, in the same order: those given, or else the surfaces' own."""
     if features and to_features:
         ours, theirs = (
             checked_features(features, moving, "the map"),

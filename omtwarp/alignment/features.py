@@ -21,14 +21,16 @@ _AT_ONCE = 16384
 
 
 def sphere_weights(points: SpherePoints) -> Floats:
-    """A third of the spherical triangles' areas around every vertex, shape [V]; the sum is 4π."""
+    """Return a third of the spherical triangles' areas around every vertex, shape [V]; the sum is 4π."""
     faces = points.grid.triangles
     angles = triangle_solid_angles(*(points.grid.points[faces[:, k]] for k in range(3)))
     return np.bincount(faces.ravel(), np.repeat(angles / 3.0, 3), minlength=len(points.grid.points)).astype(np.float64)
 
 
 def own_features(points: SpherePoints) -> dict[str, Floats]:
-    """Features that every surface has: distance from its centre, and area on the surface over area on the sphere.
+    """Return the features that every surface has.
+
+    Distance from its centre, and area on the surface over area on the sphere.
 
     Neither depends on how the surface is turned or scaled. Areas are left out where the map preserves them.
 
@@ -50,7 +52,7 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
 
 
 def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose: str) -> dict[str, Floats]:
-    """Features as float64 arrays of one number per vertex.
+    """Return the features as float64 arrays of one number per vertex.
 
     Raises:
         OmtwarpError: another length, or numbers that are not finite.
@@ -64,13 +66,13 @@ def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose
 
 
 def spread(values: Floats, weights: Floats) -> float:
-    """Standard deviation over the sphere."""
+    """Return the standard deviation over the sphere."""
     mean = weights @ values / weights.sum()
     return float(np.sqrt(max(weights @ (values - mean) ** 2 / weights.sum(), 0.0)))
 
 
 def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, degree: int) -> Floats:
-    """Real coefficients of features of mean 0 and standard deviation 1, shape [(L + 1)², K].
+    """Return the real coefficients of features of mean 0 and standard deviation 1, shape [(L + 1)², K].
 
     By quadrature with the vertices' areas on the sphere, which turns with the sphere: no position is preferred.
     """
@@ -90,7 +92,9 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
 
 
 def coefficient_errors(features: Mapping[str, Floats], points: SpherePoints) -> Floats:
-    """How uncertain each feature's coefficients are, by how far its values lie from those of their neighbours; [K].
+    """Return how uncertain each feature's coefficients are, by how far its values lie from those of their neighbours.
+
+    [K].
 
     What is independent from vertex to vertex enters a coefficient with the vertex's area on the sphere.
     """

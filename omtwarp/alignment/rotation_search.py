@@ -56,7 +56,7 @@ class Best:
 
 
 def complex_coefficients(real: Floats) -> Complex:
-    """Coefficients with respect to complex harmonics with the Condon-Shortley phase, shape [(L + 1)², K]."""
+    """Return the coefficients with respect to complex harmonics with the Condon-Shortley phase, shape [(L + 1)², K]."""
     out = np.zeros(real.shape, dtype=np.complex128)
     for degree in range(degree_of(len(real)) + 1):
         middle = degree * degree + degree
@@ -70,7 +70,7 @@ def complex_coefficients(real: Floats) -> Complex:
 
 @lru_cache(maxsize=64)
 def momentum(degree: int) -> tuple[Complex, Complex, Complex]:
-    """The matrices J_x, J_y, J_z of a degree, order from -l to l."""
+    """Return the matrices J_x, J_y, J_z of a degree, order from -l to l."""
     m = np.arange(-degree, degree)
     raising = np.diag(np.sqrt(degree * (degree + 1) - m * (m + 1.0)), -1).astype(np.complex128)
     lowering = raising.conj().T
@@ -80,12 +80,12 @@ def momentum(degree: int) -> tuple[Complex, Complex, Complex]:
 
 @lru_cache(maxsize=64)
 def _eigenvectors(degree: int) -> Complex:
-    """Eigenvectors of J_y, by columns from eigenvalue -l to l."""
+    """Return the eigenvectors of J_y, by columns from eigenvalue -l to l."""
     return np.asarray(np.linalg.eigh(momentum(degree)[1])[1])
 
 
 def rotation_blocks(rotation: Floats, degree: int) -> list[Complex]:
-    """D^l of every degree up to the highest."""
+    """Return D^l of every degree up to the highest."""
     alpha, beta, gamma = _zyz_angles(rotation)
     blocks = []
     for n in range(degree + 1):
@@ -96,7 +96,7 @@ def rotation_blocks(rotation: Floats, degree: int) -> list[Complex]:
 
 
 def _zyz_angles(rotation: Floats) -> tuple[float, float, float]:
-    """α, β and γ of Rz(α) Ry(β) Rz(γ); γ is 0 where only its sum or difference with α counts."""
+    """Return α, β and γ of Rz(α) Ry(β) Rz(γ); γ is 0 where only its sum or difference with α counts."""
     across = float(np.hypot(rotation[0, 2], rotation[1, 2]))
     beta = float(np.arctan2(across, rotation[2, 2]))
     if across < 1e-12:
@@ -106,13 +106,13 @@ def _zyz_angles(rotation: Floats) -> tuple[float, float, float]:
 
 
 def rotated(coefficients: Complex, rotation: Floats) -> Complex:
-    """Coefficients of the function carried along by a rotation, shape [(L + 1)², K]."""
+    """Return the coefficients of the function carried along by a rotation, shape [(L + 1)², K]."""
     blocks = rotation_blocks(rotation, degree_of(len(coefficients)))
     return np.concatenate([block @ coefficients[n * n : (n + 1) ** 2] for n, block in enumerate(blocks)])
 
 
 def correlation_grid(a: Complex, b: Complex, size: int) -> Floats:
-    """C at α = 2π p / size, β = 2π q / size, γ = 2π r / size, shape [size, size // 2 + 1, size]."""
+    """Return C at α = 2π p / size, β = 2π q / size, γ = 2π r / size, shape [size, size // 2 + 1, size]."""
     degree = degree_of(len(a))
     waves = np.zeros((size, size, size), dtype=np.complex128)
     for n in range(degree + 1):
@@ -124,7 +124,7 @@ def correlation_grid(a: Complex, b: Complex, size: int) -> Floats:
 
 
 def best_rotation(a: Complex, b: Complex) -> Best:
-    """The rotation that takes a function nearest to another, the mean left out of both.
+    """Return the rotation that takes a function nearest to another, the mean left out of both.
 
     Args:
         a, b: complex coefficients, shape [(L + 1)², K], weighted as features are to count.
@@ -162,7 +162,7 @@ def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
 
 
 def _starts(grid: Floats, size: int) -> list[Floats]:
-    """The highest of the grid's local maxima."""
+    """Return the highest of the grid's local maxima."""
     around = maximum_filter(grid, size=3, mode=("wrap", "nearest", "wrap"))
     peaks = np.flatnonzero(grid == around)
     order = peaks[np.argsort(-grid.ravel()[peaks], kind="stable")]
@@ -179,7 +179,7 @@ def _starts(grid: Floats, size: int) -> list[Floats]:
 
 
 def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int]:
-    """Newton's method on the rotation group, with steps that are halved until they climb."""
+    """Run Newton's method on the rotation group, with steps halved until they climb."""
     turned = rotated(a, rotation)
     value = float(np.vdot(b, turned).real)
     for step in range(STEPS):
@@ -205,7 +205,7 @@ def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int
 
 
 def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:
-    """First and second derivatives of the correlation with respect to a further small rotation, [3] and [3, 3]."""
+    """Return the first and second derivatives of the correlation by a further small rotation, [3] and [3, 3]."""
     gradient, hessian = np.zeros(3), np.zeros((3, 3))
     for n in range(1, degree_of(len(b)) + 1):
         part = slice(n * n, (n + 1) ** 2)
@@ -219,7 +219,7 @@ def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:
 
 
 def _apart(one: Floats, other: Floats) -> float:
-    """Angle of the rotation between two, in degrees."""
+    """Return the angle of the rotation between two, in degrees."""
     return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))
 
 

@@ -177,7 +177,7 @@ def barycentric_map(
 def barycentric_weights(
     surface: Surface, weights: Weights = "tutte", *, device: str | None = "auto"
 ) -> sparse.csr_matrix:
-    """The symmetric positive weights w_ij as a matrix, shape [V, V], zero diagonal.
+    """Return the symmetric positive weights w_ij as a matrix, shape [V, V], zero diagonal.
 
     ``mean-value``: ½ (w_ij + w_ji) with w_ij = (tan(γ/2) + tan(δ/2)) / |x_i - x_j|, γ and δ the angles at i on both
     sides of the edge (Floater, "Mean value coordinates", 2003).
@@ -261,7 +261,7 @@ class _Springs:
     def newton_system(
         self, points: Array, tension: Array, aligned: int, axis: Array
     ) -> tuple[sparse.csc_matrix, Array]:
-        """The second derivative of E in tangent coordinates, [2V, 2V], and the frames, shape [V, 2, 3].
+        """Return the second derivative of E in tangent coordinates, [2V, 2V], and the frames, shape [V, 2, 3].
 
         The first vector of the frame of vertex ``aligned`` is ``axis``.
         """
@@ -281,7 +281,7 @@ class _Springs:
 
 
 def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Array, Array]:
-    """Tutte's embedding of all but one triangle in the plane, on the sphere and centred, and each vertex' share of it.
+    """Compute Tutte's plane embedding without one triangle, centred on the sphere, and each vertex' share of it.
 
     The equations are those of section 4.1 with these weights for the cotangents: every vertex but three is a positive
     mean of its neighbours, so the planar drawing is an embedding (Tutte 1963), and the right-hand side gives the outer
@@ -349,7 +349,7 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
 
 
 def _newton(springs: _Springs, points: Array, masses: Array | None, report: Report) -> tuple[Array, Array, bool]:
-    """Newton's method for the stationary points of E, rotations pinned; with masses, of E where Σ a_i x_i = 0.
+    """Find stationary points of E by Newton's method, rotations pinned; with masses, of E where Σ a_i x_i = 0.
 
     Returns:
         The points, the multiplier λ and whether the tolerance was met.
@@ -394,13 +394,13 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
 
 
 def _multiplier(points: Array, masses: Array, force: Array) -> Array:
-    """The λ whose pull a_i λ comes nearest to the forces, in the least squares sense."""
+    """Return the λ whose pull a_i λ comes nearest to the forces, in the least squares sense."""
     gram = np.einsum("v,vij->ij", masses**2, np.eye(3) - points[:, :, None] * points[:, None, :])
     return np.linalg.solve(gram, masses @ force)
 
 
 def _pins(points: Array) -> tuple[int, int, Array]:
-    """A vertex to hold, a second a right angle away, and the direction in which the second is held too.
+    """Return a vertex to hold, a second a right angle away, and the direction in which the second is held too.
 
     The forces add up to no torque, so that the three equations left out hold by themselves.
     """

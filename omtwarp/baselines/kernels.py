@@ -12,7 +12,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def half_angle_tangent(u: wp.vec3d, v: wp.vec3d) -> wp.float64:
-    """tan(θ/2) of the angle θ between u and v; sin/(1 + cos) stays accurate at both ends."""
+    """Return tan(θ/2) of the angle θ between u and v; sin/(1 + cos) stays accurate at both ends."""
     return wp.length(wp.cross(u, v)) / (wp.length(u) * wp.length(v) + wp.dot(u, v))
 
 
@@ -50,7 +50,7 @@ def sweep_vertices(
     tension_out: wp.array[wp.float64],
     deviation_out: wp.array[wp.float64],
 ):
-    """One sweep over the vertices: s_i = Σ w_ij x_j, its tangential part (force), α_i = s_i·x_i (tension) and the
+    """Sweep over the vertices: s_i = Σ w_ij x_j, its tangential part (force), α_i = s_i·x_i (tension) and the
     distance from x_i to s_i / |s_i| (deviation: zero where x_i is the normalised mean of its neighbours)."""
     i = wp.tid()
     s = wp.vec3d()
@@ -77,7 +77,7 @@ def newton_blocks(
     # Data out:
     blocks_out: wp.array[wp.mat22d],
 ):
-    """-w_ij times the 2 x 2 matrix that takes tangent coordinates at x_j to those at x_i."""
+    """Compute -w_ij times the 2 x 2 matrix that takes tangent coordinates at x_j to those at x_i."""
     k = wp.tid()
     i = rows[k]
     j = columns[k]
@@ -97,7 +97,7 @@ def tangent_frames(
     frame_u_out: wp.array[wp.vec3d],
     frame_v_out: wp.array[wp.vec3d],
 ):
-    """An orthonormal frame (u, v) with u × v = x at every point."""
+    """Compute an orthonormal frame (u, v) with u × v = x at every point."""
     i = wp.tid()
     p = x[i]
     axis = wp.vec3d(ONE, ZERO, ZERO)

@@ -30,7 +30,7 @@ class Clock:
         self.wall, self.cpu = time.perf_counter(), time.process_time()
 
     def read(self) -> tuple[float, float]:
-        """Seconds on the wall and on the processor."""
+        """Return the seconds on the wall and on the processor."""
         return time.perf_counter() - self.wall, time.process_time() - self.cpu
 
 
@@ -49,7 +49,7 @@ class PeakMemory:
             self.resettable = False
 
     def read(self) -> int | None:
-        """Bytes, or None where the system does not tell."""
+        """Return the bytes, or None where the system does not tell."""
         peak = _resident("VmHWM")
         if not self.resettable or peak is None or self.base is None:
             return None
@@ -67,7 +67,7 @@ def _resident(field: str) -> int | None:
 
 
 def splu_reference(laplacian: sparse.csc_matrix, right: NDArray[np.float64]) -> tuple[float, float]:
-    """Wall and processor seconds of one default ``scipy.sparse.linalg.splu`` and one solve.
+    """Return the wall and processor seconds of one default ``scipy.sparse.linalg.splu`` and one solve.
 
     Args:
         laplacian: the cotangent Laplacian with one vertex removed, compressed columns.

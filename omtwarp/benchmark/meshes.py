@@ -19,7 +19,7 @@ SHAPES = ("blob", "creature", "sphere")
 
 
 def made(shape: str, face_count: int) -> Surface:
-    """A made shape with about so many faces: ``blob`` (a potato), ``creature`` (the demo's) or ``sphere``.
+    """Return a made shape with about so many faces: ``blob`` (a potato), ``creature`` (the demo's) or ``sphere``.
 
     Raises:
         OmtwarpError: an unknown shape.
@@ -34,7 +34,7 @@ def made(shape: str, face_count: int) -> Surface:
 
 
 def subdivided(surface: Surface) -> Surface:
-    """Every triangle cut into four at the middles of its edges; the surface itself stays the same."""
+    """Return every triangle cut into four at the middles of its edges; the surface itself stays the same."""
     edges = surface.edges
     # The edge opposite to a corner, and so the number of its middle.
     middle = np.empty(3 * surface.face_count, dtype=np.int64)
@@ -53,7 +53,7 @@ MeshSource: TypeAlias = str | os.PathLike[str] | MeshLike
 def all_meshes(
     shapes: tuple[str, ...], sizes: tuple[int, ...], meshes: tuple[MeshSource, ...], subdivisions: int
 ) -> Iterator[tuple[str, str, Surface]]:
-    """Family, name and surface of every mesh to measure, one in memory at a time.
+    """Yield the family, name and surface of every mesh to measure, one in memory at a time.
 
     Args:
         shapes: made shapes.
@@ -82,7 +82,7 @@ def all_meshes(
 
 
 def label(count: int) -> str:
-    """A number of faces in few letters: 5k, 1.3M."""
+    """Return a number of faces in few letters: 5k, 1.3M."""
     if count >= 1_000_000:
         return f"{count / 1e6:.1f}M".replace(".0M", "M")
     return f"{count / 1e3:.0f}k" if count >= 1000 else str(count)

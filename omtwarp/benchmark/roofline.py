@@ -112,7 +112,10 @@ class LaunchRecorder:
 
 
 def moved_bytes(threads: int, arguments: Sequence[object]) -> int:
-    """Bytes that a launch over so many threads has to move: every array once, sixteen elements a thread at most."""
+    """Return the bytes that a launch over so many threads has to move.
+
+    Every array once, sixteen elements a thread at most.
+    """
     total, seen = 0, set()
     for argument in arguments:
         if not isinstance(argument, wp.array) or argument.ptr in seen:
@@ -124,7 +127,7 @@ def moved_bytes(threads: int, arguments: Sequence[object]) -> int:
 
 
 def copy_bandwidth(device: str, megabytes: int = 256, repeats: int = 5) -> float:
-    """Bytes per second, read and written, of the fastest of some plain copies on a device."""
+    """Return the bytes per second, read and written, of the fastest of some plain copies on a device."""
     where = wp.get_device(device)
     count = megabytes * 2**20 // 8
     source, target = (wp.full(count, 1.0, dtype=wp.float64, device=where) for _ in range(2))

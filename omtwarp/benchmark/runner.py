@@ -113,7 +113,7 @@ def measure_mesh(
     largest_reference: int,
     notify: Callable[[str], None],
 ) -> MeshTimes:
-    """Reference and maps of one mesh."""
+    """Return the reference and maps of one mesh."""
     system = reference_system(surface) if surface.face_count <= largest_reference else None
     references: list[tuple[float, float]] = []
     runs: list[MapTimes] = []
@@ -150,7 +150,7 @@ def measure_mesh(
 
 
 def measure_map(surface: Surface, device: str, refine: str | float | None) -> MapTimes:
-    """One map from vertices and faces alone, with nothing of an earlier one kept but kernels."""
+    """Measure one map from vertices and faces alone, with nothing kept of an earlier one but kernels."""
     vertices, faces = surface.vertices.copy(), surface.faces.copy()
     marks: dict[str, float] = {}
     where = wp.get_device(device)
@@ -202,24 +202,24 @@ def measure_map(surface: Surface, device: str, refine: str | float | None) -> Ma
 
 
 def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, NDArray[np.float64]]:
-    """The cotangent Laplacian without its first vertex, and a right-hand side."""
+    """Return the cotangent Laplacian without its first vertex, and a right-hand side."""
     matrix = cotangent_laplacian(surface.scaled_vertices, surface.faces).tocsc()[1:, 1:]
     return matrix, np.random.default_rng(0).normal(size=matrix.shape[0])
 
 
 def factor_bytes(surface: Surface) -> int:
-    """Bytes of the largest sparse factorisation of a map: of the saddle-point matrices of the optimal map."""
+    """Return bytes of the largest sparse factorisation of a map: of the saddle-point matrices of the optimal map."""
     return MultifrontalCholesky(expand(surface_dissection(surface))).storage
 
 
 def median_of(runs: list[MapTimes]) -> MapTimes:
-    """The median of every number of maps of one mesh, stage by stage."""
+    """Return the median of every number of maps of one mesh, stage by stage."""
     stages = [cast(StageTimes, _median([run["stages"][k] for run in runs])) for k in range(len(runs[0]["stages"]))]
     return cast(MapTimes, _median(runs) | {"stages": stages})
 
 
 def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
-    """The median of every number of records of the same fields; what is no number is that of the first."""
+    """Return the median of every number of records of the same fields; what is no number is that of the first."""
     out: dict[str, object] = {}
     for key, first in records[0].items():
         values = [record[key] for record in records]
@@ -234,7 +234,7 @@ def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
 
 
 def growth_exponents(meshes: list[MeshTimes]) -> dict[str, dict[str, dict[str, float]]]:
-    """Exponents p of time ~ faces^p by least squares over logarithms, by family, device and stage (and ``total``).
+    """Fit exponents p of time ~ faces^p to logarithms by least squares, by family, device and stage (and ``total``).
 
     From :data:`ASYMPTOTIC` faces on where at least two meshes of the family are that large.
     """
@@ -262,7 +262,7 @@ def growth_exponents(meshes: list[MeshTimes]) -> dict[str, dict[str, dict[str, f
 
 
 def fitted_exponent(curve: list[tuple[int, float]]) -> float | None:
-    """The slope of log(time) over log(size), or None for less than two sizes."""
+    """Return the slope of log(time) over log(size), or None for less than two sizes."""
     sizes, times = np.array(curve, dtype=float).T
     kept = times > 0.0
     if len(np.unique(sizes[kept])) < 2:

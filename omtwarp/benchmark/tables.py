@@ -8,7 +8,7 @@ STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
 
 
 def markdown(result: Benchmark) -> str:
-    """Tables of a result of :func:`omtwarp.benchmark.run`, for people."""
+    """Return the tables of a result of :func:`omtwarp.benchmark.run`, for people."""
     parts = [_machine(result["machine"], result["settings"]), _times(result), _ratios(result), _memory(result)]
     if result.get("growth"):
         parts.append(_growth(result["growth"]))
@@ -19,7 +19,7 @@ def markdown(result: Benchmark) -> str:
 
 
 def table(heads: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table; the first column to the left, numbers to the right."""
+    """Return a Markdown table; the first column to the left, numbers to the right."""
     lines = ["| " + " | ".join(heads) + " |", "|" + "|".join([":--"] + ["--:"] * (len(heads) - 1)) + "|"]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 

@@ -26,7 +26,7 @@ class Executor(Protocol):
     """Works on items somewhere."""
 
     def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
-        """The records of all jobs, in the order in which they are done."""
+        """Return the records of all jobs, in the order in which they are done."""
         ...
 
 
@@ -282,7 +282,7 @@ class SubmititArray:
 
 
 def executor_for(name: str, folder: Path, workers: int) -> Executor:
-    """The executor of a name: ``local``, ``dask``, ``dask:ADDRESS``, ``slurm`` or ``submitit-local``.
+    """Return the executor of a name: ``local``, ``dask``, ``dask:ADDRESS``, ``slurm`` or ``submitit-local``.
 
     Raises:
         OmtwarpError: another name, or what it needs is not installed.

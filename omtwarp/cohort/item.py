@@ -55,12 +55,12 @@ class Job:
         return Path(self.folder) / "maps" / f"{self.id}.npz"
 
     def to_json(self) -> str:
-        """The job as one line."""
+        """Return the job as one line."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, line: str) -> Job:
-        """The inverse of :meth:`to_json`."""
+        """Return the inverse of :meth:`to_json`."""
         return cls(**json.loads(line))
 
 
@@ -77,7 +77,7 @@ def key_of(path: str | os.PathLike[str], options: dict[str, object]) -> str:
 
 
 def read_record(job: Job) -> Row | None:
-    """The finished record of a job, or None where there is none or it is of other input, options or version."""
+    """Return the finished record of a job, or None where there is none or it is of other input, options or version."""
     try:
         record = json.loads(job.record_file.read_text("utf-8"))
     except (OSError, ValueError):
@@ -114,7 +114,7 @@ def forget_failure(job: Job) -> None:
 
 
 def read_journal(folder: str | os.PathLike[str]) -> list[Row]:
-    """The lines of a cohort's journal, without those that are not whole."""
+    """Return the lines of a cohort's journal, without those that are not whole."""
     try:
         lines = (Path(folder) / "journal.jsonl").read_text("utf-8", "replace").splitlines()
     except OSError:

@@ -60,7 +60,7 @@ def read_manifest(source: str | Path | TextIO) -> list[Item]:
 
 
 def _checked(items: list[Item], source: str) -> list[Item]:
-    """The items, of which there is one at least and no two have the same name."""
+    """Return the items, of which there is one at least and no two have the same name."""
     if not items:
         raise OmtwarpError(f"{source} names no surface")
     twice = [name for name, count in Counter(item.id.casefold() for item in items).items() if count > 1]
@@ -78,7 +78,7 @@ def _from_table(path: Path) -> list[Item]:
 
 
 def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[Item]:
-    """Items of a table's text; its columns are parted by tabs where the first line has one, unless told."""
+    """Return the items of a table's text; its columns are parted by tabs where the first line has one, unless told."""
     first = text.partition("\n")[0]
     rows = csv.DictReader(io.StringIO(text), delimiter=delimiter or ("\t" if "\t" in first else ","))
     names = rows.fieldnames or []
@@ -128,7 +128,7 @@ def _safe(name: str) -> str:
 
 
 def _entities(name: str) -> dict[str, str]:
-    """Entities of a BIDS name: ``sub-01_hemi-L_white.surf.gii`` has sub 01 and hemi L."""
+    """Return the entities of a BIDS name: ``sub-01_hemi-L_white.surf.gii`` has sub 01 and hemi L."""
     return dict(re.findall(r"(?:^|_)([a-zA-Z]+)-([a-zA-Z0-9]+)", name))
 
 

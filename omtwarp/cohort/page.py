@@ -50,7 +50,7 @@ def write_page(rows: Sequence[Row], folder: Path) -> Path:
 
 
 def outliers(done: Sequence[Row], most: int = OUTLIERS) -> list[tuple[Row, str]]:
-    """The items furthest above the median of a measure, in median absolute deviations, and why.
+    """Return the items furthest above the median of a measure, in median absolute deviations, and why.
 
     Each item is listed once, with the measure in which it lies furthest out.
     """
@@ -81,7 +81,7 @@ def _measures(done: Sequence[Row]) -> Markup:
 
 
 def _figure(row: Row, why: str, folder: Path) -> Markup:
-    """A picture of a surface, its map drawn on it as circles that would be equal on the sphere."""
+    """Return a picture of a surface, its map drawn on it as circles that would be equal on the sphere."""
     try:
         result = MapResult.load(folder / "maps" / f"{row['id']}.npz")
         picture = preview(result, size=PICTURE, device="cpu")

@@ -15,7 +15,7 @@ ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "mes
 
 
 def columns_of(rows: Sequence[Row]) -> list[str]:
-    """The columns of a table: the manifest's own behind ``path``, the others in a fixed order."""
+    """Return the columns of a table: the manifest's own behind ``path``, the others in a fixed order."""
     own = list(dict.fromkeys(name for row in rows for name in row if name not in ORDER))
     return [*ORDER[:2], *own, *ORDER[2:]]
 

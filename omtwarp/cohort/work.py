@@ -81,7 +81,7 @@ def _limit_memory(limit: int) -> None:
 
 
 def _peak_memory() -> int:
-    """The most memory that the process has held, bytes; 0 where that is not known."""
+    """Return the most memory that the process has held, bytes; 0 where that is not known."""
     if sys.platform == "win32":
         return 0
     import resource

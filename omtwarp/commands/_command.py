@@ -83,7 +83,7 @@ class Command(typer.core.TyperCommand):
 
 
 def _plain(usage: str) -> str:
-    """An option or argument without the words of Python's types: choices by their values, NUMBER and TEXT."""
+    """Return an option or argument without the words of Python's types: choices by their values, NUMBER and TEXT."""
     usage = re.sub(r"(?<=[A-Z.\]]) <[^<>]*>$", "", usage)  # of an argument, which has its name
     usage = re.sub(r"<(?:float|int)(?: range)?>$", "NUMBER", usage)
     usage = re.sub(r"<(?:str|text)>$", "TEXT", usage)

@@ -30,7 +30,7 @@ def usage(parse: Callable[[str], Value]) -> Callable[[str], Value]:
 
 
 def named(kind: type[Kind], help: str) -> OptionInfo:
-    """An option whose values are the members of an enumeration of :mod:`omtwarp.options`."""
+    """Return an option whose values are the members of an enumeration of :mod:`omtwarp.options`."""
     return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)), help=help)
 
 

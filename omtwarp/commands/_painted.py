@@ -44,7 +44,7 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
 def painted_map(
     path: Path, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Unpack[MapChoices]
 ) -> tuple[PaintedMesh, MapResult]:
-    """A mesh with its materials, and its map: a finished one, or one made now.
+    """Return a mesh with its materials, and its map: a finished one, or one made now.
 
     Raises:
         OmtwarpError: whatever is wrong with either, or a map of another mesh.

@@ -35,7 +35,7 @@ class _Streams:
         self.taken = False
 
     def shown(self, text: str) -> str:
-        """A text with the temporary files called what they stand for."""
+        """Return a text with the temporary files called what they stand for."""
         for name, words in self.names.items():
             text = text.replace(name, words)
         return text
@@ -134,7 +134,7 @@ def input_file(given: object) -> object:
 
 
 def input_table(given: str) -> str | io.StringIO:
-    """The table to read: the file's name that was given, or for ``-`` the text of standard input.
+    """Return the table to read: the file's name that was given, or for ``-`` the text of standard input.
 
     Raises:
         OmtwarpError: nothing comes from standard input, or it is no text.

@@ -105,14 +105,17 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
 
 
 def composed(origin: NDArray | None, before: NDArray) -> NDArray:
-    """Where vertices or faces come from after two steps, -1 where either made them; the first step is ``before``."""
+    """Return where vertices or faces come from after two steps, -1 where either made them.
+
+    The first step is ``before``.
+    """
     import numpy as np
 
     return before if origin is None else np.where(origin >= 0, before[origin], -1)
 
 
 def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list[Path | None]:
-    """The output of every mesh: the named file of a single one, or a file of its name in the named directory.
+    """Return the output of every mesh: the named file of a single one, or a file of its name in the named directory.
 
     Raises:
         OmtwarpError: the directory cannot be made, or two meshes of one name would write one file.
@@ -190,7 +193,7 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
 
 
 def report_text(report: object) -> str:
-    """A report, or several, as JSON; numbers that JSON does not have become null."""
+    """Return a report, or several, as JSON; numbers that JSON does not have become null."""
 
     def plain(value: object) -> object:
         if isinstance(value, dict):
@@ -209,7 +212,7 @@ class HasList(Protocol):
     """An array or number of NumPy."""
 
     def tolist(self) -> object:
-        """The values as Python has them."""
+        """Return the values as Python has them."""
 
 
 @overload
@@ -322,7 +325,7 @@ def map_from(
     verbose: bool = False,
     **options: Unpack[MapChoices],
 ) -> MapResult | TorusMap:
-    """The map that a command works on: a finished one, or one made now from a mesh.
+    """Return the map that a command works on: a finished one, or one made now from a mesh.
 
     Args:
         mesh: a mesh, or a finished map in its place.

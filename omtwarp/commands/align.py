@@ -131,7 +131,7 @@ def align_map(
 
 
 def _features(ours: list[Path], theirs: list[Path]) -> tuple[list[str], list[NDArray], list[NDArray]]:
-    """Names and columns of the data of both sides."""
+    """Return the names and columns of the data of both sides."""
     from omtwarp.mesh.data import read_data
 
     if len(ours) != len(theirs):

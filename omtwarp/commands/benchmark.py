@@ -21,7 +21,7 @@ def face_counts(text: str) -> str:
 
 
 def parse_sizes(text: str) -> tuple[int, ...]:
-    """Numbers of faces from text; ``none`` for none."""
+    """Return the numbers of faces from text; ``none`` for none."""
     if text == "none":
         return ()
     sizes = []

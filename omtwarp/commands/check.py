@@ -127,7 +127,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> MeshFacts:
 
 
 def lines_about(facts: MeshFacts) -> list[str]:
-    """The facts about a mesh for readers, a line each."""
+    """Return the facts about a mesh for readers, a line each."""
     lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]
     lines += [f"  note: {note}" for note in facts["notes"]]
     repaired = "defects_before" in facts

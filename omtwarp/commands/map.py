@@ -251,7 +251,7 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
 def surface_options(
     rims: list[Domain], *, fill_area: FillArea | None, components: bool, together: bool, cut: bool
 ) -> SurfaceKeywords | None:
-    """Options of :func:`omtwarp.map_surface`, None where none was given: the surface has to be a sphere then.
+    """Return options of :func:`omtwarp.map_surface`, None where none was given: the surface has to be a sphere then.
 
     Raises:
         OmtwarpError: more than one domain.
@@ -310,7 +310,7 @@ def save(
 
 
 def image_of(result: MapResult) -> NDArray:
-    """The image of the surface as points in space, shape [V, 3]: the sphere, or the disk at height 0."""
+    """Return the image of the surface as points in space, shape [V, 3]: the sphere, or the disk at height 0."""
     import numpy as np
 
     disk = getattr(result, "disk", None)
@@ -356,7 +356,7 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
 
 
 def summary(facts: MapFacts) -> str:
-    """One line for readers about a finished map."""
+    """Return a line for readers about a finished map."""
     size = f"{facts['vertices']} vertices, {facts['faces']} faces"
     line = f"{facts['output']}: {size}; flips {facts['flips']}, degree {facts['degree']:.6f}"
     line += f", area {facts['area']:.4f}, angle {facts['angle']:.4f}"

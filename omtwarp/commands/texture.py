@@ -214,12 +214,12 @@ def texture_mesh(
 
 
 def _with_files(files: list[Path]) -> str:
-    """The files that lie beside the one that was asked for, which is the last."""
+    """Return the files that lie beside the one that was asked for, which is the last."""
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
 def _sharp_size(result: MapResult | TorusMap, atlas: str) -> tuple[int, str]:
-    """The size at which no texel shows, and where the largest one still leaves some, in words.
+    """Return the size at which no texel shows, and where the largest one still leaves some, in words.
 
     Raises:
         OmtwarpError: the map is one to a torus.
@@ -307,7 +307,7 @@ def _paint(
 
 
 def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:
-    """The pictures that a mesh's materials have: of which, what it shows, and its size."""
+    """Return the pictures that a mesh's materials have: of which, what it shows, and its size."""
     found: list[dict[str, str | int]] = []
     for material in made.materials:
         for slot in ("picture", "occlusion_picture", "normal_picture"):
@@ -320,7 +320,7 @@ def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:
 
 
 def rotation(text: str) -> str | list[float] | None:
-    """Yaw, or yaw, pitch and roll, in degrees, or ``auto``.
+    """Return the yaw, or yaw, pitch and roll, in degrees, or ``auto``.
 
     Raises:
         OmtwarpError: anything else.

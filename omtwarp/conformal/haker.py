@@ -101,7 +101,7 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
 
 
 def density(surface: Surface, sphere: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The density μ = (area on the surface) / (area on the sphere), section 4.1.
+    """Return the density μ = (area on the surface) / (area on the sphere), section 4.1.
 
     Args:
         surface: the surface, scaled to area 4π internally.
@@ -118,7 +118,7 @@ def density(surface: Surface, sphere: NDArray[np.float64]) -> tuple[NDArray[np.f
 
 
 def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> int:
-    """The face nearest to equilateral: largest area over summed squared edge lengths.
+    """Return the face nearest to equilateral: largest area over summed squared edge lengths.
 
     Of equals, as on symmetric shapes, the one that lies farthest in a direction along none of the axes: the order of
     the faces plays no role.
@@ -131,7 +131,7 @@ def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> 
 
 
 def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:
-    """The right-hand sides a and b of section 4.1 as columns, shape [V, 2]."""
+    """Return the right-hand sides a and b of section 4.1 as columns, shape [V, 2]."""
     a, b, c = (points[k] for k in face)
     ab = b - a
     length = float(np.linalg.norm(ab))
@@ -173,6 +173,6 @@ def _to_sphere(plane: list[wp.array], masses: NDArray[np.float64]) -> wp.array:
 
 
 def _median(values: NDArray[np.float64], masses: NDArray[np.float64], half: float) -> float:
-    """The value below which half of the mass lies."""
+    """Return the value below which half of the mass lies."""
     order = np.argsort(values)
     return float(values[order[np.searchsorted(np.cumsum(masses[order]), half)]])

@@ -8,7 +8,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def inverse_stereographic(x: wp.float64, y: wp.float64):
-    """Section 4.1: x + iy -> (2x, 2y, 2r^2) / (1 + r^2) - (0, 0, 1), written so that a large r does not overflow."""
+    """Map x + iy to (2x, 2y, 2r^2) / (1 + r^2) - (0, 0, 1) (section 4.1), without overflow at large r."""
     r2 = x * x + y * y
     if r2 <= ONE:
         s = ONE / (ONE + r2)
@@ -20,7 +20,7 @@ def inverse_stereographic(x: wp.float64, y: wp.float64):
 
 @wp.func
 def ball_inversion(p: wp.vec3d, c: wp.vec3d):
-    """The Möbius transformation of the unit ball used by Baden, Crane and Kazhdan (2018), applied to a unit vector."""
+    """Apply the Möbius transformation of the unit ball of Baden, Crane and Kazhdan (2018) to a unit vector."""
     shifted = p + c
     return wp.normalize((ONE - wp.dot(c, c)) / wp.dot(shifted, shifted) * shifted + c)
 
@@ -57,7 +57,10 @@ def weighted_moments(
     # Data out:
     sums: wp.array2d[wp.float64],
 ):
-    """Sums over GROUP points p each, weighted: of p in the first three columns, of p p' row by row in the others."""
+    """Compute the sums over GROUP points p each, weighted.
+
+    Of p in the first three columns, of p p' row by row in the others.
+    """
     thread, column = wp.tid()
     row = column // 3 - 1
     total = wp.float64(0.0)

@@ -9,7 +9,7 @@ from omtwarp.device.start import wp
 
 
 def vectors(points: ArrayLike | wp.array, device: wp.Device) -> wp.array:
-    """Points as vec3d, shape [N], to be read only.
+    """Return the points as vec3d, shape [N], to be read only.
 
     A Warp array that is on the device is taken as it is; on the CPU a float64 array of NumPy's is not copied either.
 
@@ -23,7 +23,7 @@ def vectors(points: ArrayLike | wp.array, device: wp.Device) -> wp.array:
 
 
 def triangles(faces: ArrayLike | wp.array, device: wp.Device) -> wp.array:
-    """Corners of triangles as vec3i, shape [F], to be read only; see :func:`vectors`.
+    """Return the corners of triangles as vec3i, shape [F], to be read only; see :func:`vectors`.
 
     Args:
         faces: whole numbers, shape [F, 3]; or a Warp array of vec3i.

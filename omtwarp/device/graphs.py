@@ -67,7 +67,7 @@ class GraphsByArray:
         self._graphs: dict[tuple[str, int], Graph] = {}
 
     def __call__(self, work: Callable[[wp.array], None], array: wp.array) -> None:
-        """work(array), recorded when the array comes for the first time; what is recorded keeps it alive."""
+        """Run work(array), recorded at the first call with an array; the recording keeps the array alive."""
         if not (self._record and _recording) or self._device.is_capturing:
             work(array)
             return

@@ -42,7 +42,7 @@ def give_back() -> None:
 
 @lru_cache(maxsize=1)
 def _trim() -> Callable[[int], int] | None:
-    """``malloc_trim`` of the GNU C library, or None."""
+    """Return ``malloc_trim`` of the GNU C library, or None."""
     if sys.platform.startswith("linux"):
         with contextlib.suppress(OSError, AttributeError):
             trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim

@@ -58,7 +58,7 @@ def solving_with(solver: Solver) -> Iterator[None]:
 
 
 def wanted_solver() -> Solver:
-    """The solver asked for: by :func:`solving_with`, by the environment variable ``OMTWARP_SOLVER``, or ``auto``.
+    """Return solver asked for: by :func:`solving_with`, by the environment variable ``OMTWARP_SOLVER``, or ``auto``.
 
     Raises:
         OmtwarpError: the variable holds something else than a solver's name.
@@ -68,7 +68,7 @@ def wanted_solver() -> Solver:
 
 
 def on_device(device: wp.Device, vertices: int) -> bool:
-    """Whether systems on a surface of so many vertices are solved on the device, by multigrid.
+    """Return whether systems on a surface of so many vertices are solved on the device, by multigrid.
 
     They are on CUDA where the surface is large, and everywhere where ``multigrid`` is asked for.
     """
@@ -77,17 +77,20 @@ def on_device(device: wp.Device, vertices: int) -> bool:
 
 
 def solves_with_scipy() -> bool:
-    """Whether factorisations on the host are SciPy's rather than the built-in ones, which are several times faster."""
+    """Return whether the host factorises by SciPy rather than by the built-in, several times faster solver."""
     return wanted_solver() is Solver.SCIPY
 
 
 def adds_on_device(device: wp.Device, vertices: int) -> bool:
-    """Whether sums for systems on a surface are taken by kernels: where they are solved there, and always on CUDA."""
+    """Return whether sums for systems on a surface are taken by kernels.
+
+    Where they are solved there, and always on CUDA.
+    """
     return bool(device.is_cuda) or on_device(device, vertices)
 
 
 def shares_host_memory(device: wp.Device) -> bool:
-    """Whether kernels read NumPy's arrays without a copy.
+    """Return whether kernels read NumPy's arrays without a copy.
 
     NumPy then takes sums, faster than a kernel on one core without vector instructions, and workspace is shared.
     """
@@ -95,7 +98,7 @@ def shares_host_memory(device: wp.Device) -> bool:
 
 
 def records_graphs(device: wp.Device) -> bool:
-    """Whether loops are recorded as graphs: on CUDA where its driver knows conditions in them (12.4).
+    """Return whether loops are recorded as graphs: on CUDA where its driver knows conditions in them (12.4).
 
     Never on the CPU, where other threads' launches would end up in the recording.
     """
@@ -103,12 +106,12 @@ def records_graphs(device: wp.Device) -> bool:
 
 
 def launch_parts_of(device: wp.Device, count: int, cores: int, least: int = SMALLEST_SHARED_LAUNCH) -> int:
-    """In how many parts a launch of independent threads is made: one for every core of a CPU, one on CUDA."""
+    """Return the number of parts of a launch of independent threads: one for every core of a CPU, one on CUDA."""
     return cores if device.is_cpu and count >= least else 1
 
 
 def list_threads(device: wp.Device) -> int:
-    """Threads that share a list whose length only the device knows."""
+    """Return the threads that share a list whose length only the device knows."""
     return CUDA_LIST_THREADS if device.is_cuda else 1
 
 

@@ -20,7 +20,7 @@ PACKAGE = Path(__file__).parent.parent
 
 
 def kernel_modules() -> list[str]:
-    """Names of the package's modules that define kernels, found by reading them rather than by importing everything."""
+    """List the package's modules that define kernels, by reading the files rather than importing them."""
     defines = re.compile(r"^@wp\.kernel\b", re.MULTILINE)
     files = [file for file in sorted(PACKAGE.rglob("*.py")) if defines.search(file.read_text("utf-8"))]
     return [".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts) for file in files]

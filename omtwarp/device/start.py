@@ -16,7 +16,7 @@ _NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 
 def _has_cuda_driver() -> bool:
-    """Whether the driver's library can be loaded; the names are those that Warp tries."""
+    """Return whether the driver's library can be loaded; the names are those that Warp tries."""
     for name in ("nvcuda.dll",) if os.name == "nt" else ("libcuda.so", "libcuda.so.1"):
         with contextlib.suppress(OSError):
             ctypes.CDLL(name)

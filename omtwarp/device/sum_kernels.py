@@ -29,7 +29,7 @@ def sum_rows(
     # Data out:
     sums: wp.array2d[wp.float64],
 ):
-    """Sums of GROUP rows each, column by column."""
+    """Compute the sums of GROUP rows each, column by column."""
     thread, column = wp.tid()
     total = wp.float64(0.0)
     i = first_row(thread)
@@ -47,7 +47,7 @@ def sum_products(
     # Data out:
     sums: wp.array2d[wp.float64],
 ):
-    """Sums of GROUP products each."""
+    """Compute the sums of GROUP products each."""
     thread = wp.tid()
     total = wp.float64(0.0)
     i = first_row(thread)

@@ -27,7 +27,7 @@ _loaded: set[tuple[wp.Kernel, str]] = set()
 
 
 def pool() -> ThreadPoolExecutor:
-    """The threads of this process; a forked one has its own."""
+    """Return the threads of this process; a forked one has its own."""
     global _pool
     if _pool is None or _pool[0] != os.getpid():
         _pool = (os.getpid(), ThreadPoolExecutor(core_count(), thread_name_prefix="omtwarp"))
@@ -35,7 +35,7 @@ def pool() -> ThreadPoolExecutor:
 
 
 def run_all(work: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
-    """``work`` of every job, side by side; not to be used inside of such work."""
+    """Return ``work`` of every job, side by side; not to be used inside of such work."""
     if len(jobs) < 2 or core_count() < 2:
         return [work(job) for job in jobs]
     return list(pool().map(work, jobs))

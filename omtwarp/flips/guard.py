@@ -60,7 +60,9 @@ class StepGuard:
         self._ready: dict[tuple[int, int, int], tuple[wp.Launch, ...]] = {}
 
     def count(self, points: wp.array) -> int:
-        """Triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V]; as exact as floating point is.
+        """Return the triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V].
+
+        As exact as floating point is.
 
         :func:`omtwarp.flips.predicates.count_flips` decides exactly.
         """
@@ -117,7 +119,7 @@ class StepGuard:
         return self._ready[key]
 
     def limit(self, old: wp.array, new: wp.array) -> int:
-        """:meth:`hold`, and the number of vertices whose step was shortened."""
+        """Apply :meth:`hold`, and return the number of vertices whose step was shortened."""
         self.hold(old, new)
         return int(self.held.numpy()[0])
 

@@ -40,7 +40,7 @@ def certain_signs(
     # Data out:
     signs: wp.array[wp.int8],
 ):
-    """Signs of det[a, b, c] that rounding cannot have changed, and UNCERTAIN for the others."""
+    """Compute the signs of det[a, b, c] that rounding cannot have changed, and UNCERTAIN for the others."""
     f = wp.tid()
     a, b, c = points[faces[f][0]], points[faces[f][1]], points[faces[f][2]]
     value = wp.dot(a, wp.cross(b, c))
@@ -54,7 +54,7 @@ def certain_signs(
 
 @wp.func
 def is_bad(before: wp.array[wp.vec3d], after: wp.array[wp.vec3d], face: wp.vec3i, floor: wp.float64):
-    """Whether a step flips a triangle, or shrinks it below its floor; one that is below it already may grow."""
+    """Return whether a step flips a triangle, or shrinks it below its floor; one that is below it already may grow."""
     size = wp.dot(after[face[0]], wp.cross(after[face[1]], after[face[2]]))
     bad = bool(True)
     if size > ZERO:

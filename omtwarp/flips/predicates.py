@@ -26,7 +26,7 @@ _UNDERFLOW_BOUND = 2.0**-1000
 def orientation_signs(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.int8]:
-    """Exact sign of det[a, b, c] for every triangle.
+    """Return the exact sign of det[a, b, c] for every triangle.
 
     The coordinates are taken as they are, so the points need not have unit length.
 
@@ -62,7 +62,7 @@ def orientation_signs(
 def flipped_faces(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.bool_]:
-    """Whether every triangle has det[a, b, c] <= 0, decided exactly, or a corner that is not finite, shape [F]."""
+    """Find triangles with det[a, b, c] <= 0, decided exactly, or with a corner that is not finite; bool, shape [F]."""
     flipped: NDArray[np.bool_] = orientation_signs(sphere, faces, device=device) <= 0
     return flipped
 
@@ -70,12 +70,15 @@ def flipped_faces(
 def count_flips(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> int:
-    """Number of triangles with det[a, b, c] <= 0, decided exactly; one with a corner that is not finite counts."""
+    """Return the number of triangles with det[a, b, c] <= 0, decided exactly.
+
+    One with a corner that is not finite counts.
+    """
     return int(flipped_faces(sphere, faces, device=device).sum())
 
 
 def exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.int8]:
-    """Signs of the determinants of finite points, shape [n, 3] each, in integer arithmetic."""
+    """Return the signs of the determinants of finite points, shape [n, 3] each, in integer arithmetic."""
     if len(a) == 0:
         return np.zeros(0, dtype=np.int8)
     ia, ib, ic = (_common_integers(x) for x in (a, b, c))
@@ -88,7 +91,7 @@ def exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.fl
 
 
 def _common_integers(points: NDArray[np.float64]) -> NDArray[np.object_]:
-    """Every point times a power of two of its own that makes its coordinates integers, as Python integers."""
+    """Scale every point by its own power of two to integer coordinates, as Python integers."""
     mantissa, exponent = np.frexp(points)
     exponent = np.where(points == 0.0, exponent.max(initial=0), exponent)
     shift = exponent - exponent.min(axis=1, keepdims=True)

@@ -33,7 +33,7 @@ def ring_turns(
     signs: NDArray[np.int8] | None = None,
     device: str | wp.Device | None = "cpu",
 ) -> NDArray[np.int32]:
-    """How often the ring of every vertex goes around it on the sphere, decided exactly.
+    """Return how often the ring of every vertex goes around it on the sphere, decided exactly.
 
     Args:
         sphere: float64 points, shape [V, 3], of any length but 0; or a Warp array of vec3d.
@@ -73,7 +73,7 @@ def ring_turns(
 def tangled_faces(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.bool_]:
-    """Triangles that keep a map from being one to one.
+    """Return the triangles that keep a map from being one to one.
 
     They are flipped, or lie around a vertex without a flipped triangle whose ring turns more than once.
 
@@ -99,7 +99,7 @@ def tangled_faces(
 def is_bijective(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> bool:
-    """Whether a map of a closed connected surface of genus 0 to the sphere is one to one and onto, decided exactly.
+    """Decide exactly whether a map of a closed connected surface of genus 0 to the sphere is one to one and onto.
 
     Every triangle is positive and every ring turns once: see the head of this module for why that suffices.
 

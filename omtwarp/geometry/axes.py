@@ -104,7 +104,7 @@ def rotation_onto_axes(
 
 
 def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
-    """A right-handed frame with an axis as its first or last, the others towards the coordinates farthest from it."""
+    """Return a right-handed frame with an axis as its first or last, the others along the most distant coordinates."""
     towards = np.eye(3)[int(np.argmin(np.abs(axis)))]
     other = towards - (towards @ axis) * axis
     other /= np.linalg.norm(other)

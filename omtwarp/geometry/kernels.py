@@ -15,14 +15,16 @@ EIGHTH = wp.constant(wp.float64(0.125))
 
 @wp.func
 def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    """Unit normal of a triangle; a triangle without area has none and gives zero."""
+    """Return the unit normal of a triangle; a triangle without area has none and gives zero."""
     n = wp.cross(b - a, c - a)
     return n / wp.max(wp.length(n), TINY)
 
 
 @wp.func
 def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    """Sum of (dual length) x (unit edge) over the two edges leaving ``a``; dotted with a field, the outflow at ``a``.
+    """Return the sum of (dual length) x (unit edge) over the two edges leaving ``a``.
+
+    Dotted with a field, the outflow at ``a``.
 
     With l_c = (c / 2) cot(gamma) and l_b = (b / 2) cot(beta), the sum l_c c^ + l_b b^ of equation (23) is the
     edge ``bc`` turned by -90 degrees and halved. It is evaluated in that form: the cotangents of a sliver are huge and
@@ -33,7 +35,7 @@ def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def corner_cotangent(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    """Cotangent of the angle at ``a``."""
+    """Return the cotangent of the angle at ``a``."""
     return wp.dot(b - a, c - a) / wp.max(wp.length(wp.cross(b - a, c - a)), TINY)
 
 

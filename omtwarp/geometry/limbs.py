@@ -41,7 +41,7 @@ class Ring:
 
 
 def vertices_needed(share: float, face_count: int) -> float:
-    """How many vertices a ring needs that cuts off this share of the area of a mesh of so many faces."""
+    """Return how many vertices a ring needs that cuts off this share of the area of a mesh of so many faces."""
     return float(4.0 * np.pi * np.sqrt(share * (1.0 - share)) * (face_count / (64.0 * np.pi)) ** (1.0 / 3.0))
 
 

@@ -38,14 +38,17 @@ def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArra
 
 
 def face_normals(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Unit normal of every triangle, shape [F, 3], outward where faces run counter-clockwise; zero without area."""
+    """Return the unit normal of every triangle, shape [F, 3], outward where faces run counter-clockwise.
+
+    Zero without area.
+    """
     _, _, (a, b, c) = _corner_points(vertices, faces)
     n = np.cross(b - a, c - a)
     return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
 
 
 def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Cotangent of the angle at every corner, shape [F, 3]; negative where the angle is obtuse."""
+    """Return the cotangent of the angle at every corner, shape [F, 3]; negative where the angle is obtuse."""
     _, _, p = _corner_points(vertices, faces)
     doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), TINY)
     dots = [np.einsum("ij,ij->i", p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]) for k in range(3)]
@@ -53,7 +56,7 @@ def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def dual_edge_lengths(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Signed length of each dual edge inside each triangle, shape [F, 3] (appendix B, before equation 24).
+    """Return the signed length of each dual edge inside each triangle, shape [F, 3] (appendix B, before equation 24).
 
     Column ``k`` belongs to the edge opposite corner ``k``: l_c = (c / 2) cot(gamma), the distance from the edge to the
     circumcentre. It is negative where the opposite angle is obtuse and the circumcentre lies beyond the edge; the
@@ -66,7 +69,9 @@ def dual_edge_lengths(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def voronoi_areas(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Circumcentric (Voronoi) cell area A_i of every vertex, shape [V] (appendix A.2); the sum is the surface's area.
+    """Return the circumcentric (Voronoi) cell area A_i of every vertex, shape [V] (appendix A.2).
+
+    The sum is the surface's area.
 
     Each triangle gives (|e_ij|^2 cot(k) + |e_ik|^2 cot(j)) / 8. Departure: areas are signed. In an obtuse triangle the
     circumcentre is outside and the cells at its acute corners get negative shares, so a vertex of a badly shaped mesh
@@ -84,7 +89,9 @@ def voronoi_areas(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Barycentric coordinates of every triangle's circumcentre, its dual vertex, shape [F, 3]; they sum to 1.
+    """Return the barycentric coordinates of every triangle's circumcentre, its dual vertex, shape [F, 3].
+
+    They sum to 1.
 
     A coordinate is negative where the angle at that corner is obtuse (the circumcentre is outside).
     """
@@ -94,14 +101,17 @@ def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def circumcentres(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Circumcentre of every triangle, in its plane, shape [F, 3]: the vertices of the dual mesh (section 4.3)."""
+    """Return the circumcentre of every triangle, in its plane, shape [F, 3].
+
+    The vertices of the dual mesh (section 4.3).
+    """
     _, _, p = _corner_points(vertices, faces)
     weights = circumcentric_coordinates(vertices, faces)
     return sum((weights[:, k, None] * p[k] for k in range(3)), np.zeros_like(p[0]))
 
 
 def _hat_gradients(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Gradients of the three hat functions of each triangle, shape [F, 3 corners, 3]."""
+    """Return the gradients of the three hat functions of each triangle, shape [F, 3 corners, 3]."""
     _, _, p = _corner_points(vertices, faces)
     n = np.cross(p[1] - p[0], p[2] - p[0])
     squared = np.maximum(np.einsum("ij,ij->i", n, n), TINY)[:, None]
@@ -109,7 +119,7 @@ def _hat_gradients(vertices: ArrayLike, faces: ArrayLike) -> Array:
 
 
 def gradient_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
-    """Gradient of a function at vertices, constant in each triangle, as a matrix [3F, V] (appendix A.1, equation 19).
+    """Return the matrix [3F, V] of gradients of functions at vertices, constant in each triangle (A.1, equation 19).
 
     The gradient of a hat function is normal to the opposite edge and has length 1 / height. Exact on functions that are
     linear in space (their tangential part). Rows ``3 f + d`` hold component ``d`` in triangle ``f``.
@@ -125,7 +135,7 @@ def gradient_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
 def divergence_matrix(
     vertices: ArrayLike, faces: ArrayLike, *, integrated: bool = True, areas: ArrayLike | None = None
 ) -> sparse.csr_matrix:
-    """Divergence at vertices of a field constant in each triangle, as a matrix [V, 3F] (appendix A.2).
+    """Return the divergence at vertices of a field constant in each triangle, as a matrix [V, 3F] (appendix A.2).
 
     Outflow through the boundary of the Voronoi cell: the sum over edges and their two triangles of
     V(T) · e^ |T ∩ e^perp|, with the signed dual lengths of :func:`dual_edge_lengths`. In one triangle the two terms
@@ -153,7 +163,7 @@ def divergence_matrix(
 
 
 def rotation_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
-    """J, the turn by +90 degrees about each outward normal, as a matrix [3F, 3F] (section 2.3, equation 10)."""
+    """Return J, the turn by +90 degrees about each outward normal, as a matrix [3F, 3F] (section 2.3, equation 10)."""
     n = face_normals(vertices, faces)
     zero = np.zeros(len(n))
     blocks = np.stack([zero, -n[:, 2], n[:, 1], n[:, 2], zero, -n[:, 0], -n[:, 1], n[:, 0], zero], axis=1)
@@ -164,7 +174,7 @@ def rotation_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
 
 
 def rotate(field: ArrayLike, normals: ArrayLike) -> Array:
-    """J applied to vectors: each turned by +90 degrees about its unit normal, n × v, shape [n, 3].
+    """Apply J to vectors: turn each by +90 degrees about its unit normal, n × v, shape [n, 3].
 
     On the sphere the normal at x is x itself, so J v = x × v (section 2.5).
     """
@@ -174,7 +184,7 @@ def rotate(field: ArrayLike, normals: ArrayLike) -> Array:
 def cotangent_laplacian(
     vertices: ArrayLike, faces: ArrayLike, *, minimum_weight: float | None = None
 ) -> sparse.csr_matrix:
-    """The matrix D of section 4.1: D_PQ = -(cot R + cot S) / 2, rows that sum to zero; [V, V], symmetric.
+    """Return the matrix D of section 4.1: D_PQ = -(cot R + cot S) / 2, rows that sum to zero; [V, V], symmetric.
 
     Sign: positive semi-definite on every mesh, D = -div grad with the integrated divergence of
     :func:`divergence_matrix`; u · D u is the Dirichlet energy of u. Nothing is divided by areas: weak form.
@@ -242,23 +252,23 @@ class DifferentialOperators:
         return out.numpy() if from_numpy else out
 
     def gradient(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Gradient in each triangle, [V] -> [F, 3]: :func:`gradient_matrix` (appendix A.1)."""
+        """Return the gradient in each triangle, [V] -> [F, 3]: :func:`gradient_matrix` (appendix A.1)."""
         return self._run(kernels.face_gradients, True, values, wp.float64, wp.vec3d, out, False)
 
     def rotate(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """J in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
+        """Return J in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
         return self._run(kernels.rotate_in_faces, True, field, wp.vec3d, wp.vec3d, out, False)
 
     def divergence(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Outflow of each vertex' cell, [F, 3] -> [V]: :func:`divergence_matrix`, integrated (appendix A.2)."""
+        """Return outflow of each vertex' cell, [F, 3] -> [V]: :func:`divergence_matrix`, integrated (appendix A.2)."""
         return self._run(kernels.vertex_divergence, False, field, wp.vec3d, wp.float64, out, True)
 
     def laplacian(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """:func:`cotangent_laplacian` applied, [V] -> [V] (section 4.1's D; positive semi-definite)."""
+        """Apply :func:`cotangent_laplacian`, [V] -> [V] (section 4.1's D; positive semi-definite)."""
         return self._run(kernels.vertex_laplacian, False, values, wp.float64, wp.float64, out, True)
 
     def interpolate_dual(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Vectors at dual vertices interpolated linearly at the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
+        """Interpolate vectors at dual vertices linearly at the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
 
         The vertex lies in the polygon of the circumcentres around it, whose sides bisect the edges. Its Wachspress
         coordinates there are area(T) / (|e_ij|^2 |e_ik|^2), normalised: always positive, and exact on linear
@@ -268,5 +278,5 @@ class DifferentialOperators:
         return self._run(kernels.interpolate_at_vertices, False, field, wp.vec3d, wp.vec3d, out, True)
 
     def voronoi_areas(self) -> wp.array:
-        """:func:`voronoi_areas` by kernel, as a Warp array [V]."""
+        """Compute :func:`voronoi_areas` by a kernel, as a Warp array [V]."""
         return self._run(kernels.vertex_voronoi_areas, False, None, None, wp.float64, None, True)

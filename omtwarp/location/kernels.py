@@ -17,7 +17,7 @@ BOX_MARGIN = wp.constant(wp.float64(1e-6))
 
 @wp.func
 def spherical_coordinates(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
-    """Barycentric coordinates, not yet normalised, of the place where the ray through ``p`` meets the triangle.
+    """Return barycentric coordinates, not yet normalised, of the place where the ray through ``p`` meets the triangle.
 
     The triple products are those of p, b, c and so on, with the corners seen from p: of a small triangle near p no
     digits are lost, and at a corner the coordinates of the other two are exactly zero.
@@ -28,7 +28,10 @@ def spherical_coordinates(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) ->
 
 @wp.func
 def spherical_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    """Barycentric coordinates of the point where the ray through p meets the plane of a, b, c; sum to one."""
+    """Return the barycentric coordinates of the point where the ray through p meets the plane of a, b, c.
+
+    Sum to one.
+    """
     weights = spherical_coordinates(a, b, c, p)
     total = weights[0] + weights[1] + weights[2]
     if total <= ZERO:
@@ -39,7 +42,7 @@ def spherical_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) ->
 
 @wp.func
 def clamped(weights: wp.vec3d) -> wp.vec3d:
-    """Barycentric coordinates without negative ones, which sum to one: interpolation never extrapolates."""
+    """Return the barycentric coordinates without negative ones, which sum to one: interpolation never extrapolates."""
     inside = wp.vec3d(wp.max(weights[0], ZERO), wp.max(weights[1], ZERO), wp.max(weights[2], ZERO))
     total = wp.max(inside[0] + inside[1] + inside[2], TINY)
     return (ONE / total) * inside
@@ -92,7 +95,7 @@ def box_triangles(
     lower: wp.array[wp.vec3],
     upper: wp.array[wp.vec3],
 ):
-    """A box around every spherical triangle, in single precision.
+    """Compute a box around every spherical triangle, in single precision.
 
     No point of a flat triangle with longest edge L is further than L / √3 from a corner, so that none is nearer to the
     sphere's centre than √(1 - L² / 3): by what is left to 1 the spherical triangle may bulge out of the flat one's box.
@@ -117,7 +120,9 @@ def find_faces(
     found: wp.array[wp.int32],
     coordinates: wp.array[wp.vec3d],
 ):
-    """The triangle that each point lies deepest in (of equals the first), and its coordinates there; -1 for none.
+    """Compute the triangle that each point lies deepest in (of equals the first), and its coordinates there.
+
+    -1 for none.
 
     Single precision only says which triangles to look at; float64 decides.
     """
@@ -145,14 +150,14 @@ def find_faces(
 
 @wp.func
 def closest_on_edge(a: wp.vec3d, b: wp.vec3d, p: wp.vec3d) -> wp.float64:
-    """How far along the edge from a (0) to b (1) the point nearest to p lies."""
+    """Return how far along the edge from a (0) to b (1) the point nearest to p lies."""
     along = b - a
     return wp.clamp(wp.dot(p - a, along) / wp.max(wp.dot(along, along), TINY), ZERO, ONE)
 
 
 @wp.func
 def closest_on_triangle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
-    """Barycentric coordinates of the point of a flat triangle that is nearest to p."""
+    """Return the barycentric coordinates of the point of a flat triangle that is nearest to p."""
     normal = wp.cross(b - a, c - a)
     size = wp.dot(normal, normal)
     if size > ZERO:
@@ -190,7 +195,7 @@ def find_closest(
     found: wp.array[wp.int32],
     coordinates: wp.array[wp.vec3d],
 ):
-    """The flat triangle nearest to each point, and the coordinates of its nearest point.
+    """Compute the flat triangle nearest to each point, and the coordinates of its nearest point.
 
     The triangle that holds the point (``found`` and ``coordinates`` coming in) bounds how far there is to look.
     """

@@ -29,7 +29,7 @@ class Found:
     coordinates: NDArray[np.float64]
 
     def matrix(self, faces: NDArray[np.int32], vertex_count: int) -> sparse.csr_matrix:
-        """Linear interpolation from the vertices of the triangulation to the points, shape [P, V].
+        """Return the linear interpolation from the vertices of the triangulation to the points, shape [P, V].
 
         Args:
             faces: the triangulation's, shape [F, 3].
@@ -71,7 +71,7 @@ class Locator:
         self._boxes = wp.Bvh(lower, upper)
 
     def find(self, points: ArrayLike | wp.array) -> Found:
-        """The triangle that holds each point, and where the ray from the centre through the point meets it.
+        """Return the triangle that holds each point, and where the ray from the centre through the point meets it.
 
         Args:
             points: of any length but 0, float64, shape [P, 3]; or a Warp array of vec3d.
@@ -82,7 +82,7 @@ class Locator:
         return self._search(points, closest=False)
 
     def find_closest(self, points: ArrayLike | wp.array) -> Found:
-        """The flat triangle nearest to each point of the unit sphere, and where in it the nearest point lies.
+        """Return the flat triangle nearest to each point of the unit sphere, and where in it the nearest point lies.
 
         This is what Connectome Workbench interpolates with. It differs from :meth:`find` in the second order of the
         triangles' size, and is not continuous across their edges.

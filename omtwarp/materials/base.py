@@ -22,14 +22,17 @@ ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of ano
 
 
 def linear(color: Floats) -> Floats:
-    """Colours with opacity from sRGB to linear light (IEC 61966-2-1), shape [..., 4]; the opacity stays."""
+    """Return the colours with opacity from sRGB to linear light (IEC 61966-2-1), shape [..., 4]; the opacity stays."""
     rgb = color[..., :3]
     light = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return np.concatenate([light, color[..., 3:]], axis=-1)
 
 
 def encoded(light: Floats) -> Floats:
-    """Linear light as sRGB (IEC 61966-2-1), both from 0 to 1; the inverse of :func:`linear` for colours alone."""
+    """Return the linear light as sRGB (IEC 61966-2-1), both from 0 to 1.
+
+    The inverse of :func:`linear` for colours alone.
+    """
     clipped = np.clip(light, 0.0, 1.0)
     return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055)
 
@@ -147,7 +150,7 @@ class PaintedArrays:
         return self.face_material
 
     def require_uv(self, name: str = "the mesh") -> Floats:
-        """Texture coordinates of every corner, shape [F, 3, 2].
+        """Return the texture coordinates of every corner, shape [F, 3, 2].
 
         Raises:
             OmtwarpError: some triangles have none, or all.
@@ -207,7 +210,7 @@ class PaintedArrays:
         return SAME_PLACE * float(np.ptp(self.vertices, axis=0).max(initial=0.0))
 
     def _same_triangles(self, points: Floats, triangles: Ints) -> Ints:
-        """The triangle of this mesh at the place of each of a copy's, shape [G].
+        """Return the triangle of this mesh at the place of each of a copy's, shape [G].
 
         Raises:
             OmtwarpError: some are at the place of none.

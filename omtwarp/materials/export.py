@@ -53,7 +53,7 @@ def export(mesh: PaintedArrays, path: str | os.PathLike[str], *, keep: Iterable[
 
 
 def obj_files(mesh: PaintedArrays, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
-    """An OBJ with its material library and pictures, the OBJ last.
+    """Return an OBJ with its material library and pictures, the OBJ last.
 
     Vertices are written once and in their order, faces material by material.
     """
@@ -108,7 +108,7 @@ def obj_files(mesh: PaintedArrays, place: Path, *, keep: Iterable[Path | None] =
 
 
 def _names(given: list[str]) -> list[str]:
-    """Names of materials as words that differ, fit for names of files too."""
+    """Return the names of materials as words that differ, fit for names of files too."""
     names: list[str] = []
     for name in given:
         word = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "material"

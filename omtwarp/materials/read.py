@@ -91,7 +91,7 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
 
 
 def _beside(file: Path, name: str) -> Path | None:
-    """A regular file that another names, in its directory or below; None where there is none."""
+    """Return a regular file that another names, in its directory or below; None where there is none."""
     folder = file.resolve().parent
     words = name.replace("\\", "/").strip().strip('"')
     if not words or "\0" in words:
@@ -154,7 +154,10 @@ def _from_ply(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
 
 
 def _ply_pictures(data: bytes, file: Path) -> tuple[list[Bytes | None], list[Path], list[str]]:
-    """The pictures that the header of a PLY file names, None for one that is not there; their files; and notes."""
+    """Return the pictures that the header of a PLY file names, None for one that is not there.
+
+    Their files; and notes.
+    """
     pictures: list[Bytes | None] = []
     named: list[Path] = []
     notes: list[str] = []
@@ -174,7 +177,7 @@ def _ply_pictures(data: bytes, file: Path) -> tuple[list[Bytes | None], list[Pat
 def _ply_coordinates(
     vertex: dict[str, Column], sides: dict[str, Column], sizes: NDArray, rows: NDArray, faces: Ints
 ) -> tuple[Floats | None, bool]:
-    """The texture coordinates of a PLY file's triangles, shape [F, 3, 2], and whether they are its vertices'.
+    """Return the texture coordinates of a PLY file's triangles, shape [F, 3, 2], and whether they are its vertices'.
 
     Args:
         vertex: columns of the vertices.
@@ -193,7 +196,7 @@ def _ply_coordinates(
 
 
 def _ply_colors(vertex: dict[str, Column]) -> Bytes | None:
-    """The colours at a PLY file's vertices with their opacity, shape [V, 4], None where there are none."""
+    """Return the colours at a PLY file's vertices with their opacity, shape [V, 4], None where there are none."""
     if not {"red", "green", "blue"} <= set(vertex):
         return None
     channels = [name for name in ("red", "green", "blue", "alpha") if name in vertex]
@@ -267,7 +270,7 @@ def _from_scene(scene: trimesh.Scene, factors: Factors | None) -> PaintedMesh:
 
 
 def base_color_factors(header: object) -> Factors:
-    """Factors of a glTF file's materials, by name and by what trimesh makes of them, which is rounded to bytes."""
+    """Return the factors of a glTF file's materials, by name and by trimesh's values, which are rounded to bytes."""
     from trimesh.visual.color import to_rgba
 
     found: Factors = {}
@@ -280,7 +283,7 @@ def base_color_factors(header: object) -> Factors:
 
 
 def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Material, Floats | None, Bytes | None]:
-    """The material, the coordinates [V, 2] and the colours [V, 4] of a mesh of trimesh's."""
+    """Return the material, the coordinates [V, 2] and the colours [V, 4] of a mesh of trimesh's."""
     from trimesh.visual import ColorVisuals, TextureVisuals  # heavy, and loaded by whoever has a mesh of trimesh's
 
     visual = mesh.visual
@@ -328,7 +331,10 @@ def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Materia
 
 
 def _vertex_colors(mesh: trimesh.Trimesh) -> Bytes | None:
-    """Colours at the vertices of a glTF primitive with a material, shape [V, 4]; in the file they are linear."""
+    """Return the colours at the vertices of a glTF primitive with a material, shape [V, 4].
+
+    In the file they are linear.
+    """
     given = getattr(mesh.visual, "vertex_attributes", {}).get("color")
     if given is None or np.ndim(given) != 2 or len(given) != len(mesh.vertices) or given.shape[1] not in (3, 4):
         return None
@@ -353,7 +359,7 @@ def _as_bytes(picture: NDArray[np.generic]) -> Bytes:
 
 
 def _opaque(colors: Bytes) -> Bytes:
-    """Colours with an opacity, shape [N, 4]."""
+    """Return the colours with an opacity, shape [N, 4]."""
     if colors.shape[1] == 4:
         return colors
     return np.column_stack([colors, np.full(len(colors), 255, dtype=np.uint8)])

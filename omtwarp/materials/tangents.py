@@ -9,7 +9,7 @@ from omtwarp.mesh.arrays import TINY
 
 
 def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) -> Floats:
-    """Unit tangents of corners in the direction of growing u, with glTF's sign of the bitangent.
+    """Return the unit tangents of corners in the direction of growing u, with glTF's sign of the bitangent.
 
     The tangents of triangles (Lengyel, "Foundations of Game Engine Development 2", 2019, section 7.5) are summed over
     the triangles around a vertex that meet there with the same coordinates and orientation, and made orthogonal to the

@@ -62,7 +62,7 @@ class TargetDensity:
         return np.maximum(values, self._lowest) * (SPHERE_AREA / self.mass)
 
     def on_triangles(self, sphere: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Mean of the density over every spherical triangle, shape [F], exact for quadratic functions of the plane."""
+        """Return the mean density over every spherical triangle, shape [F], exact for plane quadratics."""
         corners = sphere[faces]
         centres = corners.sum(axis=1)
         centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), np.finfo(float).tiny)

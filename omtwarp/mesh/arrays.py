@@ -202,12 +202,12 @@ def in_range(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _shown(value: object) -> str:
-    """A value that is no number, short and in one line."""
+    """Return a value that is no number, short and in one line."""
     return str(value) if isinstance(value, float | np.floating) else f"a {type(value).__name__}"
 
 
 def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[np.generic]:
-    """The values as an array of a kind of numbers."""
+    """Return the values as an array of a kind of numbers."""
     if isinstance(values, np.ma.MaskedArray):
         if np.ma.is_masked(values):
             raise OmtwarpError(f"{name}: {int(np.ma.getmaskarray(values).sum())} entries are masked; fill them first")

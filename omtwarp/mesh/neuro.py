@@ -25,7 +25,7 @@ STRUCTURES = {"L": "CortexLeft", "R": "CortexRight"}
 
 
 def nibabel_module() -> ModuleType:
-    """The package nibabel.
+    """Return the package nibabel.
 
     Raises:
         OmtwarpError: it is not installed.
@@ -38,7 +38,9 @@ def nibabel_module() -> ModuleType:
 
 
 def structure_of(path: Path | None) -> str | None:
-    """The part of the brain that a file says it holds: ``CortexLeft``, ``CortexRight``, ...; None if it says nothing.
+    """Return the part of the brain that a file says it holds: ``CortexLeft``, ``CortexRight``, ....
+
+    None if it says nothing.
 
     GIFTI says it inside (AnatomicalStructurePrimary); other files by their names, ``lh.``, ``hemi-L`` or ``.L.``.
     """
@@ -55,7 +57,7 @@ def structure_of(path: Path | None) -> str | None:
 
 
 def gifti_image(path: Path) -> GiftiImage:
-    """The content of a GIFTI file, as nibabel has it.
+    """Return the content of a GIFTI file, as nibabel has it.
 
     Raises:
         OmtwarpError: it cannot be read, or is something else.
@@ -149,7 +151,7 @@ _VTK_TYPES = {"float": ">f4", "double": ">f8", "int": ">i4", "vtktypeint64": ">i
 
 
 def read_vtk(data: bytes) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]:
-    """Points and polygons of legacy VTK PolyData, text or binary, of the versions 1 to 5.
+    """Return the points and polygons of legacy VTK PolyData, text or binary, of the versions 1 to 5.
 
     Returns:
         Points [V, 3] and a list of the corners of every polygon.

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 
 def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
-    """Vertices within ``rings`` edges of the seed vertices, as a mask of shape [V]."""
+    """Return the vertices within ``rings`` edges of the seed vertices, as a mask of shape [V]."""
     mask = seed.copy()
     for _ in range(rings):
         wider = mask.copy()
@@ -23,7 +23,7 @@ def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArr
 
 
 def touching(faces: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which triangles have a corner among the vertices chosen, shape [F]."""
+    """Return which triangles have a corner among the vertices chosen, shape [F]."""
     first, second, third = (chosen[faces[:, k]] for k in range(3))  # NumPy reduces rows of three slowly
     return first | second | third
 
@@ -52,7 +52,7 @@ class Patches:
 
     @classmethod
     def of_vertices(cls, faces: NDArray[np.int32], freed: NDArray[np.bool_]) -> Patches:
-        """The patches of all freed vertices.
+        """Return the patches of all freed vertices.
 
         Args:
             faces: of the surface, shape [F, 3].
@@ -78,21 +78,21 @@ class Patches:
         return cls(vertices, free, triangles, own, of_corner[:free], of_corner[own].max(axis=1), int(count))
 
     def sum_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums over the freed vertices of every piece, shape [count], of values of shape [free]."""
+        """Return the sums over the freed vertices of every piece, shape [count], of values of shape [free]."""
         return np.bincount(self.vertex_patch, values, minlength=self.count).astype(np.float64, copy=False)
 
     def sum_of_faces(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums over the triangles of every piece, shape [count], of values of shape [T]."""
+        """Return the sums over the triangles of every piece, shape [count], of values of shape [T]."""
         return np.bincount(self.face_patch, values, minlength=self.count).astype(np.float64, copy=False)
 
     def longest(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The largest length of the freed vertices' vectors in every piece, shape [count], of shape [free, ...]."""
+        """Return largest length of the freed vertices' vectors in every piece, shape [count], of shape [free, ...]."""
         lengths = np.zeros(self.count)
         np.maximum.at(lengths, self.vertex_patch, np.linalg.norm(vectors, axis=1))
         return lengths
 
     def only(self, kept: NDArray[np.bool_]) -> tuple[Patches, NDArray[np.intp]]:
-        """Some of the patches, and the places of their vertices among these patches'.
+        """Return some of the patches, and the indices of their vertices among all patches'.
 
         Args:
             kept: which, shape [count].

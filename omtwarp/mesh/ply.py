@@ -46,7 +46,7 @@ class _Element:
 
 
 def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Vertices and polygons of a PLY file, in the file's order.
+    """Return the vertices and polygons of a PLY file, in the file's order.
 
     Returns:
         Vertices, float64 [V, 3]; the corners of all polygons one after another, int64; how many each has, int64 [F].
@@ -59,7 +59,7 @@ def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArr
 
 
 def ply_columns(data: bytes) -> dict[str, dict[str, Column]]:
-    """Every property of every element of a PLY file, lists as (lengths, values one after another).
+    """Return every property of every element of a PLY file, lists as (lengths, values one after another).
 
     Raises:
         OmtwarpError: the file is not as long as its header says.
@@ -70,7 +70,7 @@ def ply_columns(data: bytes) -> dict[str, dict[str, Column]]:
 
 
 def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float64], NDArray, NDArray]:
-    """Vertices, the corners of all polygons and their numbers, as :func:`read_ply` returns them.
+    """Return the vertices, the corners of all polygons and their numbers, as :func:`read_ply` returns them.
 
     Raises:
         OmtwarpError: no vertices or no faces among the elements.
@@ -86,7 +86,7 @@ def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float
 
 
 def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
-    """The elements, the byte order (``<`` or ``>``, None for text), and what follows the header.
+    """Return the elements, the byte order (``<`` or ``>``, None for text), and what follows the header.
 
     One function, as each kind of line that a header has is read in a line or two.
 
@@ -126,7 +126,7 @@ def _cut(elements: list[_Element]) -> OmtwarpError:
 
 
 def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[str, dict[str, Column]]:
-    """Every property of every element, lists as (lengths, values).
+    """Return every property of every element, lists as (lengths, values).
 
     Raises:
         OmtwarpError: the body is shorter or longer than the header says.
@@ -158,7 +158,7 @@ def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[s
 
 
 def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> dict[int, int]:
-    """Lengths of the lists of an element's first row, by the property's number."""
+    """Return the lengths of the lists of an element's first row, by the property's number."""
     lengths: dict[int, int] = {}
     for k, part in enumerate(element.properties):
         size = np.dtype(part.type).itemsize
@@ -176,7 +176,7 @@ def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> di
 def _binary_rows(
     body: bytes, place: int, element: _Element, order: str, elements: list[_Element]
 ) -> tuple[int, dict[str, Column]]:
-    """The rows of an element whose lists differ in length, one by one; and where they end.
+    """Return the rows of an element whose lists differ in length, one by one; and where they end.
 
     Raises:
         OmtwarpError: the body ends before the rows do.
@@ -206,7 +206,7 @@ def _binary_rows(
 
 
 def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, Column]]:
-    """Every property of every element of a text file, lists as (lengths, values); numbers are float64.
+    """Return every property of every element of a text file, lists as (lengths, values); numbers are float64.
 
     Raises:
         OmtwarpError: fewer or more numbers than the header says, or words among them.
@@ -238,7 +238,7 @@ def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, 
 def _row_starts(
     numbers: NDArray[np.float64], place: int, element: _Element, elements: list[_Element]
 ) -> tuple[NDArray[np.int64], int]:
-    """Where every row of an element begins among the numbers, and where the element ends.
+    """Return where every row of an element begins among the numbers, and where the element ends.
 
     Raises:
         OmtwarpError: the numbers end before the rows do, or a length is none.

@@ -102,13 +102,13 @@ _Read = tuple[NDArray[np.generic], NDArray[np.generic], list[str]]
 
 
 def _suffix(file: Path) -> str:
-    """The suffix that tells the format, in small letters, without the dot."""
+    """Return the suffix that tells the format, in small letters, without the dot."""
     name = file.name.lower()
     return "gii" if name.endswith(".gii.gz") else name.rpartition(".")[2] if "." in name else ""
 
 
 def _reader(suffix: str, data: bytes) -> Callable[[bytes, Path, bool], _Read]:
-    """The function that reads a format, known by its suffix or, for FreeSurfer, by its first bytes."""
+    """Return the function that reads a format, known by its suffix or, for FreeSurfer, by its first bytes."""
     own = {
         "npz": _read_npz,
         "ply": _read_ply,
@@ -140,14 +140,14 @@ def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def utf8(data: bytes) -> bytes:
-    """Text without a byte order mark, and in UTF-8 where the mark says that it is in another encoding."""
+    """Return the text without a byte order mark, and in UTF-8 where the mark says that it is in another encoding."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16").encode("utf-8")
     return data.removeprefix(codecs.BOM_UTF8)
 
 
 def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
-    """Object File Format by its lines; what follows coordinates and corners, such as colours, is left."""
+    """Return the object File Format by its lines; what follows coordinates and corners, such as colours, is left."""
     lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", utf8(data)).replace(b"\r", b"\n").split(b"\n")]
     lines = [line for line in lines if line]
     if lines and lines[0][0].endswith(b"OFF"):
@@ -169,7 +169,7 @@ def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
-    """Wavefront OBJ by its ``v`` and ``f`` lines alone.
+    """Return the Wavefront OBJ by its ``v`` and ``f`` lines alone.
 
     Its texture coordinates, normals, materials and groups make a general reader split, drop and reorder vertices.
     """
@@ -184,7 +184,7 @@ def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
 def _from_polygons(
     polygons: list[list[bytes]], triangulate: bool, vertices_before: NDArray | None = None
 ) -> tuple[NDArray[np.int64], list[str]]:
-    """Triangles from lists of corners as a text file has them.
+    """Return the triangles from lists of corners as a text file has them.
 
     ``vertices_before`` says that corners count from 1, or if negative back from the last vertex before their face.
     """
@@ -198,7 +198,7 @@ def _from_polygons(
 
 
 def fans(flat: NDArray[np.int64], corners: NDArray[np.int64], triangulate: bool) -> tuple[NDArray[np.int64], list[str]]:
-    """Triangles from polygons: the corners of all one after another, and how many each has."""
+    """Return the triangles from polygons: the corners of all one after another, and how many each has."""
     if not len(corners):
         raise OmtwarpError("not a triangle mesh: no faces in it")
     if (corners < 3).any():
@@ -268,7 +268,7 @@ def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
-    """The one mesh of a scene, moved to where the scene puts it."""
+    """Return the one mesh of a scene, moved to where the scene puts it."""
     order = list(scene.geometry)
     placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
     placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order

@@ -291,7 +291,10 @@ class _Work:
 
 
 def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """A number for every corner of every face, shape [3F]: equal for corners of faces that share edges at a vertex."""
+    """Return a number for every corner of every face, shape [3F].
+
+    Equal for corners of faces that share edges at a vertex.
+    """
     corner = np.arange(3 * len(faces))
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     after = (corner // 3) * 3 + (corner + 1) % 3  # the corner of the same face at the edge's other end
@@ -308,7 +311,10 @@ def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 
 
 def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:
-    """Closed loops around the holes, against the direction of the boundary's half-edges; pinched ones are left out."""
+    """Return the closed loops around the holes, against the direction of the boundary's half-edges.
+
+    Pinched ones are left out.
+    """
     following: dict[int, int] = {}
     pinched = set()
     for tail, head in half_edges.tolist():
@@ -330,7 +336,7 @@ def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:
 def _patch(
     points: NDArray[np.float64], loop: list[int], known: set[tuple[int, int]]
 ) -> list[tuple[int, int, int]] | None:
-    """The triangulation of a loop with the least area whose inner edges are all new; None where there is none.
+    """Return the triangulation of a loop with the least area whose inner edges are all new; None where there is none.
 
     Source: G. Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12 (1995).
     """

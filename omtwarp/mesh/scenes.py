@@ -24,7 +24,7 @@ _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "K
 
 
 def scene_formats() -> set[str]:
-    """Suffixes, without the dot, of the formats that :func:`load_scene` reads."""
+    """Return the suffixes, without the dot, of the formats that :func:`load_scene` reads."""
     import trimesh
 
     return set(trimesh.available_formats()) - _NOT_MESHES
@@ -81,7 +81,7 @@ def load_scene(data: bytes, file: Path, suffix: str) -> trimesh.Scene:
 
 
 def gltf_header(data: bytes, suffix: str) -> object:
-    """The JSON of a glTF file (glTF 2.0 specification, section 4.4).
+    """Return the JSON of a glTF file (glTF 2.0 specification, section 4.4).
 
     Raises:
         OmtwarpError: the file is shorter than it says.

@@ -29,7 +29,9 @@ HIPPOCAMPUS_BEND = 1.8
 
 
 def icosphere(frequency: int = 16) -> Surface:
-    """Geodesic sphere: every face of an icosahedron cut into ``frequency``² triangles, all moved to the unit sphere.
+    """Return the geodesic sphere.
+
+    Every face of an icosahedron cut into ``frequency``² triangles, all moved to the unit sphere.
 
     Args:
         frequency: any whole number from 1; the mesh has 20 ``frequency``² faces and 10 ``frequency``² + 2 vertices.
@@ -66,12 +68,12 @@ def icosphere(frequency: int = 16) -> Surface:
 
 
 def icosphere_near(face_count: int) -> Surface:
-    """The geodesic sphere whose number of faces is nearest to the one asked for."""
+    """Return the geodesic sphere whose number of faces is nearest to the one asked for."""
     return icosphere(max(1, round(np.sqrt(face_count / 20))))
 
 
 def sphere_from_directions(directions: ArrayLike) -> Surface:
-    """The Delaunay triangulation of points on the unit sphere: the faces of their convex hull.
+    """Return the Delaunay triangulation of points on the unit sphere: the faces of their convex hull.
 
     Args:
         directions: unit vectors that surround the centre, all different, shape [V, 3].
@@ -91,7 +93,7 @@ def sphere_from_directions(directions: ArrayLike) -> Surface:
 
 
 def fibonacci_sphere(face_count: int = 5000) -> Surface:
-    """A sphere with exactly as many faces as asked for, its vertices spread evenly along a golden spiral.
+    """Return a sphere with exactly as many faces as asked for, its vertices spread evenly along a golden spiral.
 
     Args:
         face_count: any even number from 4 on.
@@ -104,7 +106,7 @@ def fibonacci_sphere(face_count: int = 5000) -> Surface:
 
 
 def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0) -> Surface:
-    """A sphere with vertices thrown at random: triangles of every size and shape.
+    """Return a sphere with vertices thrown at random: triangles of every size and shape.
 
     Args:
         face_count: any even number from 4 on.
@@ -119,7 +121,7 @@ def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0
 
 
 def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
-    """A sphere of meridians and parallels; many segments and few rings, or the reverse, give slivers.
+    """Return a sphere of meridians and parallels; many segments and few rings, or the reverse, give slivers.
 
     Args:
         rings: parallels between the poles, from 1.
@@ -135,25 +137,25 @@ def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
 
 
 def ellipsoid(axes: tuple[float, float, float] = (1.0, 0.7, 0.5), face_count: int = 5120) -> Surface:
-    """An ellipsoid with the half axes given."""
+    """Return an ellipsoid with the half axes given."""
     sphere = icosphere_near(face_count)
     return Surface(sphere.vertices * np.asarray(axes, dtype=np.float64), sphere.faces)
 
 
 def needle(length: float = 20.0, face_count: int = 5120) -> Surface:
-    """An ellipsoid of revolution ``length`` times as long as it is thick."""
+    """Return an ellipsoid of revolution ``length`` times as long as it is thick."""
     return ellipsoid((1.0, 1.0, length), face_count)
 
 
 def plate(width: float = 4.0, depth: float = 3.0, thickness: float = 0.2, face_count: int = 5120) -> Surface:
-    """A thin slab with rounded edges: the superquadric x⁸ + y⁸ + z⁸ = 1, stretched to the sides given."""
+    """Return a thin slab with rounded edges: the superquadric x⁸ + y⁸ + z⁸ = 1, stretched to the sides given."""
     sphere = icosphere_near(face_count)
     radius = (sphere.vertices**8).sum(axis=1) ** (-1 / 8)
     return Surface(sphere.vertices * radius[:, None] * (np.array([width, depth, thickness]) / 2), sphere.faces)
 
 
 def star_shape(radius: Callable[[Points], Points], sphere: Surface | int = 5120) -> Surface:
-    """A surface that every ray from the centre meets once.
+    """Return a surface that every ray from the centre meets once.
 
     Args:
         radius: distance from the centre for unit vectors, [V, 3] -> [V], positive.
@@ -164,7 +166,7 @@ def star_shape(radius: Callable[[Points], Points], sphere: Surface | int = 5120)
 
 
 def blob(seed: int = 0, amplitude: float = 0.35, degree: int = 6, sphere: Surface | int = 5120) -> Surface:
-    """A star-shaped potato: the logarithm of the radius is a random sum of spherical harmonics up to ``degree``.
+    """Return a star-shaped potato: the logarithm of the radius is a random sum of spherical harmonics up to ``degree``.
 
     Args:
         seed: of the random numbers.
@@ -192,7 +194,7 @@ def blob(seed: int = 0, amplitude: float = 0.35, degree: int = 6, sphere: Surfac
 def limbs(
     directions: ArrayLike | None = None, length: float = 1.5, sharpness: float = 18.0, sphere: Surface | int = 5120
 ) -> Surface:
-    """A ball with limbs: the radius is 1 plus a bump of height ``length`` around every direction.
+    """Return a ball with limbs: the radius is 1 plus a bump of height ``length`` around every direction.
 
     Args:
         directions: where the limbs are, shape [N, 3]; four corners of a cube when left out.
@@ -210,7 +212,7 @@ def limbs(
 def tube(
     length: float = 6.0, girth: float = 1.0, bend: float = 0.0, taper: float = 1.0, face_count: int = 5000
 ) -> Surface:
-    """A capsule, straight or bent along an arc, thinning towards one end: a caudate-like shape.
+    """Return a capsule, straight or bent along an arc, thinning towards one end: a caudate-like shape.
 
     Args:
         length: of the centre line between the two caps.
@@ -257,7 +259,9 @@ def hippocampus(
     variation: float = 0.1,
     face_count: int = 2000,
 ) -> Surface:
-    """A bent, flattened tube with a thick head and a thin tail, different for every seed: a hippocampus-like shape.
+    """Return a bent, flattened tube with a thick head and a thin tail, different for every seed.
+
+    a hippocampus-like shape.
 
     The centre line is about 4 long and lies in the xz plane, the head at low z. Shapes of the same ``face_count`` have
     the same faces; two that differ in ``bump`` alone are equal elsewhere.
@@ -371,7 +375,9 @@ def implicit_surface(value: Callable[[Points], Points], low: ArrayLike, high: Ar
 
 
 def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
-    """A chain of round rings that overlap in their tubes, side by side along x: a surface with a handle for each.
+    """Return a chain of round rings that overlap in their tubes, side by side along x.
+
+    a surface with a handle for each.
 
     Args:
         count: how many, from 1; the genus of the surface.
@@ -390,7 +396,7 @@ def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
 
 
 def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:
-    """Faces that part the inside corners of positively oriented tetrahedra from the outside ones, shape [F, 3, 2]."""
+    """Return the faces between inside and outside corners of positively oriented tetrahedra, shape [F, 3, 2]."""
     found = []
     # An even permutation that brings each corner to the front, and each pair of corners to the front.
     to_front = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
@@ -410,7 +416,7 @@ def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:
 
 
 def _average_of_neighbours(surface: Surface, points: Points) -> Points:
-    """The mean of every vertex's neighbours, shape [V, 3]."""
+    """Return the mean of every vertex's neighbours, shape [V, 3]."""
     flat = surface.faces.ravel()
     following = points[np.roll(surface.faces, -1, axis=1).ravel()]
     degree = np.bincount(flat, minlength=surface.vertex_count)
@@ -420,7 +426,7 @@ def _average_of_neighbours(surface: Surface, points: Points) -> Points:
 
 
 def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float, steps: int) -> Points:
-    """Newton's method along the gradient, with steps of at most half a cell."""
+    """Run Newton's method along the gradient, with steps of at most half a cell."""
     step = 1e-4 * cell
     for _ in range(steps):
         here = value(points)
@@ -432,7 +438,7 @@ def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float
 
 
 def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Points], Points]:
-    """Signed distance to a smooth union of cones between balls, negative inside.
+    """Return the signed distance to a smooth union of cones between balls, negative inside.
 
     Args:
         spheres: rounded cones, shape [N, 8]: two ends (x, y, z, radius each).
@@ -454,7 +460,7 @@ def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Points], Poi
 
 
 def demo_shape(face_count: int = 20000) -> Surface:
-    """A small four-legged creature with a tail, ears and a snout, smooth all over.
+    """Return a small four-legged creature with a tail, ears and a snout, smooth all over.
 
     Args:
         face_count: roughly how many faces, from about 2,000; thin parts are thickened when there are few.
@@ -540,7 +546,7 @@ def shuffled(surface: Surface, seed: int = 0) -> Surface:
 
 
 def _icosahedron() -> tuple[Points, Faces]:
-    """The twelve corners, unit vectors, and twenty outward faces of the regular icosahedron."""
+    """Return the twelve corners, unit vectors, and twenty outward faces of the regular icosahedron."""
     g = (1 + np.sqrt(5)) / 2
     corners = [[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0], [0, -1, g], [0, 1, g]]
     corners += [[0, -1, -g], [0, 1, -g], [g, 0, -1], [g, 0, 1], [-g, 0, -1], [-g, 0, 1]]
@@ -570,14 +576,14 @@ def _capped_grid(grid: Points, north: Points, south: Points, flip: bool = False)
 
 
 def _sorted_faces(faces: Faces) -> Faces:
-    """Every face begun at its smallest vertex, and faces in order: independent of how a library lists them."""
+    """Return every face begun at its smallest vertex, and faces in order: independent of how a library lists them."""
     start = faces.argmin(axis=1)
     faces = np.take_along_axis(faces, (np.arange(3)[None] + start[:, None]) % 3, axis=1)
     return faces[np.lexsort(faces.T[::-1])]
 
 
 def _normals(points: Points, a: NDArray, b: NDArray, c: NDArray) -> Points:
-    """Normals of triangles, twice their area long."""
+    """Return the normals of triangles, twice their area long."""
     return np.cross(points[b] - points[a], points[c] - points[a])
 
 

@@ -199,7 +199,7 @@ class Surface:
         self._kept.pop(name, None)
 
     def on(self, device: str | wp.Device | None) -> SurfaceArrays:
-        """The arrays below on a device, for kernels; each is sent there once."""
+        """Return the arrays below on a device, for kernels; each is sent there once."""
         where = resolve_device(device)
         return SurfaceArrays(self, where, self._sent.setdefault(str(where), {}))
 
@@ -324,13 +324,16 @@ class SurfaceArrays:
 
 
 def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Area of every flat triangle, shape [F]."""
+    """Return the area of every flat triangle, shape [F]."""
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
     return 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
 
 
 def face_neighbours(faces: NDArray[np.int32], vertex_count: int) -> NDArray[np.int32]:
-    """The face across edge (k, k+1) of every face of an oriented manifold mesh, shape [F, 3]; -1 at a boundary."""
+    """Return the face across edge (k, k+1) of every face of an oriented manifold mesh, shape [F, 3].
+
+    -1 at a boundary.
+    """
     tail = faces.astype(np.int64).ravel()
     head = np.roll(faces, -1, axis=1).astype(np.int64).ravel()
     keys, twins = tail * vertex_count + head, head * vertex_count + tail

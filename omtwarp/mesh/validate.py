@@ -118,13 +118,13 @@ def require_valid(
 
 
 def describe(defects: list[Defect], name: str = "") -> str:
-    """One line for a list of defects: the first in full, the kinds of the others in brackets."""
+    """Return a line for a list of defects: the first in full, the kinds of the others in brackets."""
     others = ", ".join(defect.kind for defect in defects[1:])
     return (f"{name}: " if name else "") + str(defects[0]) + (f" (also: {others})" if others else "")
 
 
 def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices as float64 [V, 3] and faces as int64 [F, 3], without changing a number.
+    """Return the vertices as float64 [V, 3] and faces as int64 [F, 3], without changing a number.
 
     Raises:
         OmtwarpError: other shapes, faces with more than three corners, or indices that are not whole numbers.
@@ -141,7 +141,10 @@ def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64
 
 
 def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points moved to their bounding box's centre and divided by half its largest side; zeros if they all coincide."""
+    """Move points to their bounding box's centre and divide them by half its largest side.
+
+    Zeros if they all coincide.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high / 2 - low / 2).max())
     centred = points - (low / 2 + high / 2)
@@ -149,7 +152,7 @@ def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def zero_area_faces(unit: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which faces have no area beyond rounding, shape [F]; ``unit`` as :func:`unit_coordinates` gives it.
+    """Return which faces have no area beyond rounding, shape [F]; ``unit`` as :func:`unit_coordinates` gives it.
 
     Coordinates near 1 are rounded at 1e-16, which moves twice the area by that times the longest edge: what is below a
     few times this is not an area.
@@ -161,7 +164,7 @@ def zero_area_faces(unit: NDArray[np.float64], faces: NDArray[np.int64]) -> NDAr
 
 
 def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.bool_]:
-    """Which faces have the vertices, in any order, of a face before them, shape [F]."""
+    """Return which faces have the vertices, in any order, of a face before them, shape [F]."""
     low, middle, high = np.sort(faces, axis=1).T
     edge = low * vertex_count + middle
     order = np.lexsort((high, edge)) if vertex_count >= 2**21 else np.argsort(edge * vertex_count + high, kind="stable")
@@ -172,7 +175,7 @@ def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.b
 
 
 def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) -> list[Defect]:
-    """Coordinates that are no numbers, faces that are no triangles, vertices that are in none."""
+    """Return the coordinates that are no numbers, faces that are no triangles, vertices that are in none."""
     found = []
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
@@ -201,7 +204,7 @@ def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) ->
 
 
 def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], sound: bool) -> list[Defect]:
-    """How the faces hang together: manifold, closed, oriented, in one piece, of genus 0, outward.
+    """Return how the faces hang together: manifold, closed, oriented, in one piece, of genus 0, outward.
 
     ``sound`` says that the faces by themselves are in order, which genus and inside need. One function, as each check
     is a few lines in the order in which a user reads them, and later ones ask what earlier ones found.
@@ -386,14 +389,14 @@ class Topology:
 
 
 def _components(count: int, links: NDArray) -> tuple[int, NDArray[np.int32]]:
-    """Number of connected components of a graph and the component of every node, shape [count]."""
+    """Return the number of connected components of a graph and the component of every node, shape [count]."""
     graph = sparse.coo_array((np.ones(len(links), dtype=np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
     pieces, labels = csgraph.connected_components(graph, directed=False)
     return int(pieces), labels
 
 
 def _spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
-    """Which links make up a spanning forest of a graph, shape [len(links)]."""
+    """Return which links make up a spanning forest of a graph, shape [len(links)]."""
     # The weight of a link is its own number, so that the tree's entries say which links were taken.
     number = np.arange(1, len(links) + 1, dtype=np.float64)
     graph = sparse.csr_array((number, (links[:, 0], links[:, 1])), shape=(count, count))
@@ -404,13 +407,13 @@ def _spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
 
 
 def _coincident_vertices(points: NDArray[np.float64], boundary: NDArray[np.int64]) -> int:
-    """How many vertices of the boundary have the very coordinates of another vertex of it."""
+    """Return how many vertices of the boundary have the very coordinates of another vertex of it."""
     ends = np.unique(boundary)
     return len(ends) - len(np.unique(points[ends], axis=0))
 
 
 def _signed_volume(points: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
-    """Volume enclosed, in units of half the extent cubed; 0 where it is lost in rounding."""
+    """Return the volume enclosed, in units of half the extent cubed; 0 where it is lost in rounding."""
     p0, p1, p2 = (unit_coordinates(points)[faces[:, k]] for k in range(3))
     each = np.einsum("ij,ij->i", p0, np.cross(p1, p2)) / 6.0
     volume = float(each.sum())
@@ -418,7 +421,7 @@ def _signed_volume(points: NDArray[np.float64], faces: NDArray[np.int64]) -> flo
 
 
 def number(count: int | np.integer, one: str, many: str = "") -> str:
-    """``1 face``, ``7 faces``."""
+    """Return ``1 face``, ``7 faces``."""
     return f"{int(count)} {one if count == 1 else many or one + 's'}"
 
 

@@ -85,7 +85,7 @@ def _write(
 def ply_bytes(
     points: NDArray[np.float64], faces: NDArray[np.int32], properties: Mapping[str, NDArray[np.generic]] | None = None
 ) -> bytes:
-    """A mesh in binary PLY with further properties of its vertices, all in double precision."""
+    """Return a mesh in binary PLY with further properties of its vertices, all in double precision."""
     given = properties or {}
     names = ["x", "y", "z", *("_".join(name.split()) or "value" for name in given)]
     head = f"ply\nformat binary_little_endian 1.0\ncomment omtwarp\nelement vertex {len(points)}\n"

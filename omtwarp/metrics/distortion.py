@@ -66,7 +66,7 @@ class Distortion:
     triple: NDArray[np.float64]
 
     def to_dict(self) -> Aggregates:
-        """The aggregates as plain numbers, ready for JSON."""
+        """Return the aggregates as plain numbers, ready for JSON."""
         return {
             "flips": self.flips,
             "degree": self.degree,
@@ -142,7 +142,7 @@ def measure_triangles(
 def measure(
     vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike | wp.array, *, device: str | None
 ) -> Aggregates:
-    """The aggregates of :func:`distortion` alone, as :meth:`Distortion.to_dict` has them; arguments as there.
+    """Return the aggregates of :func:`distortion` alone, as :meth:`Distortion.to_dict` has them; arguments as there.
 
     On CUDA they are made on the device, and some twenty numbers come back instead of six for every triangle. Sums
     differ by rounding.
@@ -157,7 +157,7 @@ def measure(
 def triangle_quantities(
     vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike | wp.array, where: wp.Device
 ) -> list[wp.array]:
-    """Areas on surface and sphere, determinant, angle distortion, det[s0, s1, s2] and solid angle of every triangle."""
+    """Return triangles' areas on surface and sphere, determinant, angle distortion, det[s0, s1, s2], solid angle."""
     inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
     count = len(inputs[2])
     outputs = [wp.empty(count, dtype=wp.float64, device=where) for _ in range(6)]

@@ -8,7 +8,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def triangle_frame(p0: wp.vec3d, p1: wp.vec3d, p2: wp.vec3d):
-    """Base, foot and height of a triangle laid flat with its first edge along the x axis."""
+    """Return the base, foot and height of a triangle laid flat with its first edge along the x axis."""
     base = wp.length(p1 - p0)
     along = (p1 - p0) / wp.max(base, TINY)
     foot = wp.dot(p2 - p0, along)
@@ -18,7 +18,7 @@ def triangle_frame(p0: wp.vec3d, p1: wp.vec3d, p2: wp.vec3d):
 
 @wp.func
 def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Signed solid angle of a spherical triangle (van Oosterom and Strackee 1983)."""
+    """Return the signed solid angle of a spherical triangle (van Oosterom and Strackee 1983)."""
     return TWO * wp.atan2(triple_product(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
 
 
@@ -66,7 +66,10 @@ def weighted_distortions(
     area: wp.array[wp.float64],
     terms: wp.array2d[wp.float64],
 ):
-    """Area distortion, and what is to be summed: both distortions in three weightings, flips and solid angles."""
+    """Compute the area distortion, and what is to be summed.
+
+    Both distortions in three weightings, flips and solid angles.
+    """
     f = wp.tid()
     ratio = determinant[f] * (surface_total[0] / sphere_total[0])
     area[f] = ratio + ONE / ratio
@@ -87,7 +90,7 @@ def not_finite(
     # Data out:
     marks: wp.array[wp.float64],
 ):
-    """1 for a point with a coordinate that is not finite, else 0."""
+    """Compute 1 for a point with a coordinate that is not finite, else 0."""
     i = wp.tid()
     p = points[i]
     marks[i] = wp.where(wp.isfinite(p[0] + p[1] + p[2]), ZERO, ONE)
@@ -114,7 +117,9 @@ def count_crossings(
     crossings: wp.array[wp.int32],
     doubtful: wp.array[wp.int32],
 ):
-    """Signed number of spherical triangles over every ray from the centre; rays too near an edge are marked.
+    """Compute the signed number of spherical triangles over every ray from the centre.
+
+    Rays too near an edge are marked.
 
     A ray is inside a triangle where its three triple products have the sign of the triangle's own; with the opposite
     sign all three, its antipode is. The counts are integers, so the order of the additions does not matter.

@@ -103,7 +103,7 @@ class Optimality:
     stream: Array
 
     def to_dict(self) -> dict[str, float | int | None]:
-        """The numbers alone, ready for JSON; None for one that is not finite."""
+        """Return the numbers alone, ready for JSON; None for one that is not finite."""
         values = {name: value for name, value in vars(self).items() if not isinstance(value, np.ndarray)}
         return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
@@ -273,7 +273,7 @@ def _measure(
 
 
 def _excess(cost: float, bound: float) -> float:
-    """Cost over bound, less 1; infinite where the bound says nothing."""
+    """Return the cost over bound, less 1; infinite where the bound says nothing."""
     if bound > 0.0:
         return cost / bound - 1.0
     return 0.0 if cost == bound else float("inf")
@@ -305,7 +305,7 @@ def relative_curl(
 def exact_transport(
     sources: ArrayLike, source_masses: ArrayLike, targets: ArrayLike, target_masses: ArrayLike
 ) -> tuple[float, float]:
-    """The optimal plan between two sets of points on the sphere, by network simplex (POT's ``emd``).
+    """Return the optimal plan between two sets of points on the sphere, by network simplex (POT's ``emd``).
 
     Memory is 8 bytes for every pair of points, several times over: for a few thousand points.
 
@@ -341,7 +341,7 @@ def exact_transport(
 
 
 def _curl_part(surface: Surface, y: Array, log: Array, device: str | None) -> tuple[float, Array]:
-    """The relative curl of the displacement on the image mesh, and its stream function H, shape [V]."""
+    """Return the relative curl of the displacement on the image mesh, and its stream function H, shape [V]."""
     where = resolve_device(device)
     images, faces = vectors(y, where), surface.on(where).faces
     field = wp.empty(surface.face_count, dtype=wp.vec3d, device=where)
@@ -366,7 +366,7 @@ def _log_maps(base: Array, target: Array, device: str | None) -> Array:
 
 
 def _points(given: ArrayLike, surface: Surface, name: str) -> Array:
-    """Points of the unit sphere, shape [V, 3], normalised once more: the bound's digits rest on their lengths.
+    """Return points of the unit sphere, shape [V, 3], normalised once more: the bound's digits rest on their lengths.
 
     Raises:
         OmtwarpError: they are no such points.
@@ -376,7 +376,7 @@ def _points(given: ArrayLike, surface: Surface, name: str) -> Array:
 
 
 def _masses(given: ArrayLike, count: int) -> Array:
-    """Positive masses, shape [V], scaled to sum to 4π.
+    """Return the positive masses, shape [V], scaled to sum to 4π.
 
     Raises:
         OmtwarpError: another shape, or masses that are not positive.

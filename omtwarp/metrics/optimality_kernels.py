@@ -42,14 +42,14 @@ def next_subtree(node: int) -> int:
 
 @wp.func
 def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
-    """c(x, y) = d(x, y)² / 2."""
+    """Return c(x, y) = d(x, y)² / 2."""
     d = geodesic_distance(x, y)
     return HALF * d * d
 
 
 @wp.func
 def potential_at(nodal: wp.vec3d, edge: wp.vec3d, b: wp.vec3d) -> wp.float64:
-    """ψ at barycentric coordinates b."""
+    """Return ψ at barycentric coordinates b."""
     return wp.dot(b, nodal) + b[0] * b[1] * edge[0] + b[1] * b[2] * edge[1] + b[2] * b[0] * edge[2]
 
 
@@ -60,7 +60,7 @@ def point_at(y0: wp.vec3d, y1: wp.vec3d, y2: wp.vec3d, b: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def sample_weights(s: int) -> wp.vec3d:
-    """Barycentric coordinates of sample s of a triangle: its corners, then the middles of the edges (k, k+1)."""
+    """Return barycentric coordinates of sample s of a triangle: its corners, then the middles of the edges (k, k+1)."""
     b = wp.vec3d()
     if s < 3:
         b[s] = ONE
@@ -90,7 +90,7 @@ def face_displacement(
     # Data out:
     field_out: wp.array[wp.vec3d],
 ):
-    """The mean of the three corners' displacements, in the plane of the flat triangle."""
+    """Compute the mean of the three corners' displacements, in the plane of the flat triangle."""
     f = wp.tid()
     face = faces[f]
     normal = wp.normalize(wp.cross(points[face[1]] - points[face[0]], points[face[2]] - points[face[0]]))
@@ -106,7 +106,9 @@ def edge_bulges(
     # Data out:
     edge_out: wp.array[wp.vec3d],
 ):
-    """The quadratic terms e of ψ on the edges (k, k+1) from the slopes -log at their ends: those that a quadratic with
+    """Compute the quadratic terms e of ψ on the edges (k, k+1) from the slopes -log at their ends.
+
+    Those that a quadratic with
     these slopes has, its two ends averaged."""
     f = wp.tid()
     face = faces[f]
@@ -127,7 +129,7 @@ def admissible_differences(
     low_out: wp.array[wp.float64],
     high_out: wp.array[wp.float64],
 ):
-    """Between which two numbers ψ_b - ψ_a has to lie for the pairs a and b not to gain by swapping partners."""
+    """Compute the bounds on ψ_b - ψ_a within which the pairs a and b do not gain by swapping partners."""
     e = wp.tid()
     a = edges[e][0]
     b = edges[e][1]
@@ -137,7 +139,7 @@ def admissible_differences(
 
 @wp.func
 def solve_definite(matrix: mat66d, right: vec6d) -> vec6d:
-    """The solution of a symmetric positive definite system of six equations, by Cholesky's factorisation."""
+    """Return the solution of a symmetric positive definite system of six equations, by Cholesky's factorisation."""
     low = matrix
     x = right
     for j in range(6):

@@ -31,7 +31,7 @@ def velocity_at(
     excess: wp.array[wp.float64],
     sizes: wp.array[wp.float64],
 ):
-    """dx/ds = -∇Θ / (μ + (e^s - 1) ρ), section 4.2 with s = -log(1 - t); growth is e^s - 1, excess is ρ - 1.
+    """Return dx/ds = -∇Θ / (μ + (e^s - 1) ρ), section 4.2 with s = -log(1 - t); growth is e^s - 1, excess is ρ - 1.
 
     Also the size of triangles there, as linear between the vertices, and the face.
     """
@@ -87,7 +87,7 @@ def sources_and_density(
     mu: wp.array[wp.float64],
     excess: wp.array[wp.float64],
 ):
-    """Mass less the mass wanted at vertices, and both over the area on the sphere, the second less 1.
+    """Compute the mass less the mass wanted at vertices, and both over the area on the sphere, the second less 1.
 
     Areas and masses wanted are those of triangles, scaled to 4π. Where they are the same array ``excess`` is exactly 0.
     """
@@ -118,7 +118,7 @@ def vertex_field(
     field: wp.array[wp.vec3d],
     sizes: wp.array[wp.float64],
 ):
-    """-∇Θ at vertices: the angle-weighted mean of the gradients of the triangles around, tangent to the sphere.
+    """Compute -∇Θ at vertices: the angle-weighted mean of the gradients of the triangles around, tangent to the sphere.
 
     Weighting by angle rather than area keeps a large triangle from speaking for a small one: the area error left by the
     flow is a third of what area weights leave on scanned shapes.
@@ -166,7 +166,7 @@ def integrate_particles(
     moved: wp.array[wp.vec3d],
     steps: wp.array[wp.int32],
 ):
-    """Third-order Runge-Kutta (Ralston 1962) along one particle's path, steps at most a part of the triangle it is in.
+    """Integrate each particle's path by third-order Runge-Kutta steps (Ralston 1962), each within a part of a triangle.
 
     The velocity is linear on every triangle, so steps shorter than a triangle resolve it, and particles in calm regions
     take long steps: no particle waits for another.

@@ -17,7 +17,7 @@ ROUNDS = 4  # of repair after symmetrising; one was enough on every surface trie
 
 
 def mirror_frame(double: Double, sphere: Floats, masses: Floats) -> Floats:
-    """The rotation that brings a nearly symmetric map's plane of symmetry to the equator, the surface to the north.
+    """Return rotation that brings a nearly symmetric map's plane of symmetry to the equator, the surface to the north.
 
     Among all planes it is the one whose reflection brings mirror images nearest to each other: the eigenvector of the
     least eigenvalue of sum m (y y'ᵀ + y' yᵀ) for pairs y, y'.
@@ -41,7 +41,7 @@ def mirror_frame(double: Double, sphere: Floats, masses: Floats) -> Floats:
 
 
 def symmetrised(double: Double, turned: Floats) -> Floats:
-    """A map made exactly symmetric about the equator: means of mirror images, the boundary with z = 0.
+    """Return a map made exactly symmetric about the equator: means of mirror images, the boundary with z = 0.
 
     Args:
         double: the surface and its copy.
@@ -55,14 +55,14 @@ def symmetrised(double: Double, turned: Floats) -> Floats:
 
 
 def is_symmetric(double: Double, sphere: Floats) -> bool:
-    """Whether a map is its own mirror image to the last bit."""
+    """Return whether a map is its own mirror image to the last bit."""
     return bool(np.array_equal(sphere[double.mirror] * ACROSS, sphere))
 
 
 def symmetric_map(
     double: Double, surface: Surface, sphere: Floats, *, repair: bool = True, device: str | None = "auto"
 ) -> Floats | None:
-    """An exactly mirror-symmetric map that is one to one, near one that is nearly symmetric.
+    """Return an exactly mirror-symmetric map that is one to one, near one that is nearly symmetric.
 
     Args:
         double: the surface and its copy.

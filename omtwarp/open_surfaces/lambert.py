@@ -16,7 +16,9 @@ Floats = NDArray[np.float64]
 
 
 def hemisphere_to_disk(points: Floats) -> Floats:
-    """Points of the upper unit hemisphere, shape [V, 3], in the unit disk, shape [V, 2]; the equator is its circle.
+    """Return the points of the upper unit hemisphere, shape [V, 3], in the unit disk, shape [V, 2].
+
+    The equator is its circle.
 
     The distance from the middle is sqrt(1 - z): a zone of the sphere has the area of its ring, up to the factor 2.
 
@@ -28,7 +30,7 @@ def hemisphere_to_disk(points: Floats) -> Floats:
 
 
 def disk_to_cap(disk: Floats, share: float) -> Floats:
-    """Points of the unit disk, shape [V, 2], on the cap around the north pole that has a share of the sphere's area.
+    """Project the unit disk, shape [V, 2], to the cap around the north pole with a share of the sphere's area.
 
     Args:
         disk: points with |p| <= 1.
@@ -42,7 +44,7 @@ def disk_to_cap(disk: Floats, share: float) -> Floats:
 
 
 def to_gnomonic(cap: Floats, share: float) -> Floats:
-    """Points of a cap with a share below 0.5 in the unit disk by the projection that makes great circles straight.
+    """Project a cap with a share below 0.5 to the unit disk so that great circles become straight.
 
     Args:
         cap: unit vectors around the north pole, shape [V, 3].
@@ -61,7 +63,7 @@ def from_gnomonic(disk: Floats, share: float) -> Floats:
 
 
 def _gnomonic_radius(share: float) -> float:
-    """Tangent of the angle between the centre and the rim of a cap."""
+    """Return the tangent of the angle between the centre and the rim of a cap."""
     height = 1.0 - 2.0 * share
     return float(np.sqrt(1.0 - height**2) / height)
 

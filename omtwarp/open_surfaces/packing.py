@@ -60,12 +60,12 @@ def pack_caps(shares: Floats) -> tuple[Floats, float]:
 
 
 def cap_radius(share: Floats) -> Floats:
-    """Angle between centre and rim of a cap with a share of the sphere's area."""
+    """Return the angle between centre and rim of a cap with a share of the sphere's area."""
     return np.arccos(np.clip(1.0 - 2.0 * share, -1.0, 1.0))
 
 
 def _apart(start: Floats, shares: Floats, covered: float) -> Floats | None:
-    """Centres of caps that lie apart, found from others; None where some overlap in the end."""
+    """Return the centres of caps that lie apart, found from others; None where some overlap in the end."""
     radius = cap_radius(covered * shares)
     i, j = np.triu_indices(len(shares), 1)
     least = radius[i] + radius[j] + GAP

@@ -19,7 +19,7 @@ SOLVES = 3  # of the convex combinations: the first leaves no flips, but for rou
 
 
 def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
-    """Whether every triangle of a plane map is not counter-clockwise, decided exactly, shape [F].
+    """Return whether every triangle of a plane map is not counter-clockwise, decided exactly, shape [F].
 
     Twice the area of a triangle is the determinant of its corners (x, y, 1), which the predicate of the sphere decides.
 
@@ -99,7 +99,7 @@ def untangle_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) 
 
 
 def _unflipped(after: Floats, before: Floats) -> Floats:
-    """The unit vector y with the largest least det[y, a, b] / |a x b| over pairs of points, shape [K, 3] each."""
+    """Return unit vector y with the largest least det[y, a, b] / |a x b| over pairs of points, shape [K, 3] each."""
     normals = np.cross(after, before)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
     rows = np.concatenate([-normals, np.ones((len(normals), 1))], axis=1)
@@ -110,7 +110,7 @@ def _unflipped(after: Floats, before: Floats) -> Floats:
 
 
 def _drawn_inside(points: Floats, held: NDArray[np.bool_]) -> Floats:
-    """The disk drawn into the polygon of the vertices on its circle, near the circle alone where they are many."""
+    """Return disk drawn into the polygon of the vertices on its circle, near the circle alone where they are many."""
     angles = np.sort(np.arctan2(points[held, 1], points[held, 0]))
     around = np.concatenate([angles, [angles[0] + 2.0 * np.pi]])
     own = np.arctan2(points[:, 1], points[:, 0])
@@ -127,7 +127,7 @@ def _drawn_inside(points: Floats, held: NDArray[np.bool_]) -> Floats:
 
 
 def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: NDArray[np.bool_]) -> Floats:
-    """Places of all vertices as convex combinations of their neighbours."""
+    """Return the places of all vertices as convex combinations of their neighbours."""
     count = len(points)
     corners = points[faces]
     one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, -2, axis=1) - corners

@@ -32,7 +32,9 @@ ACROSS = np.array([1.0, 1.0, -1.0])  # what the reflection about the equator doe
 
 
 def folded(double: Double, vectors_: Floats) -> Floats:
-    """Points or tangent vectors made symmetric: the copy gets mirror images of the surface's, the boundary z = 0.
+    """Return the points or tangent vectors made symmetric.
+
+    The copy gets mirror images of the surface's, the boundary z = 0.
 
     Args:
         double: the surface and its copy, W vertices.
@@ -45,7 +47,7 @@ def folded(double: Double, vectors_: Floats) -> Floats:
 
 
 def folded_map(double: Double, sphere: Floats) -> Floats:
-    """A map made symmetric, shape [W, 3]: see :func:`folded`; the boundary is put back on its circle."""
+    """Return a map made symmetric, shape [W, 3]: see :func:`folded`; the boundary is put back on its circle."""
     out = folded(double, sphere)
     rim = np.flatnonzero(double.on_boundary & (sphere[:, 2] != 0.0))
     out[rim] /= np.linalg.norm(out[rim], axis=1)[:, None]
@@ -159,7 +161,7 @@ class SymmetricEnergy(TransportEnergy):
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Floats, Floats, Floats]:
-        """Blocks of the base, for a factorisation at these points."""
+        """Return the blocks of the base, for a factorisation at these points."""
         self._factor.at(points)
         return super().blocks(points, terms, curvature_share, least)
 
@@ -196,7 +198,7 @@ class SymmetricCellEnergy(CellEnergy):
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Floats, Floats, Floats]:
-        """Blocks of the base, for a factorisation at these points."""
+        """Return the blocks of the base, for a factorisation at these points."""
         self._mirror.at(points)
         return super().blocks(points, terms, curvature_share, least)
 
@@ -255,7 +257,7 @@ class MirrorFactor:
         self._factor.factorise(own, others, slopes, compliance[self._half] * self._share)
 
     def _halved(self, diagonal: Floats, off_diagonal: Floats) -> tuple[Floats, Floats]:
-        """Blocks of the half's vertices and edges from those of the double.
+        """Return the blocks of the half's vertices and edges from those of the double.
 
         Across the boundary nothing moves: what would is projected out, and given a pivot of its own.
         """
@@ -280,12 +282,12 @@ class MirrorFactor:
         return self._mirrored(u), q[self._number[self._original]]
 
     def _tangential(self, first: Floats) -> Floats:
-        """Right-hand sides of the half's coordinates, without what points across the boundary."""
+        """Return the right-hand sides of the half's coordinates, without what points across the boundary."""
         right = first[self._half] * self._share[:, None]
         return right - self._normals * np.einsum("va,va->v", self._normals, right)[:, None]
 
     def _mirrored(self, u: Floats) -> Floats:
-        """Coordinates of the double's vertices, shape [W, 2], from those of the half's."""
+        """Return the coordinates of the double's vertices, shape [W, 2], from those of the half's."""
         coordinates = np.zeros((len(self._double.mirror), 2))
         coordinates[self._half] = u
         step = wp.empty(len(coordinates), dtype=wp.vec3d, device=self._device)
@@ -294,7 +296,7 @@ class MirrorFactor:
         return self._coordinates(folded(self._double, step.numpy()))
 
     def _coordinates(self, tangent: Floats) -> Floats:
-        """Tangent vectors, shape [W, 3], in the bases of the map, shape [W, 2]."""
+        """Return the tangent vectors, shape [W, 3], in the bases of the map, shape [W, 2]."""
         out = wp.empty((len(tangent), 2), dtype=wp.float64, device=self._device)
         inputs = [self._points, vectors(tangent, self._device)]
         wp.launch(to_tangent, dim=len(tangent), inputs=inputs, outputs=[out], device=self._device)

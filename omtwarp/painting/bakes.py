@@ -50,13 +50,13 @@ class Target:
     device: wp.Device
 
     def spread(self, values: Floats, faces: Ints) -> Floats:
-        """Values at vertices, shape [V] or [V, C], as values at this target's corners, shape [T, 3, C]."""
+        """Return the values at vertices, shape [V] or [V, C], as values at this target's corners, shape [T, 3, C]."""
         at = values.reshape(len(values), -1)[faces[self.face]]
         return np.einsum("tij,tjc->tic", self.weights, at)
 
 
 def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
-    """Ambient occlusion: the cosine-weighted part of the rays from a point that leave the surface behind.
+    """Return the ambient occlusion: the cosine-weighted part of the rays from a point that leave the surface behind.
 
     Rays are cast from texels of a picture that is smaller by a whole factor where there would be more than
     :data:`MOST_RAYS` in all.
@@ -106,7 +106,7 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
 
 
 def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]) -> Bytes:
-    """Normals of a detailed surface in the frames of a coarser one, as glTF's ``normalTexture`` holds them.
+    """Return the normals of a detailed surface in the frames of a coarser one, as glTF's ``normalTexture`` holds them.
 
     Each texel takes the normal at the nearest point of the detailed surface.
 
@@ -152,14 +152,14 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
 
 
 def object_normals(target: Target) -> Bytes:
-    """Normals in the mesh's own axes as colours: red, green and blue from -1 to 1 along x, y and z."""
+    """Return the normals in the mesh's own axes as colours: red, green and blue from -1 to 1 along x, y and z."""
     picture = bake_corners(target.uv, target.normals, target.size, device=target.device).reshape(-1, 3)
     length = np.linalg.norm(picture, axis=1, keepdims=True)
     return _as_picture(np.where(length > 0, picture / np.maximum(length, 1e-30), 0.0), target.size)
 
 
 def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
-    """Unit vectors as bytes: 0 is -1 and 255 is 1, as glTF decodes them."""
+    """Return the unit vectors as bytes: 0 is -1 and 255 is 1, as glTF decodes them."""
     return np.rint((np.clip(vectors, -1.0, 1.0) * 0.5 + 0.5) * 255.0).astype(np.uint8).reshape(size[1], size[0], 3)
 
 
@@ -187,7 +187,7 @@ class Scalar:
         )
 
     def picture(self, target: Target, faces: Ints) -> Bytes:
-        """The picture of a target, uint8 sRGB, shape [H, W, 3]."""
+        """Return the picture of a target, uint8 sRGB, shape [H, W, 3]."""
         baked = bake_corners(
             target.uv, target.spread(self.values, faces), target.size, padding=PADDING, device=target.device
         )[..., 0]
@@ -231,7 +231,7 @@ def scalar(what: str | Path, vertices: Floats, faces: Ints, sphere: Floats) -> S
 
 
 def mean_curvature(vertices: Floats, faces: Ints) -> Floats:
-    """Mean curvature at vertices, 1 / length unit, positive where the surface bulges outward, shape [V].
+    """Return the mean curvature at vertices, 1 / length unit, positive where the surface bulges outward, shape [V].
 
     Half the length of the cotangent Laplacian of the positions over the mixed Voronoi area around a vertex [1]_.
 
@@ -253,7 +253,7 @@ def mean_curvature(vertices: Floats, faces: Ints) -> Floats:
 
 
 def area_ratio(vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
-    """Area on the sphere over area of the surface around vertices, both of all set to 1, shape [V]."""
+    """Return the area on the sphere over area of the surface around vertices, both of all set to 1, shape [V]."""
     shares = []
     for points in (sphere, vertices):
         each = triangle_areas(points, faces)

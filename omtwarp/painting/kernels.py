@@ -62,7 +62,7 @@ def sample_repeated(
     # Data out:
     out: wp.array2d[wp.float64],
 ):
-    """Bilinear samples of a picture that repeats both ways, at texture coordinates (v up)."""
+    """Compute the bilinear samples of a picture that repeats both ways, at texture coordinates (v up)."""
     i = wp.tid()
     height = picture.shape[0]
     width = picture.shape[1]
@@ -95,7 +95,7 @@ def tangent_normals(
     # Data out:
     out: wp.array[wp.vec3d],
 ):
-    """Normals of a detailed surface, nearest to points, in the frames of tangents and normals there.
+    """Compute the normals of a detailed surface, nearest to points, in the frames of tangents and normals there.
 
     The frame is glTF 2.0's: x along the tangent, y along sign * cross(normal, tangent), z along the normal.
     """
@@ -132,7 +132,7 @@ def cast_open_rays(
     # Data out:
     openness: wp.array[wp.float32],
 ):
-    """Part of the cosine-weighted rays from a point that leave the surface behind them.
+    """Compute the part of the cosine-weighted rays from a point that leave the surface behind them.
 
     ``numbers`` turn the pattern of rays differently for every point, so that no bands show.
     """

@@ -224,7 +224,7 @@ class _Job:
     def _base(
         self, like: NDArray, mesh: PaintedMesh, which: NDArray, tiled: Floats, material: Material, size: tuple[int, int]
     ) -> NDArray[np.float32]:
-        """A material's own colours on its own coordinates."""
+        """Return a material's own colours on its own coordinates."""
         if material.picture is None and mesh.vertex_colors is not None:
             colors = mesh.vertex_colors[mesh.faces[which]] / 255.0
             layout = Layout(tiled, *size, self.where, PADDING)
@@ -247,7 +247,7 @@ class _Job:
         )
 
     def _tangents(self, mesh: PaintedMesh) -> Floats | None:
-        """Tangents at a mesh's corners where a normal map is asked for, shape [F, 3, 4]."""
+        """Return the tangents at a mesh's corners where a normal map is asked for, shape [F, 3, 4]."""
         if self.wanted.detail is None:
             return None
         assert mesh.uv is not None
@@ -256,7 +256,7 @@ class _Job:
     def _finish(
         self, material: Material, color: NDArray[np.float32] | None, target: bakes.Target, tangents: Floats | None
     ) -> Material:
-        """The material with its colour and the bakes that were asked for."""
+        """Return the material with its colour and the bakes that were asked for."""
         wanted = self.wanted
         if color is not None:
             found = replace(material, picture=_opaque_if_it_is(as_bytes(color)), color=WHITE)
@@ -327,7 +327,7 @@ class _Job:
         )
 
     def _atlas_mesh(self, made: TexturedSurface) -> PaintedMesh:
-        """The mesh of an atlas, its vertices joined along the seams, with the materials that are kept."""
+        """Return the mesh of an atlas, its vertices joined along the seams, with the materials that are kept."""
         first = np.zeros(int(made.welded.max()) + 1, dtype=np.int64)
         first[made.welded[::-1]] = np.arange(len(made.welded))[::-1]
         materials = (Material("texture"),) if self.own is None or self.keep is None else self.own.materials
@@ -343,7 +343,7 @@ class _Job:
         )
 
     def _atlas_base(self, own: PaintedMesh, mesh: PaintedMesh, target: bakes.Target) -> NDArray[np.float32]:
-        """The colours that a mesh's own materials have on its atlas."""
+        """Return the colours that a mesh's own materials have on its atlas."""
         assert mesh.uv is not None
         layout = Layout(mesh.uv, *target.size, self.where)
         at = None if own.uv is None else np.einsum("tij,tjc->tic", target.weights, own.uv[target.face])
@@ -353,7 +353,7 @@ class _Job:
 
 
 def _extent(material: Material, size: int | None) -> tuple[int, int]:
-    """Width and height of a material's new picture."""
+    """Return the width and height of a material's new picture."""
     if material.picture is None:
         return (size or SIZE, size or SIZE)
     height, width = material.picture.shape[:2]
@@ -361,7 +361,7 @@ def _extent(material: Material, size: int | None) -> tuple[int, int]:
 
 
 def _with_opacity(picture: NDArray[np.generic]) -> NDArray[np.float32]:
-    """A picture of three or four channels as one of four."""
+    """Return a picture of three or four channels as one of four."""
     values = picture.astype(np.float32, copy=False)
     if values.shape[2] == 4:
         return values
@@ -369,12 +369,12 @@ def _with_opacity(picture: NDArray[np.generic]) -> NDArray[np.float32]:
 
 
 def _opaque_if_it_is(picture: Bytes) -> Bytes:
-    """A picture without its opacity where nothing shines through."""
+    """Return a picture without its opacity where nothing shines through."""
     return np.ascontiguousarray(picture[..., :3]) if picture[..., 3].min() == 255 else picture
 
 
 def _resized(picture: Bytes, size: tuple[int, int]) -> NDArray[np.float32]:
-    """A picture in another size, with opacity, from 0 to 1."""
+    """Return a picture in another size, with opacity, from 0 to 1."""
     from PIL import Image
 
     if picture.shape[1::-1] != size:
@@ -383,7 +383,7 @@ def _resized(picture: Bytes, size: tuple[int, int]) -> NDArray[np.float32]:
 
 
 def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Floats]:
-    """The parts of triangles that a smooth map divides, as vertices of that map, and their coordinates.
+    """Return the parts of triangles that a smooth map divides, as vertices of that map, and their coordinates.
 
     Args:
         smooth: the divided map.
@@ -401,7 +401,7 @@ def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Float
 
 
 def _weights(points: Floats, corners: Floats) -> Floats:
-    """Points in triangles as combinations of their corners.
+    """Return the points in triangles as combinations of their corners.
 
     Args:
         points: shape [T, 3, 3], three points for each triangle.

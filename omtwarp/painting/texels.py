@@ -27,7 +27,7 @@ INSIDE = 0.02
 
 
 def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Copies of triangles so that each covers its part of the unit square, as pictures that repeat are looked up.
+    """Copy triangles so that each copy covers its part of the unit square, for pictures that repeat.
 
     Args:
         uv: coordinates of the corners, shape [F, 3, 2].
@@ -56,7 +56,7 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
-    """The part of the covered texels that lie in more than one triangle, from 0 to 1."""
+    """Return the part of the covered texels that lie in more than one triangle, from 0 to 1."""
     if not len(uv):
         return 0.0
     texels = np.stack([uv[..., 0] * width, (1.0 - uv[..., 1]) * height], axis=-1)
@@ -81,7 +81,7 @@ def bake_corners(
     samples: int = SAMPLES,
     device: wp.Device,
 ) -> Picture:
-    """Values at corners, linear over every triangle, as a picture; 0 where nothing is.
+    """Return the values at corners, linear over every triangle, as a picture; 0 where nothing is.
 
     Args:
         uv: coordinates of the corners, shape [F, 3, 2].
@@ -103,7 +103,7 @@ def bake_corners(
 
 
 def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device: wp.Device) -> NDArray[np.bool_]:
-    """Which texels triangles cover, with the padding around them, shape [H, W]."""
+    """Return which texels triangles cover, with the padding around them, shape [H, W]."""
     ones = np.ones((len(uv), 3, 1))
     return bake_corners(uv, ones, size, padding=padding, samples=1, device=device)[..., 0] > 0.5
 
@@ -111,7 +111,7 @@ def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device
 def bake_materials(
     layout: Layout, own: Floats | None, which: Ints, materials: tuple[Material, ...], colors: Floats | None, rings: int
 ) -> Picture:
-    """The colours of materials at the texels of a layout, through the triangles' own coordinates.
+    """Return the colours of materials at the texels of a layout, through the triangles' own coordinates.
 
     Args:
         layout: the triangles on the picture to be made.
@@ -160,7 +160,7 @@ def bake_materials(
 
 
 def tinted(picture: NDArray[np.float32], factor: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A picture times a colour, multiplied as light; sRGB and opacity from 0 to 1, shape [H, W, 4]."""
+    """Return a picture times a colour, multiplied as light; sRGB and opacity from 0 to 1, shape [H, W, 4]."""
     if (factor == 1.0).all():
         return picture
     rgb = encode(decode(picture[..., :3]) * decode(factor[:3]))
@@ -168,7 +168,7 @@ def tinted(picture: NDArray[np.float32], factor: NDArray[np.float32]) -> NDArray
 
 
 def over(top: NDArray[np.float32], bottom: NDArray[np.float32], opacity: float) -> NDArray[np.float32]:
-    """One picture over another by Porter and Duff's "over" [1]_, in linear light.
+    """Lay one picture over another by Porter and Duff's "over" [1]_, in linear light.
 
     Args:
         top: sRGB and opacity from 0 to 1, shape [H, W, 4].
@@ -188,12 +188,12 @@ def over(top: NDArray[np.float32], bottom: NDArray[np.float32], opacity: float) 
 
 
 def decode(color: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The light of sRGB colours (IEC 61966-2-1)."""
+    """Return the light of sRGB colours (IEC 61966-2-1)."""
     return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def encode(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Light as sRGB colours (IEC 61966-2-1)."""
+    """Return the light as sRGB colours (IEC 61966-2-1)."""
     clipped = np.clip(light, 0.0, 1.0)
     return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055).astype(np.float32)
 

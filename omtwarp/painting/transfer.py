@@ -110,7 +110,7 @@ def _points(sphere: Floats, faces: Ints, vertices: Floats) -> SpherePoints:
 
 
 def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device) -> NDArray[np.float32]:
-    """A mesh's colours on the picture of an atlas, sRGB and opacity from 0 to 1, float32 [H, W, 4]."""
+    """Return a mesh's colours on the picture of an atlas, sRGB and opacity from 0 to 1, float32 [H, W, 4]."""
     cut = unwrap(sphere, mesh.faces, atlas)
     layout, part = sphere_layout(cut, atlas, sphere, None, where)
     own = None
@@ -124,7 +124,7 @@ def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device
 
 
 def _material(mesh: PaintedMesh, picture: NDArray[np.float32]) -> Material:
-    """One material with the transferred picture, as rough and metallic as the mesh's most common one."""
+    """Return a material with the transferred picture, as rough and metallic as the mesh's most common one."""
     common = mesh.materials[int(np.bincount(mesh.material_of).argmax())]
     texels = as_bytes(picture)
     if texels[..., 3].min() == 255:

@@ -81,7 +81,7 @@ def unwrap_uv(
 
 
 def _angles(corners: Floats, chart: NDArray[np.intp]) -> Floats:
-    """Angles of corners from the middles of charts, to the right and upwards, shape [F, 3, 2]."""
+    """Return the angles of corners from the middles of charts, to the right and upwards, shape [F, 3, 2]."""
     local = np.einsum("fkj,fij->fki", corners, CUBE_FRAMES[chart])
     return np.arctan2(local[..., 1:], local[..., :1])
 
@@ -92,7 +92,7 @@ def _signed_areas(plane: Floats) -> Floats:
 
 
 def _placed(plane: Floats, chart: NDArray[np.intp], aspect: float, margin: float) -> Floats:
-    """Coordinates of corners on the picture, each chart in the middle of its cell, all at one scale."""
+    """Return the coordinates of corners on the picture, each chart in the middle of its cell, all at one scale."""
     low, high = np.zeros((6, 2)), np.zeros((6, 2))
     for k in np.unique(chart):
         points = plane[chart == k].reshape(-1, 2)

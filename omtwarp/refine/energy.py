@@ -47,7 +47,7 @@ class Terms:
         return self.d_ratio.numpy()
 
     def total(self, weight: float) -> float:
-        """angle + λ area, less what a perfect map would have, and the barrier against upright needles."""
+        """Return angle + λ area, less what a perfect map would have, and the barrier against upright needles."""
         return self.angle + weight * self.area + needle_weight(weight) * self.needle
 
 
@@ -88,7 +88,10 @@ class TriangleKernels:
         self.faces, self.frames, self.areas, self.rows = faces, frames, areas, rows
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
-        """An array for a moment: float64 of shape [rows, columns], or vec3d of shape [rows] where there are three."""
+        """Return an array for a moment.
+
+        Float64 of shape [rows, columns], or vec3d of shape [rows] where there are three.
+        """
         if not shares_host_memory(self.device):
             if columns == 3:
                 return wp.empty(rows, dtype=wp.vec3d, device=self.device)
@@ -97,7 +100,7 @@ class TriangleKernels:
         return wp.array(numbers, dtype=wp.vec3d if columns == 3 else wp.float64, device=self.device, copy=False)
 
     def terms(self, points: wp.array) -> list[wp.array]:
-        """Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
+        """Return angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
         outputs = [wp.empty(self.count, dtype=wp.float64, device=self.device) for _ in range(4)]
 
         def arguments(part: slice) -> Arguments:
@@ -107,7 +110,7 @@ class TriangleKernels:
         return outputs
 
     def gradient(self, points: wp.array, pressures: Pressures) -> wp.array:
-        """Gradient by the points that have rows, tangent to the sphere, vec3d.
+        """Return the gradient by the points that have rows, tangent to the sphere, vec3d.
 
         Args:
             points: vec3d.
@@ -129,7 +132,7 @@ class TriangleKernels:
         return gradient
 
     def hessian(self, points: wp.array, pressures: Pressures, curvature_share: float) -> wp.array:
-        """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
+        """Return Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
@@ -166,11 +169,14 @@ class DistortionEnergy:
         self._sums = None if shares_host_memory(device) else DistortionSums(count, device)
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
-        """Points on the device, shape [V] of vec3d; on the CPU they are the array given, which must stay as it is."""
+        """Return the points on the device, shape [V] of vec3d.
+
+        On the CPU they are the array given, which must stay as it is.
+        """
         return vectors(sphere, self.device)
 
     def terms(self, points: wp.array) -> Terms:
-        """Distortions and per-triangle ratios of a map."""
+        """Return the distortions and per-triangle ratios of a map."""
         outputs = self.triangles.terms(points)
         if self._sums is not None:
             angle, total, area, inverse_sum, needle = self._sums(self.triangles.areas, *outputs)
@@ -189,18 +195,18 @@ class DistortionEnergy:
         )
 
     def gradient(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
-        """Gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
+        """Return the gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
         return self.triangles.gradient(points, self.pressures(terms, weight))
 
     def hessian(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> wp.array:
-        """Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
+        """Return Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
         return self.triangles.hessian(points, self.pressures(terms, weight), curvature_share)
 
     def pressures(self, terms: Terms, weight: float) -> Pressures:
-        """Factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""
+        """Return the factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""
         # Σ A (scale D + 1 / (scale D)) = 4π + (Σ A D) (Σ A / D) / 4π: each factor is the other sum over 4π.
         return (
             wp.float64(weight * terms.inverse_sum / SPHERE_AREA),

@@ -23,7 +23,7 @@ STEEP_COSINE = wp.constant(wp.float64(0.5))
 
 @wp.func
 def needle(cosine: wp.float64) -> wp.float64:
-    """A barrier against flips that flat areas do not see, 0 above ``STEEP_COSINE``.
+    """Return a barrier against flips that flat areas do not see, 0 above ``STEEP_COSINE``.
 
     The flat triangle of a needle whose height is far below the sagitta of its long edge stands nearly upright: its
     volume can vanish while its flat area does not.
@@ -62,7 +62,7 @@ def triangle_terms(
     volume: wp.array[wp.float64],
     steepness: wp.array[wp.float64],
 ):
-    """Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
+    """Compute the angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
     t = wp.tid()
     face = faces[t]
     a = sphere[face[0]]
@@ -94,7 +94,7 @@ def triangle_gradient(
     # Data out:
     corner_gradient: wp.array[wp.vec3d],
 ):
-    """Gradient of A [fro / D + linear D + inverse / D + barrier needle] by the three corners, shape [3F]."""
+    """Compute gradient of A [fro / D + linear D + inverse / D + barrier needle] by the three corners, shape [3F]."""
     t = wp.tid()
     face = faces[t]
     frame = frames[t]
@@ -158,7 +158,7 @@ def triangle_hessian(
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
-    """Hessian of A [fro / D + linear D + inverse / D + barrier needle] in the corners' tangent bases, divided, [F, 21].
+    """Compute the Hessian of A [fro / D + linear D + inverse / D + barrier needle] in tangent bases, divided, [F, 21].
 
     The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
     known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
@@ -251,7 +251,7 @@ def newton_decrements(
     # Data out:
     decrement: wp.array[wp.float64],
 ):
-    """gᵀ B⁻¹ g of every vertex, with B its own block, at a place among all blocks: twice what it gains alone.
+    """Compute gᵀ B⁻¹ g of every vertex, with B its own block, at a place among all blocks: twice what it gains alone.
 
     0 where the block has no inverse.
     """
@@ -277,7 +277,7 @@ def take_vectors(
     # Data out:
     taken: wp.array[wp.vec3d],
 ):
-    """The vectors at some places."""
+    """Compute the vectors at some places."""
     i = wp.tid()
     taken[i] = vectors[places[i]]
 
@@ -289,6 +289,6 @@ def put_vectors(
     # Data out:
     whole: wp.array[wp.vec3d],
 ):
-    """The other way round: vectors to their places, of which none is named twice."""
+    """Compute the other way round: vectors to their places, of which none is named twice."""
     i = wp.tid()
     whole[places[i]] = vectors[i]

@@ -30,7 +30,7 @@ MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
 
 
 def stiff_vertices(decrements: NDArray[np.float64], gain: float) -> NDArray[np.bool_]:
-    """The vertices with far more to gain than most, as a mask of shape [V]; one at least.
+    """Return the vertices with far more to gain than most, as a mask of shape [V]; one at least.
 
     Args:
         decrements: what moving each vertex alone is expected to gain, twice over, shape [V].
@@ -83,7 +83,7 @@ class Relaxation:
         self._triangles = TriangleKernels(faces, frames, areas, rows, energy.workspace)
 
     def run(self) -> wp.array:
-        """The map after a few steps, vec3d, shape [V].
+        """Return the map after a few steps, vec3d, shape [V].
 
         Raises:
             OmtwarpError: the distortion is not finite.
@@ -97,17 +97,17 @@ class Relaxation:
         return out
 
     def _sent(self, values: NDArray[np.generic], dtype: type) -> wp.array:
-        """An array on the device."""
+        """Return an array on the device."""
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def _taken(self, vectors: wp.array, places: wp.array) -> wp.array:
-        """The vectors at some places, without leaving the device."""
+        """Return the vectors at some places, without leaving the device."""
         out = wp.empty(len(places), dtype=wp.vec3d, device=self._device)
         wp.launch(take_vectors, dim=len(places), inputs=[vectors, places], outputs=[out], device=self._device)
         return out
 
     def _step(self) -> bool:
-        """One step of all patches; whether any has moved."""
+        """Take one step of all patches, and return whether any has moved."""
         patches, device, points = self._patches, self._device, self._points
         free = patches.free
         energies, volume = self._energies(points)
@@ -139,7 +139,7 @@ class Relaxation:
         return moved
 
     def _energies(self, points: wp.array, before: wp.array | None = None) -> tuple[NDArray[np.float64], wp.array]:
-        """Energy of every patch, infinite where a triangle lost too much of its volume before, and the volumes."""
+        """Return the energy of every patch, infinite where a triangle lost too much of its volume, and the volumes."""
         count, device = len(self._areas), self._device
         outputs = self._triangles.terms(points)
         angle, ratio, _, steepness = (array.numpy() for array in outputs)
@@ -154,7 +154,7 @@ class Relaxation:
         return self._patches.sum_of_faces(values), outputs[2]
 
     def _gradient(self) -> NDArray[np.float64]:
-        """Gradient by the freed vertices in their tangent bases, shape [free, 2]."""
+        """Return the gradient by the freed vertices in their tangent bases, shape [free, 2]."""
         free, device, points = self._patches.free, self._device, self._points
         gradient = self._triangles.gradient(points, self._pressures)
         coordinates = wp.empty((free, 2), dtype=wp.float64, device=device)

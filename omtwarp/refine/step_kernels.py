@@ -18,7 +18,7 @@ def distortion_summands(
     excess: wp.array[wp.float64],
     inverse: wp.array[wp.float64],
 ):
-    """r + 1/r - 2 without cancellation, with r the area ratio scaled by the image's total area, and one over the ratio.
+    """Compute r + 1/r - 2 without cancellation, r the area ratio scaled by the image's total area, and 1/ratio.
 
     Both before they are multiplied by the areas.
     """
@@ -36,7 +36,7 @@ def subtract_share(
     # Data in and out:
     result: wp.array[wp.vec3d],
 ):
-    """result - numerator / denominator vectors."""
+    """Compute result - numerator / denominator vectors."""
     i = wp.tid()
     result[i] = result[i] - numerator[0] / denominator[0] * vectors[i]
 
@@ -50,7 +50,7 @@ def add_share(
     # Data in and out:
     result: wp.array[wp.vec3d],
 ):
-    """result + (numerator - less) / denominator vectors."""
+    """Compute result + (numerator - less) / denominator vectors."""
     i = wp.tid()
     result[i] = result[i] + (numerator[0] - less[0]) / denominator[0] * vectors[i]
 
@@ -76,7 +76,7 @@ def descent_direction(
     along: wp.array[wp.float64],
     reach: wp.array[wp.float64],
 ):
-    """Minus the part of a step tangent to the sphere, its product with the gradient, and its length."""
+    """Compute minus the tangential part of a step, its product with the gradient, and its length."""
     i = wp.tid()
     tangent = wp.dot(step[i], points[i]) * points[i] - step[i]
     direction[i] = tangent
@@ -90,7 +90,7 @@ def largest_of_strides(
     # Data out:
     largest: wp.array[wp.float64],
 ):
-    """The largest of every so many-th number, none of them negative; as many as there are threads."""
+    """Compute the largest of every so many-th number, none of them negative; as many as there are threads."""
     t = wp.tid()
     best = wp.float64(0.0)
     for i in range(t, values.shape[0], largest.shape[0]):
@@ -104,7 +104,7 @@ def rotation_blocks(
     # Data out:
     blocks: wp.array[wp.float64],
 ):
-    """How a rotation ω moves a vertex in its tangent basis: (ω × y) · t = ω · (y × t), blocks 2 by 3."""
+    """Compute how a rotation ω moves a vertex in its tangent basis: (ω × y) · t = ω · (y × t), blocks 2 by 3."""
     i = wp.tid()
     y = points[i]
     t = first_tangent(y)
@@ -126,7 +126,9 @@ def gather_rows(
     # Data out:
     values: wp.array[wp.float64],
 ):
-    """The 2x2 blocks of compressed rows from the Hessians of triangles; see ``fill_rows`` of the multigrid kernels.
+    """Compute the 2x2 blocks of compressed rows from the Hessians of triangles.
+
+    See ``fill_rows`` of the multigrid kernels.
 
     A vertex sums over the triangles around it, an edge over its two.
     """
@@ -150,7 +152,7 @@ def block_traces(
     # Data out:
     trace: wp.array[wp.float64],
 ):
-    """The trace of every vertex's own block."""
+    """Compute the trace of every vertex's own block."""
     i = wp.tid()
     trace[i] = values[4 * diagonal[i]] + values[4 * diagonal[i] + 3]
 

@@ -60,10 +60,10 @@ class Steps(Protocol):
         """Make ready for directions with the matrix assembled last."""
 
     def decrements(self, gradient: wp.array) -> NDArray[np.float64]:
-        """Twice what every vertex is expected to gain alone, by the matrix assembled last, shape [V]."""
+        """Return twice the expected gain of every vertex alone, by the matrix assembled last, shape [V]."""
 
     def direction(self, points: wp.array, gradient: wp.array) -> Direction:
-        """The direction at a map."""
+        """Return the direction at a map."""
 
     def update(self, points: wp.array, gradient: wp.array, new_points: wp.array, new_gradient: wp.array) -> None:
         """Add the pair (s, y) of a step: s the change of the points, y that of the gradient (Nocedal 1980)."""
@@ -227,12 +227,12 @@ class DeviceSteps:
 
 
 def steps_for(energy: DistortionEnergy) -> Steps:
-    """Steps on the host or on the device, whichever suits the surface."""
+    """Return the steps on the host or on the device, whichever suits the surface."""
     return (DeviceSteps if on_device(energy.device, energy.surface.vertex_count) else HostSteps)(energy)
 
 
 def flat(vectors: wp.array) -> wp.array:
-    """The numbers of contiguous vectors one after the other, in the same memory."""
+    """Return the numbers of contiguous vectors one after the other, in the same memory."""
     size = vectors.size * (3 if vectors.dtype is wp.vec3d else 1)
     return wp.array(ptr=vectors.ptr, dtype=wp.float64, shape=(size,), device=vectors.device)
 

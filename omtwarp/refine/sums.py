@@ -25,7 +25,10 @@ class DistortionSums:
     def __call__(
         self, areas: wp.array, angle: wp.array, ratio: wp.array, _volume: wp.array, steepness: wp.array
     ) -> tuple[float, ...]:
-        """Σ A angle, Σ A D, Σ A (r + 1/r - 2) with r = 4π D / Σ A D, Σ A / D and Σ A steepness; arrays of shape [F]."""
+        """Return Σ A angle, Σ A D, Σ A (r + 1/r - 2) with r = 4π D / Σ A D, Σ A / D and Σ A steepness.
+
+        Arrays of shape [F].
+        """
         place = self._places
         self._sum.dot(areas, ratio, place[1])
         inputs, outputs = [ratio, place[1]], [self._excess, self._inverse]

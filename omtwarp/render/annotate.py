@@ -42,7 +42,7 @@ def compose(
 
 
 def ink(background: object, transparent: bool) -> tuple[int, int, int]:
-    """Dark or light text, whichever can be read on the background; mid-grey where that is unknown."""
+    """Return the dark or light text, whichever can be read on the background; mid-grey where that is unknown."""
     if transparent:
         return (110, 116, 124)
     mean = backdrop(background, 1, 16).mean(axis=(0, 1)) @ np.array([0.299, 0.587, 0.114])
@@ -50,12 +50,12 @@ def ink(background: object, transparent: bool) -> tuple[int, int, int]:
 
 
 def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's own font."""
+    """Return Pillow's own font."""
     return ImageFont.load_default(size=max(size, 8.0))
 
 
 def bar_width(size: tuple[int, int]) -> int:
-    """Pixels that a colour bar takes at the right of a picture."""
+    """Return the pixels that a colour bar takes at the right of a picture."""
     return max(64, round(0.17 * min(size)))
 
 

@@ -13,7 +13,7 @@ _SIDES = 8  # of an arrow's shaft and head: at the size of an arrow, no corner o
 
 
 def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
-    """The arrows in the renderers' form; None where the field is zero everywhere.
+    """Return the arrows in the renderers' form; None where the field is zero everywhere.
 
     Raises:
         OmtwarpError: the field has the wrong shape or a value that is not finite.
@@ -51,7 +51,10 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
 
 
 def _thin_out(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """Indices of about ``count`` points spread evenly: one for each occupied cell of a grid of the right width."""
+    """Return the indices of about ``count`` points spread evenly.
+
+    One for each occupied cell of a grid of the right width.
+    """
     if len(points) <= count:
         return np.arange(len(points))
 
@@ -80,7 +83,7 @@ def _solid_arrows(
     longest: float,
     color: NDArray[np.float64],
 ) -> Part:
-    """A round shaft and a cone for every arrow, by broadcasting one template."""
+    """Return a round shaft and a cone for every arrow, by broadcasting one template."""
     side = np.cross(normal, way)
     weak = np.linalg.norm(side, axis=1) < 1e-6
     side[weak] = np.cross(way[weak], np.eye(3)[np.argmin(np.abs(way[weak]), axis=1)])

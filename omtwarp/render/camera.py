@@ -85,7 +85,7 @@ class Shot:
 
 
 def as_view(view: str | tuple[float, float] | Camera, base: Camera) -> Camera:
-    """A view by name, as (azimuth, elevation) in degrees, as the text ``"AZ,EL"``, or a :class:`Camera` itself.
+    """Return a view by name, as (azimuth, elevation) in degrees, as the text ``"AZ,EL"``, or a :class:`Camera` itself.
 
     Raises:
         OmtwarpError: it is none of these.
@@ -112,7 +112,7 @@ def as_view(view: str | tuple[float, float] | Camera, base: Camera) -> Camera:
 
 
 def as_views(views: object, base: Camera) -> list[Camera]:
-    """One view or several; ``"six"`` is front, back, left, right, top and bottom, None the camera itself."""
+    """Return one view or several; ``"six"`` is front, back, left, right, top and bottom, None the camera itself."""
     if views is None:
         return [base]
     if isinstance(views, str) and views == "six":
@@ -126,7 +126,7 @@ def as_views(views: object, base: Camera) -> list[Camera]:
 
 
 def turntable(base: Camera, frames: int) -> list[Camera]:
-    """Cameras that go once around the upward axis in equal steps; the last step leads back to the first.
+    """Return the cameras that go once around the upward axis in equal steps; the last step leads back to the first.
 
     Raises:
         OmtwarpError: fewer than one frame.
@@ -137,7 +137,7 @@ def turntable(base: Camera, frames: int) -> list[Camera]:
 
 
 def axis_vector(name: str) -> NDArray[np.float64]:
-    """The unit vector of an axis such as ``"z"``, ``"+z"`` or ``"-y"``.
+    """Return the unit vector of an axis such as ``"z"``, ``"+z"`` or ``"-y"``.
 
     Raises:
         OmtwarpError: the text names no axis.
@@ -151,7 +151,7 @@ def axis_vector(name: str) -> NDArray[np.float64]:
 
 
 def camera_axes(camera: Camera, up: str = "y", front: str | None = None) -> NDArray[np.float64]:
-    """The camera's right, up and backward directions as columns, float64 [3, 3].
+    """Return the camera's right, up and backward directions as columns, float64 [3, 3].
 
     Args:
         camera: gives azimuth, elevation and roll.

@@ -65,7 +65,7 @@ def parse_color(color: str | ArrayLike, what: str = "colour") -> NDArray[np.floa
 
 @cache
 def colormap_table(name: str, size: int = 256) -> NDArray[np.uint8]:
-    """The colours of a colour map, shape [size, 3] sRGB bytes; a trailing ``_r`` reverses it.
+    """Return the colours of a colour map, shape [size, 3] sRGB bytes; a trailing ``_r`` reverses it.
 
     The built-in maps are ``viridis``, ``magma``, ``cividis``, ``coolwarm``, ``turbo`` and ``gray``; any other name is
     looked up in Matplotlib where that is installed.
@@ -96,7 +96,7 @@ def srgb_to_linear(color: ArrayLike) -> NDArray[np.float64]:
 
 
 def backdrop(background: object, width: int, height: int) -> NDArray[np.float64]:
-    """The picture behind the surface: RGB in [0, 1], shape [height, width or 1, 3].
+    """Return the picture behind the surface: RGB in [0, 1], shape [height, width or 1, 3].
 
     ``background`` is a colour, a pair of colours (top, bottom) blended downwards, or ``"studio"``.
 

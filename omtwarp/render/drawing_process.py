@@ -47,7 +47,7 @@ def _exactly(stream: BinaryIO, count: int) -> bytes:
 
 
 def _waiting(stream: BinaryIO) -> bool:
-    """Whether something can be read already, where that can be told: of pipes not on Windows."""
+    """Return whether something can be read already, where that can be told: of pipes not on Windows."""
     return os.name == "nt" or bool(select.select([stream], [], [], 0.0)[0])
 
 

@@ -92,7 +92,7 @@ class _Story:
         return not np.array_equal(self.first, self.last)
 
     def part(self, time: float) -> Part:
-        """The surface as it is drawn at a time between 0 and 2."""
+        """Return the surface as it is drawn at a time between 0 and 2."""
         places = self.surface + max(time - 1.0, 0.0) * (self.ball - self.surface)
         points = along_great_circles(self.first, self.last, min(time, 1.0))
         normals = welded_normals(places, self.faces)
@@ -112,7 +112,7 @@ class _Story:
 
 
 def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
-    """Points on the way between unit vectors, at constant speed along great circles, shape [N, 3].
+    """Return the points on the way between unit vectors, at constant speed along great circles, shape [N, 3].
 
     Args:
         first: where points are at time 0, shape [N, 3].
@@ -226,7 +226,7 @@ def film_frames(
     backend: str = "auto",
     device: str = "auto",
 ) -> Iterator[Image.Image]:
-    """The frames of :func:`film`, one after another, with the same arguments."""
+    """Return the frames of :func:`film`, one after another, with the same arguments."""
     size = _checked_size(size)
     story, shot_for = _story_of(result, pattern, image, size[0], view, up, front, device)
     studio = _Studio(story, shot_for, background, captions, backend, device, fps)
@@ -250,7 +250,7 @@ def _story_of(
     front: str | None,
     device: str,
 ) -> tuple[_Story, Callable[[float], Shot]]:
-    """The course of a film, and the camera for a picture of a given width over height.
+    """Return the course of a film, and the camera for a picture of a given width over height.
 
     Raises:
         OmtwarpError: no map to a sphere, a map of several parts, or an unusable picture or view.
@@ -307,7 +307,7 @@ class _Studio:
     fps: float
 
     def draw(self, times: Sequence[float], width: int, height: int) -> list[NDArray[np.uint8]]:
-        """Pictures of some moments, uint8 [height, width, 4], colours multiplied by their coverage."""
+        """Return the pictures of some moments, uint8 [height, width, 4], colours multiplied by their coverage."""
         shot = self.shot_for(width / height)
         job = RenderJob(
             parts=[self.story.part(time) for time in times],
@@ -320,7 +320,7 @@ class _Studio:
         return render(job, self.backend, self.device)[0]
 
     def times(self, aspect: float, seconds: float | None, progress: Progress | None = None) -> list[float]:
-        """The time of every frame, for motion that looks even.
+        """Return the time of every frame, for motion that looks even.
 
         Motion is the share of the picture that edges sweep over, measured on small pictures; within each part of the
         film its speed is constant but for where it sets in and dies away.
@@ -351,7 +351,7 @@ class _Studio:
     def _motion(
         self, first: float, last: float, aspect: float, most: int, progress: Progress | None
     ) -> tuple[list[float], Floats]:
-        """Moments of a part of the film, about ``most`` of them at most, and the motion from its beginning to each."""
+        """Return about ``most`` moments of a part of the film at most, and the motion from its beginning to each."""
         width, height = PROBE_WIDTH, max(round(PROBE_WIDTH / aspect), 16)
         seen: dict[float, NDArray[np.int16]] = {}
 
@@ -382,7 +382,10 @@ class _Studio:
     def frames(
         self, times: Sequence[float], size: tuple[int, int], progress: Progress | None = None
     ) -> Iterator[Image.Image]:
-        """The pictures of the film, drawn as they are asked for; moments in which nothing moves are drawn once."""
+        """Yield the pictures of the film, drawn as they are asked for.
+
+        Moments in which nothing moves are drawn once.
+        """
         width, height = size
         letters = max(11.0, height / 26.0)
         band = round(2.0 * letters) if self.captions and height >= CAPTIONED_HEIGHT else 0
@@ -406,7 +409,7 @@ class _Studio:
 
 
 def _eased(x: Floats) -> Floats:
-    """The way covered at times in [0, 1] by a motion that sets in and dies away over EASE, constant between."""
+    """Return the way covered at times in [0, 1] by a motion that sets in and dies away over EASE, constant between."""
     speed = 1.0 / (1.0 - EASE)
     begun = speed * x**2 / (2.0 * EASE)
     ending = 1.0 - speed * (1.0 - x) ** 2 / (2.0 * EASE)

@@ -156,7 +156,7 @@ _no_use: str | None = None
 
 
 def reason_against() -> str | None:
-    """Why no picture can be drawn with OpenGL here, as far as is known yet; None while nothing speaks against it."""
+    """Return why no picture can be drawn with OpenGL here; None while no reason is known."""
     global _no_use
     if _no_use is None and importlib.util.find_spec("pyrender") is None:
         _no_use = f"pyrender is not installed ({INSTALL_PYRENDER}; on Debian and Ubuntu also {INSTALL_GL})"

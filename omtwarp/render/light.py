@@ -33,7 +33,7 @@ class Light:
             raise OmtwarpError(f"{len(self.directional)} directional lights given, at most 4 can be drawn")
 
     def unit_directions(self) -> list[tuple[np.ndarray, float]]:
-        """The directional lights with directions of unit length."""
+        """Return the directional lights with directions of unit length."""
         return [(np.asarray(way, float) / np.linalg.norm(way), float(power)) for way, power in self.directional]
 
 
@@ -52,7 +52,7 @@ LIGHTS = {
 
 
 def as_light(light: str | Light) -> Light:
-    """A :class:`Light`, or one of the sets ``studio``, ``soft`` and ``flat`` by name.
+    """Return a :class:`Light`, or one of the sets ``studio``, ``soft`` and ``flat`` by name.
 
     Raises:
         OmtwarpError: no set of lights has this name.

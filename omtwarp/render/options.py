@@ -113,7 +113,7 @@ def takes(kind: type, defaults: PanelOptions | PreviewOptions) -> Callable[[Func
 
 
 def _annotations(kind: type) -> dict[str, object]:
-    """The annotations of a TypedDict and of those that it extends, in their order."""
+    """Return the annotations of a TypedDict and of those that it extends, in their order."""
     return {name: given for base in reversed(kind.__mro__) for name, given in inspect.get_annotations(base).items()}
 
 
@@ -174,7 +174,7 @@ def _check_film(options: PreviewOptions) -> None:
 
 
 def cameras_of(options: PreviewOptions) -> list[Camera]:
-    """One camera for each picture.
+    """Return a camera for each picture.
 
     Raises:
         OmtwarpError: an unknown view, or several for a film.
@@ -188,7 +188,7 @@ def cameras_of(options: PreviewOptions) -> list[Camera]:
 
 
 def view_of(subject: Subject, options: PreviewOptions) -> SurfaceView:
-    """The subject with what the options change about it.
+    """Return the subject with what the options change about it.
 
     Raises:
         OmtwarpError: the subject cannot be read or drawn.

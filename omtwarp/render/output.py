@@ -164,7 +164,7 @@ def _ffmpeg() -> str:
 
 @cache
 def _encoder(program: str) -> list[str]:
-    """Options of the first encoder that an ffmpeg has among those for H.264, or of MPEG-4, which every one has."""
+    """Return the options of an ffmpeg's first encoder for H.264, or of MPEG-4, which every build has."""
     listed = subprocess.run([program, "-hide_banner", "-encoders"], capture_output=True, text=True, check=False).stdout
     return next((options for name, options in ENCODERS.items() if f" {name} " in listed), MPEG4)
 

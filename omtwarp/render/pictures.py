@@ -164,7 +164,7 @@ def sheet(
 def comparison(
     result: FinishedMap, path: str | os.PathLike[str] | None = None, **options: Unpack[PanelOptions]
 ) -> Image.Image:
-    """One sheet of a map: the surface textured by the conformal and by the optimal map, and the sphere with both.
+    """Draw a sheet of a map: the surface textured by the conformal and the optimal map, and the sphere with both.
 
     Args:
         result: a ``MapResult`` with ``vertices``, ``faces``, ``sphere`` and ``conformal``.
@@ -193,7 +193,7 @@ def comparison(
 
 
 def _captions(given: bool | Sequence[str], cameras: list[Camera]) -> list[str]:
-    """A text for each view of a sheet: none, its name, or what was given."""
+    """Return a text for each view of a sheet: none, its name, or what was given."""
     if given is False:
         return [""] * len(cameras)
     if given is True:
@@ -246,7 +246,7 @@ def _finished(
     columns: int | None = None,
     title: str = "",
 ) -> Image.Image:
-    """One sheet of several pictures; it says what drew the last of them."""
+    """Join several pictures to a sheet, with the renderer of the last of them."""
     background, transparent = options["background"], options["transparent"]
     result = annotate.grid(
         images, captions, columns=columns, background=background, transparent=transparent, title=title

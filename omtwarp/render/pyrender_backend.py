@@ -227,7 +227,7 @@ class GLRenderer:
 
 
 def _averaged(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
-    """The mean over blocks of ``side`` x ``side`` pixels."""
+    """Return the mean over blocks of ``side`` x ``side`` pixels."""
     height, width = pixels.shape[:2]
     # Not as RGBA: Pillow would take the colours for unmultiplied and weight them by their coverage once more.
     picture = Image.frombuffer("RGBX", (width, height), np.ascontiguousarray(pixels).tobytes(), "raw", "RGBX", 0, 1)
@@ -250,7 +250,7 @@ def _camera(shot: Shot, aspect: float) -> Camera:
 
 
 def _open_context() -> Platform:
-    """A context on the first device that gives one.
+    """Return a context on the first device that gives one.
 
     Device 0 may be a graphics card the user may not open, so each is tried; ``EGL_DEVICE_ID`` goes first.
     """

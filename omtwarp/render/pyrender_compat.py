@@ -85,13 +85,13 @@ def _hollow_trimesh() -> None:
 
 
 def _restore_numpy_name() -> None:
-    """pyrender's bounding boxes use ``np.infty``, which NumPy 2 removed."""
+    """Restore ``np.infty``, which pyrender's bounding boxes use and NumPy 2 removed."""
     if not hasattr(np, "infty"):
         setattr(np, "infty", np.inf)  # noqa: B010
 
 
 def _find_library(original: Callable[[str], str | None]) -> Callable[[str], str | None]:
-    """PyOpenGL 3.1.0 asks ldconfig alone, which does not know libraries on LD_LIBRARY_PATH; the loader does."""
+    """Return PyOpenGL 3.1.0 asks ldconfig alone, which does not know libraries on LD_LIBRARY_PATH; the loader does."""
 
     def find(name: str) -> str | None:
         found: str | None = original(name)
@@ -108,7 +108,7 @@ def _find_library(original: Callable[[str], str | None]) -> Callable[[str], str 
 
 
 def _teach_array_handler() -> None:
-    """Python 3.12 renamed the type behind ``byref``, which PyOpenGL 3.1.0 knows by name only."""
+    """Register the type behind ``byref``, which Python 3.12 renamed and PyOpenGL 3.1.0 knows by name only."""
     from OpenGL.plugins import FormatHandler
 
     handler = FormatHandler.by_name("ctypesparameter")

@@ -76,7 +76,7 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
 
 
 def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp.Mesh]:
-    """Parts as one mesh with unshared corners, so that a face's number is enough to find its points."""
+    """Return the parts as one mesh with unshared corners, so that a face's number is enough to find its points."""
     offsets = np.cumsum([0] + [len(part.positions) for part in parts])
     faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets[:-1], strict=True)])
     positions = np.concatenate([part.positions for part in parts])
@@ -100,7 +100,7 @@ def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp
 
 
 def _picture(part: Part | None, where: wp.Device) -> kernels.Picture:
-    """A part's image with its mip levels; a single grey texel for none."""
+    """Return a part's image with its mip levels; a single grey texel for none."""
     image = part.image if part is not None and part.image is not None else np.full((1, 1, 3), 128, np.uint8)
     sizes = [(image.shape[1], image.shape[0])]
     if part is not None and part.mipmaps:

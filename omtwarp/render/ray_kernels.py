@@ -136,7 +136,10 @@ def trilinear(picture: Picture, u: float, v: float, level: float):
 
 @wp.func
 def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
-    """The mean over the ellipse that the derivatives span: probes along its long axis at the level of the short one."""
+    """Return the mean over the ellipse that the derivatives span.
+
+    Probes along its long axis at the level of the short one.
+    """
     width = float(picture.widths[0])
     height = float(picture.heights[0])
     ax = along_x[0] * width
@@ -172,7 +175,7 @@ def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
 
 @wp.func
 def sphere_color(picture: Picture, p: wp.vec3, px: wp.vec3, py: wp.vec3):
-    """The equirectangular image at a point of the sphere; derivatives by the chain rule, hence no seam."""
+    """Return the equirectangular image at a point of the sphere; derivatives by the chain rule, hence no seam."""
     across = wp.max(wp.dot(px, px), wp.dot(py, py))
     flat2 = p[0] * p[0] + p[1] * p[1]
     rho2 = wp.max(flat2, wp.max(0.0625 * across, 1.0e-20))
@@ -190,7 +193,7 @@ def sphere_color(picture: Picture, p: wp.vec3, px: wp.vec3, py: wp.vec3):
 
 @wp.func
 def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
-    """Lambert's diffuse term and a GGX highlight (Schlick's Fresnel, Smith's shadowing), as glTF 2.0, appendix B.
+    """Return Lambert's diffuse term and a GGX highlight (Schlick's Fresnel, Smith's shadowing; glTF 2.0, appendix B).
 
     With h = (l + v) / |l + v| and |l + v|² = 2 (1 + l.v) all angles come from n.l, n.v and l.v.
     """
@@ -239,7 +242,7 @@ def ray_way(view: View, x: float, y: float):
 
 @wp.func
 def weights_on_plane(origin: wp.vec3, way: wp.vec3, p0: wp.vec3, e1: wp.vec3, e2: wp.vec3, facing: float):
-    """Barycentric weights of corners 1 and 2 where a ray meets a triangle's plane, and the determinant.
+    """Return the barycentric weights of corners 1 and 2 where a ray meets a triangle's plane, and the determinant.
 
     Moeller & Trumbore (1997). ``facing`` is the determinant of the ray the pixel is drawn with (0 for that ray itself):
     a neighbouring ray that runs along the plane or meets it behind the camera is held to a tenth of it.
@@ -419,7 +422,7 @@ def halve_texels(
     # Data in and out:
     texels: wp.array2d[wp.uint8],
 ):
-    """One mip level from the one before: the mean light over the texels that each new one covers."""
+    """Compute a mip level from the one before: the mean light over the texels that each new one covers."""
     row, column = wp.tid()
     first_row = row * source_height // target_height
     last_row = wp.max((row + 1) * source_height // target_height, first_row + 1)

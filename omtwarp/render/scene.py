@@ -38,7 +38,7 @@ class ScalarField:
     logarithmic: bool = False
 
     def limits(self) -> tuple[float, float]:
-        """The values at the two ends of the colour map.
+        """Return the values at the two ends of the colour map.
 
         Raises:
             OmtwarpError: there is no finite value, the range is empty, or a logarithmic range is not positive.
@@ -61,7 +61,7 @@ class ScalarField:
         return low, high
 
     def normalised(self) -> NDArray[np.float64]:
-        """The values moved to [0, 1]; NaN stays."""
+        """Return the values moved to [0, 1]; NaN stays."""
         low, high = self.limits()
         values = np.asarray(self.values, dtype=np.float64)
         if self.logarithmic:
@@ -304,7 +304,7 @@ class RenderJob:
 
 
 def as_image(image: Image | ArrayLike) -> NDArray[np.uint8]:
-    """A PIL image or an array as sRGB bytes, shape [height, width, 3].
+    """Return a PIL image or an array as sRGB bytes, shape [height, width, 3].
 
     Raises:
         OmtwarpError: neither, or empty.
@@ -325,7 +325,7 @@ def as_image(image: Image | ArrayLike) -> NDArray[np.uint8]:
 
 
 def welded_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Unit normals per vertex, shape [V, 3], equal at vertices that lie at the same place.
+    """Return the unit normals per vertex, shape [V, 3], equal at vertices that lie at the same place.
 
     The weights are those of Max (1999), "Weights for computing vertex normals from facet normals": exact on a mesh
     inscribed in a sphere, and independent of how the surface is cut into triangles elsewhere.
@@ -360,7 +360,7 @@ def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.in
 
 
 def normalisation(view: SurfaceView) -> tuple[NDArray[np.float64], float]:
-    """Centre of the bounding box of the drawn vertices, and the distance of the farthest of them from it."""
+    """Return the centre of the bounding box of the drawn vertices, and the distance of the farthest of them from it."""
     used = _used(view)
     low, high = used.min(axis=0), used.max(axis=0)
     centre = low / 2 + high / 2
@@ -370,13 +370,13 @@ def normalisation(view: SurfaceView) -> tuple[NDArray[np.float64], float]:
 
 
 def normalised_points(view: SurfaceView) -> NDArray[np.float64]:
-    """The drawn vertices in normalised coordinates, for framing."""
+    """Return the drawn vertices in normalised coordinates, for framing."""
     centre, radius = normalisation(view)
     return (_used(view) - centre) / radius
 
 
 def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
-    """The surface in the form the renderers take: one part, or one for every material that is used."""
+    """Return the surface in the form the renderers take: one part, or one for every material that is used."""
     if view.materials is None:
         return [_build_part(view, edges)]
     _, faces = _arrays(view)
@@ -396,12 +396,12 @@ def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
 
 
 def smooth_parts(face_count: int) -> int:
-    """Into how many parts the edges of a mesh of so many triangles are divided to show its map smooth."""
+    """Return into how many parts edges of a mesh of so many triangles are divided to show its map smooth."""
     return int(np.clip(np.sqrt(SMOOTH_FACES / face_count), 1, MOST_PARTS))
 
 
 def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | None = None) -> Part:
-    """One part of a surface in the form the renderers take; ``whole`` is the surface it is a part of.
+    """Build a part of a surface in the form that renderers take; ``whole`` is the surface it is a part of.
 
     Corners are given their own rows only where something differs between the faces around a vertex: per-face colours,
     per-corner coordinates, flat shading, or edges.
@@ -454,7 +454,7 @@ class _Look:
 
 
 def _look_of(view: SurfaceView) -> _Look:
-    """Appearance of a surface without materials: its image, its scalar, its colours, or one colour."""
+    """Return the appearance of a surface without materials: its image, its scalar, its colours, or one colour."""
     if view.image is not None:
         picture = cast(NDArray[np.uint8], view.image)  # as the view itself has made it
         tint = (1.0, 1.0, 1.0)
@@ -477,7 +477,7 @@ def _look_of(view: SurfaceView) -> _Look:
 
 
 def _corner_values(value: NDArray, vertex_count: int, face_count: int) -> NDArray | None:
-    """Values per corner [F, 3, C] or face [F, C] as rows of corners [3F, C]; None for values per vertex."""
+    """Return the values per corner [F, 3, C] or face [F, C] as rows of corners [3F, C]; None for values per vertex."""
     if value.ndim == 3:
         return value.reshape(-1, value.shape[-1])
     if len(value) == face_count and len(value) != vertex_count:
@@ -500,7 +500,7 @@ def _own_corners(
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors [N, 3] with length one; zero stays zero."""
+    """Return the vectors [N, 3] with length one; zero stays zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
 
 
@@ -534,7 +534,7 @@ def _as_colors(colors: ArrayLike) -> NDArray[np.float64]:
 
 
 def _scalar_lookup(scalar: ScalarField) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """The colour map as an image with a grey row for NaN below, and coordinates into it."""
+    """Return the colour map as an image with a grey row for NaN below, and coordinates into it."""
     table = colormap_table(scalar.colormap)
     image = np.stack([table, np.full_like(table, 150)])
     t = scalar.normalised()

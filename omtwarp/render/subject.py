@@ -65,13 +65,13 @@ Subject: TypeAlias = "str | os.PathLike[str] | Triangles | SurfaceView | tuple[A
 
 
 def _is_torus_map(subject: object) -> TypeGuard[TorusMap]:
-    """Whether a subject is a map to a torus: one exists only where its module is loaded."""
+    """Return whether a subject is a map to a torus: one exists only where its module is loaded."""
     module = sys.modules.get("omtwarp.torus.torus_map")
     return module is not None and isinstance(subject, module.TorusMap)
 
 
 def _is_painted(subject: object) -> TypeGuard[PaintedMesh]:
-    """Whether a subject is a mesh with materials: one exists only where its module is loaded."""
+    """Return whether a subject is a mesh with materials: one exists only where its module is loaded."""
     module = sys.modules.get("omtwarp.materials.painted")
     return module is not None and isinstance(subject, module.PaintedMesh)
 
@@ -129,7 +129,9 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
 def map_view(
     result: FinishedMap, image: Picture | None = None, *, which: str = "optimal", on: str = "surface", caption: str = ""
 ) -> SurfaceView:
-    """A view of a finished map: the surface, or the sphere it was mapped to, with an image carried over by the map.
+    """Return a view of a finished map.
+
+    The surface, or the sphere it was mapped to, with an image carried over by the map.
 
     Args:
         result: has ``vertices``, ``faces``, ``sphere`` and ``conformal``.
@@ -161,7 +163,7 @@ def torus_view(
     pattern: str = "circles",
     caption: str = "",
 ) -> SurfaceView:
-    """A view of a map to a torus: the surface, or the ring torus, with a picture that repeats both ways.
+    """Return a view of a map to a torus: the surface, or the ring torus, with a picture that repeats both ways.
 
     Args:
         result: the map.
@@ -185,7 +187,7 @@ def torus_view(
 
 
 def checker_image(columns: int = 24, rows: int = 12, cell: int = 64) -> NDArray[np.uint8]:
-    """An equirectangular checker whose dark cells go around the colour wheel with longitude, uint8 [H, W, 3]."""
+    """Return an equirectangular checker whose dark cells go around the colour wheel with longitude, uint8 [H, W, 3]."""
     column = np.arange(columns * cell) // cell
     row = np.arange(rows * cell) // cell
     turn = 2.0 * np.pi * column / columns
@@ -196,7 +198,7 @@ def checker_image(columns: int = 24, rows: int = 12, cell: int = 64) -> NDArray[
 
 
 def read_image(image: Picture) -> NDArray[np.uint8]:
-    """A picture from a file, a PIL image or an array, uint8 [H, W, 3].
+    """Return a picture from a file, a PIL image or an array, uint8 [H, W, 3].
 
     Raises:
         OmtwarpError: the file is missing or is no picture.
@@ -207,7 +209,7 @@ def read_image(image: Picture) -> NDArray[np.uint8]:
 
 
 def _file_view(path: Path) -> SurfaceView:
-    """A view of a mesh file; of one with several materials, every triangle in its own."""
+    """Return a view of a mesh file; of one with several materials, every triangle in its own."""
     from omtwarp.materials.read import read_painted_mesh
 
     if path.suffix.lower() in (".obj", ".glb", ".gltf"):
@@ -217,7 +219,7 @@ def _file_view(path: Path) -> SurfaceView:
 
 
 def painted_view(mesh: PaintedMesh) -> SurfaceView:
-    """A view of a mesh with materials; of colours at the vertices alone where no material says anything."""
+    """Return a view of a mesh with materials; of colours at the vertices alone where no material says anything."""
     plain = all(material.picture is None and material.color == WHITE for material in mesh.materials)
     if plain:
         return SurfaceView(mesh.vertices, mesh.faces, colors=mesh.vertex_colors)
@@ -234,7 +236,7 @@ def painted_view(mesh: PaintedMesh) -> SurfaceView:
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh | None:
-    """A mesh file with its texture and colours, as one ``trimesh.Trimesh`` with vertices as the file has them.
+    """Return a mesh file with its texture and colours, as one ``trimesh.Trimesh`` with vertices as the file has them.
 
     Returns:
         None for a scene of several geometries, which differ in their materials.
@@ -301,7 +303,7 @@ def _from_trimesh(mesh: trimesh.Trimesh) -> SurfaceView:
 
 
 def _factor(factor: ArrayLike) -> tuple[float, float, float] | None:
-    """The sRGB colour of a glTF material's factor, which is linear; None for white."""
+    """Return the sRGB colour of a glTF material's factor, which is linear; None for white."""
     values = np.asarray(factor)
     scaled = values / 255.0 if np.issubdtype(values.dtype, np.integer) else values.astype(np.float64)
     red, green, blue = (float(channel) for channel in encoded(scaled[:3]))

@@ -31,7 +31,7 @@ HEAD = 0.7  # of the height: where the head begins
 
 
 def posed(view: SurfaceView, up: str | None = None, front: str | None = None) -> SurfaceView:
-    """The view with its axes upwards and towards the viewer filled in, from what is given or from the shape.
+    """Return the view with its axes upwards and towards the viewer filled in, from what is given or from the shape.
 
     Args:
         view: a surface; axes that it has itself are taken before guesses.
@@ -96,7 +96,7 @@ def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None
 
 
 def _mirror_axis(corner: Floats, area: Floats, centre: Floats) -> int | None:
-    """The axis across the surface's plane of symmetry, if it has one at right angles to an axis."""
+    """Return the axis across the surface's plane of symmetry, if it has one at right angles to an axis."""
     from scipy.spatial import cKDTree
 
     # Evenly over the area, in the order of faces: the same points every time.
@@ -114,7 +114,7 @@ def _mirror_axis(corner: Floats, area: Floats, centre: Floats) -> int | None:
 
 
 def _standing(points: Floats, centre: Floats, up: int) -> float:
-    """Share of the footprint between the feet, 0 where the surface would fall over."""
+    """Return the share of the footprint between the feet, 0 where the surface would fall over."""
     from scipy.spatial import ConvexHull, QhullError
 
     flat = np.delete(points, up, axis=1)
@@ -128,7 +128,7 @@ def _standing(points: Floats, centre: Floats, up: int) -> float:
 
 
 def _detail(places: Floats, faces: NDArray[np.int32], normal: Floats, area: Floats, axis: int) -> float:
-    """How much more the surface bends, for its area, where it faces along an axis than where it faces the other way."""
+    """Return how much more the surface bends, per area, where it faces along an axis than against it."""
     ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     keys = ends[:, 0].astype(np.int64) * len(places) + ends[:, 1]
     order = np.argsort(keys, kind="stable")

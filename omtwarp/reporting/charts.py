@@ -36,7 +36,7 @@ class Row:
 
 
 def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored: bool) -> Markup:
-    """Histograms of ratios above one another on a common axis of powers of two, each scaled to its own peak.
+    """Return the histograms of ratios above one another on a common axis of powers of two, each scaled to its own peak.
 
     Args:
         rows: from top to bottom.
@@ -84,7 +84,10 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
 
 
 def ratio_range(rows: Sequence[Row], mirrored: bool) -> tuple[float, float, float]:
-    """Lowest and highest exponent of the axis, and the step of its labels; it holds 99 % of every distribution."""
+    """Return the lowest and highest exponent of the axis, and the step of its labels.
+
+    It holds 99 % of every distribution.
+    """
     reach = 1.0
     for row in rows:
         order = np.argsort(np.abs(row.values))
@@ -100,7 +103,7 @@ def ratio_range(rows: Sequence[Row], mirrored: bool) -> tuple[float, float, floa
 
 
 def power_name(exponent: float) -> str:
-    """Two to the power of the exponent in a few characters: 1/4, 1, 1.4, 64, 10³, 10⁻⁶."""
+    """Return two to the power of the exponent in a few characters: 1/4, 1, 1.4, 64, 10³, 10⁻⁶."""
     value = 2.0**exponent
     decimal = math.log10(value)
     if abs(decimal - round(decimal)) < 1e-9 and abs(decimal) > 2.5:
@@ -128,7 +131,7 @@ def curve(
     mark: tuple[int, str] | None = None,
     height: float = 300.0,
 ) -> Markup:
-    """A line through points, with a horizontal level and one marked point.
+    """Return a line through points, with a horizontal level and one marked point.
 
     Args:
         x, y: the points; with a logarithmic axis those with y <= 0 are left out.
@@ -194,7 +197,7 @@ class _Plot:
         return self.bottom - share * (self.bottom - self.top)
 
     def axes(self, x_label: str, y_label: str) -> list[Markup]:
-        """Lines and numbers of both axes, and their names."""
+        """Return the lines and numbers of both axes, and their names."""
         parts = [element("text", y_label, class_="axis-name", x=0, y=14)]
         for tick in self.ticks:
             at = self.y(tick)
@@ -220,7 +223,7 @@ def nice_ticks(low: float, high: float, count: int) -> list[float]:
 
 
 def log_ticks(low: float, high: float) -> list[float]:
-    """Powers of ten that enclose an interval, at most about six of them."""
+    """Return the powers of ten that enclose an interval, at most about six of them."""
     first, last = math.floor(math.log10(low) + 1e-9), math.ceil(math.log10(high) - 1e-9)
     last = max(last, first + 1)
     step = max(1, math.ceil((last - first) / 5))

@@ -24,7 +24,7 @@ def html(template: str, /, *values: object, **named: object) -> Markup:
 
 
 def element(name: str, *content: str | float, **attributes: object) -> Markup:
-    """One element with attributes and content, both escaped where they are no HTML.
+    """Return an element with attributes and content, both escaped where they are no HTML.
 
     Args:
         name: of the element, a literal.
@@ -39,24 +39,27 @@ def element(name: str, *content: str | float, **attributes: object) -> Markup:
 
 
 def join(pieces: Iterable[str | float], between: str = "") -> Markup:
-    """One piece of HTML from several; those that are plain text are escaped."""
+    """Join several pieces to one of HTML; plain text is escaped."""
     return Markup(between).join(html("{}", piece) for piece in pieces)  # noqa: S704
 
 
 def asset(name: str) -> Markup:
-    """A file of the package's own that goes into the page as it is."""
+    """Return a file of the package's own that goes into the page as it is."""
     text = (files("omtwarp.reporting") / "assets" / name).read_text("utf-8")
     return Markup(text)  # noqa: S704
 
 
 def script(name: str) -> Markup:
-    """The text of a script of the package's own, in a form that nothing in it can end or nest its element."""
+    """Return the text of a script of the package's own, in a form that nothing in it can end or nest its element."""
     text = str(asset(name)).replace("</script", "<\\/script").replace("<!--", "<\\!--")
     return Markup(text)  # noqa: S704
 
 
 def data_block(text: str) -> Markup:
-    """JSON, or base64, for an element that is not executed: without any ``<``, which JSON has within texts only."""
+    """Return JSON, or base64, for an element that is not executed.
+
+    Without any ``<``, which JSON has within texts only.
+    """
     return Markup(text.replace("<", "\\u003c"))  # noqa: S704
 
 

@@ -124,7 +124,7 @@ def report_page(
     picture_size: int = 720,
     device: str = "auto",
 ) -> str:
-    """The text of the page that :func:`write_report` writes, with the same arguments.
+    """Return the text of the page that :func:`write_report` writes, with the same arguments.
 
     Raises:
         OmtwarpError: as :func:`write_report`.
@@ -192,7 +192,7 @@ def _verdict(report: MapReport, stages: Sequence[Stage]) -> Markup:
 
 
 def viewer_section(stages: Sequence[Stage], poster: str, poster_alt: str, texture: str) -> Markup:
-    """The interactive view's elements, over a picture that is shown until it draws.
+    """Return the interactive view's elements, over a picture that is shown until it draws.
 
     Args:
         stages: of the map, the last one shown first.
@@ -276,7 +276,7 @@ def _stills(
     size: int,
     device: str,
 ) -> dict[str, str]:
-    """Pictures of the first and the last stage as data URIs, by key: the surface, and ``sphere KEY``."""
+    """Return the pictures of the first and the last stage as data URIs, by key: the surface, and ``sphere KEY``."""
     picture = rasterize(texture, 2048, device=device) if isinstance(texture, Pattern) else texture
     found = {}
     for stage in (stages[0], stages[-1])[: len(stages)]:

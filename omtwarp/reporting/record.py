@@ -45,18 +45,18 @@ HISTORY: list[object] = [{"iteration": NUMBER, "cost": NUMBER}]
 
 
 def shown_report(result: MapResult) -> MapReport:
-    """The part of a result's report that a page shows."""
+    """Return the part of a result's report that a page shows."""
     return cast(MapReport, _fitting(result.report, REPORT) or {})
 
 
 def shown_history(result: MapResult) -> list[Record]:
-    """The iterations of a result's history of which the cost is known."""
+    """Return the iterations of a result's history of which the cost is known."""
     fitting = cast(list[Record], _fitting(result.history, HISTORY) or [])
     return [entry for entry in fitting if "cost" in entry]
 
 
 def _fitting(value: object, shape: object) -> object:
-    """The value as far as it has the shape; None where it has not.
+    """Return the value as far as it has the shape; None where it has not.
 
     One function, as it calls itself for what a dict or a list holds.
     """

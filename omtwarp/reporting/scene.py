@@ -142,7 +142,7 @@ def make_scene(
 
 
 def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACES) -> tuple[Floats, NDArray[np.int32]]:
-    """The mesh itself, or a simplified one on a part of its vertices, numbered as before."""
+    """Return the mesh itself, or a simplified one on a part of its vertices, numbered as before."""
     if len(faces) <= most:
         return vertices, faces
     for level in simplify(Surface(vertices, faces), resolve_device("cpu")).levels:
@@ -155,7 +155,7 @@ def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACE
 
 
 def vertex_scalars(faces: NDArray[np.int32], stage: Stage) -> tuple[Floats, Floats]:
-    """Distortion at the vertices: mean over the faces around them.
+    """Return the distortion at the vertices: mean over the faces around them.
 
     Returns:
         log2 of the area ratio, and log2 of the ratio of the singular values, shape [V] each.
@@ -168,20 +168,23 @@ def vertex_scalars(faces: NDArray[np.int32], stage: Stage) -> tuple[Floats, Floa
 
 
 def log2_area_ratio(stage: Stage) -> Floats:
-    """log2 of the area on the sphere over the area on the surface, shape [F]; bounded where a triangle has none."""
+    """Return log2 of the area on the sphere over the area on the surface, shape [F].
+
+    Bounded where a triangle has none.
+    """
     with np.errstate(all="ignore"):
         ratio = np.log2(stage.distortion.area_ratio)
     return np.clip(np.nan_to_num(ratio, nan=-60.0, posinf=60.0, neginf=-60.0), -60.0, 60.0)
 
 
 def log2_angle_ratio(stage: Stage) -> Floats:
-    """log2 of the larger over the smaller singular value, shape [F]: from their sum of ratios, s + 1 / s."""
+    """Return log2 of the larger over the smaller singular value, shape [F]: from their sum of ratios, s + 1 / s."""
     half = np.maximum(np.nan_to_num(stage.distortion.face_angle, nan=2.0, posinf=1e18), 2.0) / 2.0
     return np.minimum(np.arccosh(half) / np.log(2.0), 60.0)
 
 
 def alignment(directions: Floats, placed: Floats) -> Floats:
-    """The rotation [3, 3] that brings points of the sphere nearest to where they are on the surface (Kabsch 1976)."""
+    """Return the rotation [3, 3] that best aligns points of the sphere with the surface (Kabsch 1976)."""
     radial = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), 1e-12)
     u, _, vt = np.linalg.svd(radial.T @ directions)
     flip = np.sign(np.linalg.det(u @ vt))
@@ -189,7 +192,7 @@ def alignment(directions: Floats, placed: Floats) -> Floats:
 
 
 def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto") -> list[str]:
-    """A texture as the six faces of an OpenGL cube map with equiangular faces, as data URIs.
+    """Return a texture as the six faces of an OpenGL cube map with equiangular faces, as data URIs.
 
     Args:
         texture: equirectangular picture (path, PIL image, array), or the name of a pattern.
@@ -217,7 +220,7 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
 
 
 def data_uri(image: Image | list[Image], kind: str) -> str:
-    """A PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
+    """Return a PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
     assert not isinstance(image, list)  # which a preview is of several frames alone
     stream = io.BytesIO()
     if kind == "png":
@@ -228,7 +231,7 @@ def data_uri(image: Image | list[Image], kind: str) -> str:
 
 
 def colour_ramp(name: str, part: float = 1.0, count: int = 64) -> str:
-    """The first part of a colour map as hexadecimal text, two digits a channel."""
+    """Return the first part of a colour map as hexadecimal text, two digits a channel."""
     return colormap_table(name, round(count / part))[:count].tobytes().hex()
 
 
@@ -241,6 +244,6 @@ def _levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
 
 
 def _axes(up: str, front: str) -> Floats:
-    """Rows: the surface's axes that go right, up and towards the viewer."""
+    """Return the surface's axes that point right, up and towards the viewer, as rows."""
     upward, forward = axis_vector(up), axis_vector(front)
     return np.stack([np.cross(upward, forward), upward, forward])

@@ -18,7 +18,7 @@ from omtwarp.result import MapReport
 
 
 def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
-    """The numbers that matter most."""
+    """Return the numbers that matter most."""
     first, last = stages[0], stages[-1]
     cost = last.record.get("transport_cost")
     figures = [
@@ -41,7 +41,7 @@ def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
 
 
 def pictures(stages: Sequence[Stage], stills: dict[str, str], shown: str) -> Markup:
-    """Still pictures of the first and the last stage: ``stills`` by key, ``shown`` what the texture is."""
+    """Return still pictures of the first and the last stage: ``stills`` by key, ``shown`` names the texture."""
     pair = [stages[0], stages[-1]] if len(stages) > 1 else [stages[0]]
     figures = []
     for stage in pair:
@@ -81,7 +81,7 @@ def _picture_caption(stage: Stage) -> Markup:
 
 
 def distributions(stages: Sequence[Stage]) -> Markup:
-    """Histograms of area and angle ratios at every stage."""
+    """Return the histograms of area and angle ratios at every stage."""
     area, angle = [], []
     for stage in stages:
         weights = stage.weights
@@ -113,7 +113,7 @@ def distributions(stages: Sequence[Stage]) -> Markup:
 
 
 def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Stage]) -> Markup:
-    """Cost over iterations, where the map started, and how far it is from optimal."""
+    """Return the cost over iterations, where the map started, and how far it is from optimal."""
     optimality = report.get("optimality") or {}
     cards = []
     if len(history) > 1:
@@ -258,7 +258,7 @@ def certificate(report: MapReport, shown_faces: int) -> Markup:
 
 
 def footer(report: MapReport) -> Markup:
-    """Versions, and the paper."""
+    """Return the versions, and the paper."""
     versions = report.get("versions", {})
     names = ", ".join(f"{name} {value}" for name, value in versions.items())
     return html(
@@ -297,7 +297,7 @@ def _swatch(stage: Stage) -> Markup:
 
 
 def _number(value: float | None) -> str:
-    """A figure in as many characters as it deserves."""
+    """Return a figure in as many characters as it deserves."""
     value = math.nan if value is None else float(value)
     if not math.isfinite(value):
         return "∞" if value > 0 else "undefined"

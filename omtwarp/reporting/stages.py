@@ -53,7 +53,7 @@ class Stage:
 
 
 def stages_of(result: MapResult) -> list[Stage]:
-    """The stages of a :class:`~omtwarp.result.MapResult` in order, each map once; the last is the final map."""
+    """Return the stages of a :class:`~omtwarp.result.MapResult` in order, each map once; the last is the final map."""
     report = shown_report(result)
     records = {record.get("name"): record for record in report.get("stages", ())}
     route = report.get("start", {}).get("route", "conformal")

@@ -97,7 +97,7 @@ def _stages(result: TorusMap) -> Markup:
 
 
 def _number(form: str, value: object) -> str:
-    """A value of a report in words, which may come from a file."""
+    """Return a value of a report in words, which may come from a file."""
     if value is None:
         return ""
     try:

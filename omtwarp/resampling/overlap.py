@@ -17,7 +17,7 @@ SMALLEST_SHARE = 1e-14
 
 
 def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None = "auto") -> sparse.csr_matrix:
-    """Area on the unit sphere that the cell of each target point shares with that of each source point.
+    """Return the area on the unit sphere that the cell of each target point shares with that of each source point.
 
     Polygons are cut by great circles in float64, so that every area is exact up to round-off. Rows sum to the target's
     areas and columns to the source's.
@@ -68,7 +68,7 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
 
 
 def _owners(owners: NDArray[np.int32], count: int) -> sparse.csr_matrix:
-    """Which point each cell belongs to, shape [M, N]."""
+    """Return which point each cell belongs to, shape [M, N]."""
     cells = len(owners)
     return sparse.csr_matrix((np.ones(cells), owners, np.arange(cells + 1)), shape=(cells, count))
 

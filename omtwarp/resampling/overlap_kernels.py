@@ -32,14 +32,17 @@ def with_row(m: mat93d, k: int, v: wp.vec3d) -> mat93d:
 
 @wp.func
 def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    """Signed area of a spherical triangle; the differences keep the digits of small ones."""
+    """Return the signed area of a spherical triangle; the differences keep the digits of small ones."""
     triple = wp.dot(a, wp.cross(b - a, c - a))
     return TWO * wp.atan2(triple, ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
 
 
 @wp.func
 def overlap_area(subject: wp.array2d[wp.vec3d], s: int, cutter: wp.array2d[wp.vec3d], t: int) -> wp.float64:
-    """Area that polygons s and t share: the first is cut by the sides of the other (Sutherland and Hodgman 1974)."""
+    """Return the area that polygons s and t share.
+
+    The first is cut by the sides of the other (Sutherland and Hodgman 1974).
+    """
     polygon = mat93d()
     count = int(4)
     for k in range(4):
@@ -84,7 +87,7 @@ def box_polygons(
     lower: wp.array[wp.vec3],
     upper: wp.array[wp.vec3],
 ):
-    """A box around every polygon of arcs.
+    """Compute a box around every polygon of arcs.
 
     No point of the flat polygon is further from a corner than half its diameter times √(4 / 3) (Jung 1901); by what
     then is left to 1 its arcs may bulge out.
@@ -115,7 +118,7 @@ def count_overlaps(
     # Data out:
     counts: wp.array[wp.int32],
 ):
-    """Number of source polygons that share more than a smallest area with each target polygon."""
+    """Compute the number of source polygons that share more than a smallest area with each target polygon."""
     i, _compiled_once = wp.tid()
     count = int(0)
     query = wp.bvh_query_aabb(boxes, lower[i], upper[i])
@@ -139,7 +142,7 @@ def list_overlaps(
     partners: wp.array[wp.int32],
     areas: wp.array[wp.float64],
 ):
-    """The source polygons that :func:`count_overlaps` counts, and the areas."""
+    """Compute the source polygons that :func:`count_overlaps` counts, and the areas."""
     i, _compiled_once = wp.tid()
     place = first[i]
     query = wp.bvh_query_aabb(boxes, lower[i], upper[i])

@@ -41,7 +41,7 @@ class SpherePoints:
     vertices: Floats | None = None
 
     def surface_areas(self) -> Floats:
-        """A third of the areas of the triangles around every vertex of the surface, or of the cells, shape [N]."""
+        """Return a third of the area of the triangles around every vertex, or the cells' area, shape [N]."""
         if self.vertices is None or self.grid.faces is None:
             return self.grid.areas
         shares = np.repeat(triangle_areas(self.vertices, self.grid.faces) / 3.0, 3)
@@ -54,7 +54,7 @@ PointsLike: TypeAlias = SpherePoints | SphereGrid | MapResult | str | os.PathLik
 
 
 def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
-    """One end of a resampling, in any form.
+    """Return one end of a resampling, given in any form.
 
     Args:
         given: a :class:`~omtwarp.MapResult`; the name of a grid (see :mod:`omtwarp.spheres`); a file: a map in
@@ -90,7 +90,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
 
 
 def file_points(given: str | os.PathLike[str], surface: Path | None) -> SpherePoints:
-    """One end of a resampling from a grid's name or a file, and the file of the surface that it is a sphere of.
+    """Return one end of a resampling from a grid's name or a file, and the file of the sphere's surface.
 
     Args:
         given: see :func:`as_points`.
@@ -111,7 +111,7 @@ def file_points(given: str | os.PathLike[str], surface: Path | None) -> SpherePo
 
 
 def _sphere_beside(path: Path) -> Floats | None:
-    """The sphere that a .ply has beside its surface as px, py and pz, shape [V, 3]."""
+    """Return the sphere that a .ply has beside its surface as px, py and pz, shape [V, 3]."""
     if path.suffix.lower() != ".ply" or b" px\n" not in read_bytes(path, LARGEST_MESH_FILE, "mesh file")[:4096]:
         return None
     data = read_data(path)
@@ -187,7 +187,7 @@ class Resampling:
         return np.asarray(names[votes.indices[first]])
 
     def surface(self) -> Floats:
-        """The source's surface at the target's points, float64, shape [T, 3].
+        """Return the source's surface at the target's points, float64, shape [T, 3].
 
         With the target's faces it is the same surface on another mesh: the same one for all subjects.
 
@@ -274,7 +274,7 @@ def resample(
 
 
 def _of_truth(values: object) -> TypeGuard[NDArray[np.bool_]]:
-    """Whether data are an array of truth values, such as a mask of a region."""
+    """Return whether data are an array of truth values, such as a mask of a region."""
     return isinstance(values, np.ndarray) and values.dtype.kind == "b"
 
 

@@ -47,7 +47,7 @@ class ShapeDistance:
     score: float
 
     def to_dict(self) -> dict[str, float]:
-        """The numbers by name, ready for JSON."""
+        """Return the numbers by name, ready for JSON."""
         return asdict(self)
 
 
@@ -113,7 +113,7 @@ def shape_distance(
 
 
 def coefficient_distance(first: Floats, second: Floats) -> float:
-    """Root mean square distance of two surfaces over the sphere, the second turned onto the first.
+    """Return the root mean square distance of two surfaces over the sphere, the second turned onto the first.
 
     By Parseval's identity, and the best rotation in closed form [1]_.
 
@@ -129,7 +129,7 @@ def coefficient_distance(first: Floats, second: Floats) -> float:
 
 
 def transport_distance(first: MapResult, second: MapResult, *, device: str | None = "auto") -> float:
-    """Distance in radians from the density of one conformal map to that of another, turned to one another.
+    """Return the distance in radians from the density of one conformal map to that of another, turned to one another.
 
     Args:
         first: the map whose density is carried.
@@ -149,7 +149,7 @@ def transport_distance(first: MapResult, second: MapResult, *, device: str | Non
 
 
 def density_distance(surface: Surface, sphere: Floats, target: TargetDensity, *, device: str | None = "auto") -> float:
-    """Root of the mean squared geodesic distance of the optimal map from a surface's density to another, in radians.
+    """Return the root mean squared geodesic distance of the optimal map between two surfaces' densities, in radians.
 
     Args:
         surface: its areas are the mass.
@@ -166,7 +166,7 @@ def density_distance(surface: Surface, sphere: Floats, target: TargetDensity, *,
 
 
 def distance_matrix(spheres: list[Floats], maps: Sequence[HasTriangles], degree: int, scale: bool = False) -> Floats:
-    """Coefficient distances of all pairs of a group in one position, shape [N, N].
+    """Return the coefficient distances of all pairs of a group in one position, shape [N, N].
 
     Args:
         spheres: of the maps, in one position, each shape [V, 3].
@@ -194,7 +194,7 @@ def distance_matrix(spheres: list[Floats], maps: Sequence[HasTriangles], degree:
 def transport_matrix(
     maps: Sequence[MapResult], *, device: str | None = "auto", progress: Progress | None = None
 ) -> Floats:
-    """Transport distances of all pairs of a group in radians, as :func:`shape_distance` measures them, shape [N, N].
+    """Return the transport distances of all pairs of a group in radians, see :func:`shape_distance`, shape [N, N].
 
     A pair of shapes with 700 vertices takes half a second.
 

@@ -69,7 +69,10 @@ class Expansion:
         return Expansion(self.coefficients[: (degree + 1) ** 2])
 
     def power(self) -> Floats:
-        """Power of every degree, shape [L + 1]; the sum is the integral of the square over the unit sphere."""
+        """Return the power of every degree, shape [L + 1].
+
+        The sum is the integral of the square over the unit sphere.
+        """
         return power_per_degree(self.coefficients)
 
     def surface(self, sphere: Surface | int = 24) -> Surface:
@@ -164,7 +167,7 @@ def _least_squares(points: Floats, data: Floats, weights: Floats, degree: int) -
 
 
 def _integrals(points: Floats, data: Floats, faces: NDArray[np.int64], degree: int) -> Floats:
-    """∫ f Y_lm over spherical triangles, f linear in the barycentric coordinates of the flat ones."""
+    """Return ∫ f Y_lm over spherical triangles, f linear in the barycentric coordinates of the flat ones."""
     corners, at_corners = points[faces], data[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0  # its length is the area
     right = np.zeros(((degree + 1) ** 2, data.shape[1]))
@@ -182,7 +185,7 @@ def _integrals(points: Floats, data: Floats, faces: NDArray[np.int64], degree: i
 
 
 def _chunks(points: Floats, degree: int) -> Iterator[tuple[slice, Floats]]:
-    """Harmonics at some points at a time."""
+    """Yield the harmonics at some points at a time."""
     chunk = max(1, _AT_ONCE // (degree + 1) ** 2)
     for first in range(0, len(points), chunk):
         part = slice(first, first + chunk)

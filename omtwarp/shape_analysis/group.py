@@ -91,7 +91,7 @@ class GroupStudy:
         return Surface(self.alignment.mean, self.alignment.faces)
 
     def along(self, component: int, deviations: float) -> Surface:
-        """The mean moved along a component by so many standard deviations.
+        """Return the mean moved along a component by so many standard deviations.
 
         Raises:
             OmtwarpError: there is no such component.
@@ -172,7 +172,7 @@ def study_group(
 
 
 def two_groups(labels: Sequence[str], count: int) -> tuple[str, str]:
-    """The names of two groups, in the order of the alphabet.
+    """Return the names of two groups, in the order of the alphabet.
 
     Raises:
         OmtwarpError: labels are missing, there are not two groups, or they are too small to be compared.
@@ -188,7 +188,7 @@ def two_groups(labels: Sequence[str], count: int) -> tuple[str, str]:
 
 
 def principal_components(moved: Floats, shares: Floats, most: int) -> PrincipalComponents:
-    """Principal components of shapes about their mean.
+    """Return the principal components of shapes about their mean.
 
     Args:
         moved: shapes less their mean, shape [N, V, 3].
@@ -243,7 +243,7 @@ def group_difference(
 def hotelling(
     values: Floats, chosen: NDArray[np.bool_], permutations: int = PERMUTATIONS, seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Hotelling's two-sample T² at every point, and p values corrected for looking at all of them.
+    """Compute Hotelling's two-sample T² at every point, and p values corrected for looking at all of them.
 
     The largest T² over all points is compared with that of permuted labels, so that the chance of any false finding is
     bounded [1]_. The scatter about the common mean does not depend on labels: in coordinates in which it is 1 the share
@@ -287,7 +287,7 @@ def hotelling(
 
 
 def vertex_normals(points: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Unit normals at vertices, triangles weighted with their areas, shape [V, 3]."""
+    """Return the unit normals at vertices, triangles weighted with their areas, shape [V, 3]."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     sums = np.stack([np.bincount(faces.ravel(), np.repeat(n, 3), len(points)) for n in normals.T], axis=1)

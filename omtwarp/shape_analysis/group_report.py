@@ -137,7 +137,7 @@ def _difference(study: GroupStudy) -> list[Markup]:
 def _picture(
     surface: Surface, name: str, values: NDArray[np.float64] | ScalarField | None = None, view: str = "front"
 ) -> Markup:
-    """A picture of a surface, with numbers about zero coloured from blue to red where there are any."""
+    """Return a picture of a surface, with numbers about zero coloured from blue to red where there are any."""
     if isinstance(values, np.ndarray):
         reach = max(float(np.abs(values).max()), np.finfo(float).tiny)
         values = ScalarField(values, "coolwarm", (-reach, reach))

@@ -115,7 +115,7 @@ def shrunken_triangles(surface: Surface, sphere: NDArray[np.float64]) -> int:
 
 
 def _defect(surface: Surface, sphere: NDArray[np.float64]) -> str:
-    """Why a conformal map cannot be used, or nothing."""
+    """Return why a conformal map cannot be used, or nothing."""
     if not np.isfinite(sphere).all():
         return "the conformal map is not finite"
     small = shrunken_triangles(surface, sphere)

@@ -82,7 +82,7 @@ class Hierarchy:
 
 
 def integers(values: NDArray, device: wp.Device) -> wp.array:
-    """Copy of an integer array on the device, int32."""
+    """Return the copy of an integer array on the device, int32."""
     return wp.array(values, dtype=wp.int32, device=device)
 
 
@@ -128,7 +128,7 @@ def simplify(surface: Surface, device: wp.Device) -> Hierarchy:
 
 
 def _require_sphere_topology(faces: NDArray[np.int32], count: int) -> None:
-    """Each edge once in each direction, no vertex unused, Euler's number 2."""
+    """Require each edge once in each direction, no unused vertex and Euler's number 2."""
     tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
     if len(faces) == 0 or not (np.bincount(tails, minlength=count) > 0).all():
         raise OmtwarpError("the mesh has vertices that no face uses: remove them (omtwarp repair)")
@@ -142,7 +142,7 @@ def _require_sphere_topology(faces: NDArray[np.int32], count: int) -> None:
 
 
 def _half_edges(faces: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], ...]:
-    """Half-edges sorted by (tail, head): offsets [V + 1], heads, thirds and faces [3F]."""
+    """Return half-edges sorted by (tail, head): offsets [V + 1], heads, thirds and faces [3F]."""
     half_edges = np.arange(faces.size, dtype=np.int32)
     rows = sparse.csr_matrix((half_edges, (faces.ravel(), np.roll(faces, -1, axis=1).ravel())), shape=(count, count))
     order = rows.data
@@ -174,7 +174,7 @@ def _select(
     adjacency: list[wp.array],
     device: wp.Device,
 ) -> NDArray[np.int64]:
-    """Positions in ``alive`` of an independent set of cheap vertices."""
+    """Return the positions in ``alive`` of an independent set of cheap vertices."""
     legal = np.flatnonzero(cost < float(FORBIDDEN_COST))
     if len(legal) == 0:
         raise OmtwarpError(
@@ -200,7 +200,7 @@ def _select(
 
 
 def _scramble(indices: NDArray[np.int32], round_index: int) -> NDArray[np.int64]:
-    """Distinct pseudo-random 32-bit numbers for distinct indices (the finaliser of MurmurHash3, a bijection)."""
+    """Return distinct pseudo-random 32-bit numbers for distinct indices (the finaliser of MurmurHash3, a bijection)."""
     x = indices.astype(np.uint32) ^ np.uint32((round_index * 0x9E3779B9) & 0xFFFFFFFF)
     x = (x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B)
     x = (x ^ (x >> np.uint32(13))) * np.uint32(0xC2B2AE35)
@@ -235,7 +235,7 @@ def _rings(
 
 
 def _without_repeated_diagonals(rings: NDArray[np.int32], valences: NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    """Rows of ``rings`` such that no two fans add the same edge; of two that would, the first stays."""
+    """Return the rows of ``rings`` such that no two fans add the same edge; of two that would, the first stays."""
     slots = np.arange(2, MAX_VALENCE - 1)
     row, column = np.nonzero(slots[None, :] < (valences - 1)[:, None])
     ends = np.sort(np.stack([rings[row, 0], rings[row, slots[column]]], axis=1), axis=1).astype(np.int64)
@@ -252,7 +252,7 @@ def _refan(
     fan_masses: NDArray[np.float64],
     count: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Faces and masses after the stars of the removed vertices have given way to fans."""
+    """Return the faces and masses after the stars of the removed vertices have given way to fans."""
     gone = np.zeros(count, dtype=bool)
     gone[removal.vertices] = True
     kept = ~gone[faces].any(axis=1)

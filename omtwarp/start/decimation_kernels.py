@@ -25,7 +25,7 @@ _MAX_FREE_VALENCE = wp.constant(wp.int32(8))  # degrees up to which a vertex is 
 
 @wp.func
 def row_find(sorted_heads: wp.array[wp.int32], begin: wp.int32, end: wp.int32, value: wp.int32) -> wp.int32:
-    """Index of ``value`` in one row of sorted heads, -1 where it is absent."""
+    """Return the index of ``value`` in one row of sorted heads, -1 where it is absent."""
     low = int(begin)
     high = int(end)
     while low < high:
@@ -41,7 +41,7 @@ def row_find(sorted_heads: wp.array[wp.int32], begin: wp.int32, end: wp.int32, v
 
 @wp.func
 def connected(u: wp.int32, v: wp.int32, offsets: wp.array[wp.int32], heads: wp.array[wp.int32]) -> bool:
-    """Whether ``u`` and ``v`` share an edge; looks in the shorter row."""
+    """Return whether ``u`` and ``v`` share an edge; looks in the shorter row."""
     if offsets[u + 1] - offsets[u] > offsets[v + 1] - offsets[v]:
         return row_find(heads, offsets[v], offsets[v + 1], u) >= 0
     return row_find(heads, offsets[u], offsets[u + 1], v) >= 0
@@ -51,7 +51,10 @@ def connected(u: wp.int32, v: wp.int32, offsets: wp.array[wp.int32], heads: wp.a
 def ring_from(
     start: wp.int32, begin: wp.int32, end: wp.int32, heads: wp.array[wp.int32], thirds: wp.array[wp.int32]
 ) -> Ring:
-    """Neighbours counter-clockwise from half-edge ``start``; entry 0 is -1 where the faces are not one closed fan."""
+    """Return the neighbours counter-clockwise from half-edge ``start``.
+
+    Entry 0 is -1 where the faces are not one closed fan.
+    """
     ring = Ring()
     slot = int(start)
     for k in range(end - begin):
@@ -72,7 +75,10 @@ def ring_from(
 def fan_is_new(
     ring: Ring, valence: wp.int32, apex: wp.int32, offsets: wp.array[wp.int32], heads: wp.array[wp.int32]
 ) -> bool:
-    """Whether no diagonal of the fan from ring entry ``apex`` is an edge already: the collapse's link condition."""
+    """Return whether no diagonal of the fan from ring entry ``apex`` is an edge already.
+
+    The collapse's link condition.
+    """
     for k in range(2, valence - 1):
         if connected(ring[apex], ring[(apex + k) % valence], offsets, heads):
             return False
@@ -81,7 +87,7 @@ def fan_is_new(
 
 @wp.func
 def shape_penalty(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, star_normal: wp.vec3d) -> wp.float64:
-    """1 for an equilateral triangle in the plane of the star, more for slivers and for triangles that fold back."""
+    """Return 1 for an equilateral triangle in the plane of the star, more for slivers and folded triangles."""
     normal = wp.cross(q - p, r - p)
     double_area = wp.length(normal)
     squares = wp.length_sq(q - p) + wp.length_sq(r - q) + wp.length_sq(p - r)
@@ -103,7 +109,10 @@ def propose_collapses(
     cost: wp.array[wp.float64],
     target: wp.array[wp.int32],
 ):
-    """The cheapest legal half-edge collapse of every vertex: its cost, and the half-edge towards the vertex kept."""
+    """Compute the cheapest legal half-edge collapse of every vertex.
+
+    Its cost, and the half-edge towards the vertex kept.
+    """
     i, _compiled_once = wp.tid()
     v = alive[i]
     begin = offsets[v]
@@ -146,7 +155,10 @@ def select_minima(
     # Data out:
     selected: wp.array[wp.bool],
 ):
-    """A vertex goes in this round where its key is below that of every neighbour: no two neighbours go together."""
+    """Mark the vertices that go in this round: their key is below that of every neighbour.
+
+    No two neighbours go together.
+    """
     i = wp.tid()
     v = alive[i]
     key = keys[v]
@@ -172,7 +184,7 @@ def gather_rings(
     rings: wp.array2d[wp.int32],
     fan_masses: wp.array2d[wp.float64],
 ):
-    """Ring of every removed vertex, the vertex kept first, and its star's mass shared out over the new fan.
+    """Compute the ring of every removed vertex, the vertex kept first, and its star's mass shared out over the new fan.
 
     Shares go by area in space, plus an even part that leaves no triangle without mass.
     """

@@ -205,7 +205,10 @@ class _Embedding:
                 move.launch()
 
     def _move(self, slots: wp.array) -> wp.Launch:
-        """A recorded launch that moves the vertices in these slots of the level; the caller keeps ``slots`` alive."""
+        """Return a recorded launch that moves the vertices in these slots of the level.
+
+        The caller keeps ``slots`` alive.
+        """
         area_weight, count = self.area_weight, len(self.level.vertices)
         if 4 * count <= len(self.sphere):
             area_weight = max(area_weight, _COARSE_AREA_WEIGHT / count)

@@ -16,7 +16,7 @@ _SUFFICIENT_DECREASE = wp.constant(wp.float64(1.0e-4))
 
 @wp.func
 def least_dot(x: wp.vec3d, normals: wp.array[wp.vec3d], begin: wp.int32, count: wp.int32) -> wp.float64:
-    """Sine of the angle between ``x`` and the nearest of the great circles with these normals, signed."""
+    """Return the sine of the angle between ``x`` and the nearest of the great circles with these normals, signed."""
     least = wp.float64(2.0)
     for k in range(count):
         least = wp.min(least, wp.dot(x, normals[begin + k]))
@@ -95,7 +95,7 @@ def triangle_coefficients(
     # Data out:
     coefficients: wp.array[wp.vec4d],
 ):
-    """Cotangents at vertex, head and third of the triangle in space, and its target area, for every half-edge.
+    """Compute cotangents at vertex, head and third of the triangle in space, and its target area, for every half-edge.
 
     Adding one number to all three squared lengths adds an equilateral triangle's metric: slivers, and the flattened
     limbs of coarse levels, become triangles whose shape can be asked for.
@@ -131,7 +131,9 @@ def star_energy(
     area_weight: wp.float64,
     least_determinant: wp.float64,
 ) -> wp.float64:
-    """Energy of the triangles around a vertex at ``x``; infeasible where one's determinant is not above the bound.
+    """Return the energy of the triangles around a vertex at ``x``.
+
+    Infeasible where one's determinant is not above the bound.
 
     A triangle of target area A contributes A (|J|^2 + w (D^2 + 1)) / D with D = det / (2A) and A |J|^2 half the sum of
     cotangents times squared opposite edges. det and not the area is linear in ``x`` and negative where flipped; the two
@@ -162,7 +164,7 @@ def relax_vertices(
     # Data in and out:
     sphere: wp.array[wp.vec3d],
 ):
-    """One Newton step with a line search for vertices no two of which are neighbours.
+    """Take a Newton step with a line search for vertices of which no two are neighbours.
 
     The energy of ``star_energy`` is a sum of quadratics over positive linear functions of ``x``, hence convex: its
     Hessian needs no modification and the step is a descent direction.

@@ -46,7 +46,7 @@ def tube_map(surface: Surface) -> NDArray[np.float64]:
 
 
 def poles(surface: Surface) -> tuple[int, int]:
-    """The ends of a longest shortest path over edges, found by sweeping from the farthest vertex found so far.
+    """Return the ends of a longest shortest path over edges, found by sweeping from the farthest vertex found so far.
 
     The two are never neighbours: a longitude needs a ring of vertices between its poles.
     """
@@ -72,7 +72,7 @@ def poles(surface: Surface) -> tuple[int, int]:
 
 
 def positive_cotangent_weights(surface: Surface) -> NDArray[np.float64]:
-    """Cotangent weight of every edge, kept positive so that functions obey the maximum principle, shape [E]."""
+    """Return cotangent weight of every edge, kept positive so that functions obey the maximum principle, shape [E]."""
     points, faces = surface.scaled_vertices, surface.faces
     count = np.int64(surface.vertex_count)
     corner = points[faces]
@@ -91,14 +91,14 @@ def positive_cotangent_weights(surface: Surface) -> NDArray[np.float64]:
 
 
 def weighted_laplacian(count: int, edges: NDArray[np.int32], weights: NDArray[np.float64]) -> sparse.csr_matrix:
-    """Graph Laplacian of weighted edges, shape [V, V], positive semidefinite."""
+    """Return the graph Laplacian of weighted edges, shape [V, V], positive semidefinite."""
     i, j = edges[:, 0], edges[:, 1]
     off = sparse.coo_matrix((np.r_[weights, weights], (np.r_[i, j], np.r_[j, i])), shape=(count, count)).tocsr()
     return (sparse.diags(np.asarray(off.sum(axis=1)).ravel()) - off).tocsr()
 
 
 def _level_function(count, edges, weights, south: int, north: int) -> NDArray[np.float64]:
-    """Harmonic function from 0 at the south pole to 1 at the north pole, shape [V]."""
+    """Return the harmonic function from 0 at the south pole to 1 at the north pole, shape [V]."""
     laplacian = weighted_laplacian(count, edges, weights)
     free = np.setdiff1d(np.arange(count), [south, north])
     level = np.zeros(count)
@@ -109,7 +109,7 @@ def _level_function(count, edges, weights, south: int, north: int) -> NDArray[np
 
 
 def area_latitude(level: NDArray[np.float64], vertex_areas: NDArray[np.float64]) -> NDArray[np.float64]:
-    """z = -1 + 2 (area below a vertex's level) / (total area), so that every band keeps its area, shape [V]."""
+    """Return z = -1 + 2 (area below a vertex's level) / (total area), so that every band keeps its area, shape [V]."""
     order = np.argsort(level, kind="stable")
     ranked = level[order]
     below = np.cumsum(vertex_areas[order])
@@ -125,7 +125,10 @@ def area_latitude(level: NDArray[np.float64], vertex_areas: NDArray[np.float64])
 
 
 def _longitude(surface: Surface, edges, weights, level, south: int, north: int) -> NDArray[np.float64]:
-    """Harmonic function that grows by 2π around the poles, in radians, shape [V]; 0 at the poles themselves."""
+    """Return the harmonic function that grows by 2π around the poles, in radians, shape [V].
+
+    0 at the poles themselves.
+    """
     count = surface.vertex_count
     touches_pole = np.isin(edges, [south, north]).any(axis=1)
     kept = np.flatnonzero(~touches_pole)
@@ -146,7 +149,7 @@ def _longitude(surface: Surface, edges, weights, level, south: int, north: int) 
 
 
 def _ascent(count: int, edges, level, south: int, north: int) -> NDArray[np.int64]:
-    """Vertices of the steepest-ascent edge path from the south pole to the north pole."""
+    """Return the vertices of the steepest-ascent edge path from the south pole to the north pole."""
     tail, head = np.r_[edges[:, 0], edges[:, 1]], np.r_[edges[:, 1], edges[:, 0]]
     order = np.lexsort((level[head], tail))
     last = np.cumsum(np.bincount(tail, minlength=count)) - 1
@@ -161,7 +164,7 @@ def _ascent(count: int, edges, level, south: int, north: int) -> NDArray[np.int6
 
 
 def _regular_tetrahedron(faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """The only closed surface without two vertices that are not neighbours."""
+    """Return the only closed surface without two vertices that are not neighbours."""
     corners = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3.0)
     return corners if np.linalg.det(corners[faces[0]]) > 0 else -corners
 
@@ -176,7 +179,7 @@ def _shortest_path(count: int, edges, start: int, end: int) -> list[int]:
 
 
 def _edges_left_of(surface: Surface, path: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Half-edges that leave the path's inner vertices to its left, as tails and heads.
+    """Return the half-edges that leave the path's inner vertices to its left, as tails and heads.
 
     All inner vertices turn through their fans together: from the next vertex of the path counter-clockwise to the
     previous one.

@@ -20,13 +20,13 @@ class Cells(Protocol):
         """How many cells there are."""
 
     def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
-        """Number of the cell of every direction, -1 for none, shape [N]."""
+        """Return the number of the cell of every direction, -1 for none, shape [N]."""
 
 
 def cell_areas(
     pattern: Cells, vertices: ArrayLike, faces: ArrayLike, sphere: ArrayLike, *, subdivision: int = 6
 ) -> NDArray[np.float64]:
-    """Area that each cell of a pattern covers on a surface.
+    """Return the area that each cell of a pattern covers on a surface.
 
     With an area-preserving map equal circles on the sphere cover equal areas of the surface; with a conformal map they
     do not.
@@ -58,7 +58,7 @@ def cell_areas(
 
 
 def part_middles(subdivision: int) -> NDArray[np.float64]:
-    """Barycentric coordinates of the middles of the n² equal parts of a triangle, shape [n², 3]."""
+    """Return the barycentric coordinates of the middles of the n² equal parts of a triangle, shape [n², 3]."""
     n = subdivision
     i, j = (x.ravel() for x in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
     upright = np.stack([i, j], axis=1)[i + j < n] + 1.0 / 3.0

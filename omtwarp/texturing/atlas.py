@@ -90,11 +90,11 @@ class Atlas(ABC):
 
     @abstractmethod
     def charts(self, directions: Floats) -> NDArray[np.int32]:
-        """Chart of every direction, shape [N]."""
+        """Return the chart of every direction, shape [N]."""
 
     @abstractmethod
     def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
-        """Image coordinates of the corners of triangles that lie in one chart each.
+        """Return the image coordinates of the corners of triangles that lie in one chart each.
 
         Args:
             points: corners, of any length, shape [F, 3, 3].
@@ -103,10 +103,10 @@ class Atlas(ABC):
 
     @abstractmethod
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
-        """Unit vectors of points of charts, shape [N, 3]; uv [N, 2], chart [N]."""
+        """Return the unit vectors of points of charts, shape [N, 3]; uv [N, 2], chart [N]."""
 
     def uv(self, directions: Floats) -> Floats:
-        """Image coordinates of directions, each in the chart it falls in, shape [N, 2]."""
+        """Return the image coordinates of directions, each in the chart it falls in, shape [N, 2]."""
         points = np.repeat(np.asarray(directions, dtype=np.float64)[:, None, :], 3, axis=1)
         return self.corner_uv(points, self.charts(points[:, 0]))[:, 0]
 
@@ -268,7 +268,7 @@ class Octahedral(Atlas):
 
 
 def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: float = np.pi) -> Atlas:
-    """An atlas by name.
+    """Return an atlas by name.
 
     Args:
         name: ``equirectangular``, ``cube`` or ``octahedral``.
@@ -300,7 +300,7 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
 
 
 def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:
-    """One or two sides of a picture in texels.
+    """Return the sides of a picture in texels, from one or two numbers.
 
     Raises:
         OmtwarpError: not whole numbers from 16 to 32768.

@@ -218,7 +218,7 @@ class _Bend:
         self._parts = smooth.parts
 
     def bent(self, directions: wp.array) -> wp.array:
-        """The moved directions."""
+        """Return the moved directions."""
         out = wp.empty_like(directions)
         launch_parts(
             smooth_kernels.bend_directions,
@@ -391,7 +391,7 @@ class Layout:
         return np.flatnonzero(self.known).astype(np.int32)
 
     def interpolate(self, values: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
-        """Values at corners [F, 3, C] at the samples of texels, into ``out`` [texels * samples², C]."""
+        """Interpolate values at corners [F, 3, C] at the samples of texels, into ``out`` [texels * samples², C]."""
         if self._atlas is not None:
             offset, gutter = self._atlas.parameters
             picture = [self._atlas.kind, wp.float64(offset), wp.float64(gutter)]
@@ -529,7 +529,7 @@ class VertexValues:
         self.values: Floats = array.reshape(len(array), -1)
 
     def corner_values(self, faces: NDArray) -> Floats:
-        """Values at the corners of faces, shape [F, 3, C]."""
+        """Return the values at the corners of faces, shape [F, 3, C]."""
         if faces.max(initial=-1) >= len(self.values):
             raise OmtwarpError(f"values at vertices: {len(self.values)} given for {faces.max() + 1} vertices")
         return self.values[faces]
@@ -642,7 +642,7 @@ def uv_to_sphere(
 def sphere_layout(
     cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: wp.Device
 ) -> tuple[Layout, NDArray[np.int64]]:
-    """The parts of faces laid out on the picture of an atlas, and which part each triangle of the layout is, [K]."""
+    """Return parts of faces laid out on the picture of an atlas, and which part each triangle of the layout is, [K]."""
     points = cut.weights @ np.asarray(sphere, dtype=np.float64)
     chords = (points if rotation is None else points @ np.asarray(rotation, dtype=np.float64))[cut.faces]
     corner_uv, part = cut.uv[cut.faces], np.arange(len(cut.faces))
@@ -663,7 +663,7 @@ def sphere_layout(
 
 
 def own_at_parts(cut: Unwrapped, faces: NDArray, own: Floats) -> Floats:
-    """Own coordinates of the corners of the parts of faces, shape [M, 3, 2].
+    """Return the texture coordinates of the corners of the parts of faces, shape [M, 3, 2].
 
     Each corner is a combination of vertices of its source face; its coordinates are the same combination of that
     face's corners.

@@ -49,7 +49,7 @@ class CutMesh:
         self.weights = sparse.identity(len(sphere), dtype=np.float64, format="csr")
 
     def directions(self) -> Floats:
-        """Unit vectors of the vertices, shape [N, 3]."""
+        """Return the unit vectors of the vertices, shape [N, 3]."""
         return normalised(self.points)
 
     def _add_vertices(self, combination: sparse.csr_matrix) -> int:
@@ -206,7 +206,7 @@ class CutMesh:
 
 
 def normalised(vectors: Floats) -> Floats:
-    """Vectors of unit length, shape [..., 3]; zero stays zero."""
+    """Return the vectors of unit length, shape [..., 3]; zero stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0, length, 1.0)
 
@@ -216,5 +216,5 @@ def _on_plane(points: Floats, normal: Floats) -> NDArray[np.bool_]:
 
 
 def _on_line(points: Floats, direction: Floats) -> NDArray[np.bool_]:
-    """Which points lie on the line of a direction, shape [N]."""
+    """Return which points lie on the line of a direction, shape [N]."""
     return np.linalg.norm(np.cross(points, direction), axis=1) <= ON_CUT * np.linalg.norm(points, axis=1)

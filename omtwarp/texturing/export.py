@@ -52,7 +52,7 @@ class Exportable(Protocol):
 
 
 def check_suffix(path: str | os.PathLike[str]) -> str:
-    """The suffix of a textured mesh that can be written, lower case.
+    """Return the suffix of a textured mesh that can be written, lower case.
 
     Raises:
         OmtwarpError: another suffix.
@@ -95,7 +95,10 @@ def export(textured: Exportable, path: str | os.PathLike[str], *, keep: Iterable
 
 
 def glb_bytes(textured: Exportable) -> bytes:
-    """A binary glTF 2.0 file: one mesh, one PBR material with the texture embedded, lit from any side the same way."""
+    """Return a binary glTF 2.0 file.
+
+    One mesh, one PBR material with the texture embedded, lit from any side the same way.
+    """
     file = GltfFile(textured.wraps, textured.wraps_rows)
     attributes = {
         "POSITION": file.accessor(single_precision(textured.vertices, "positions"), bounds=True),
@@ -118,13 +121,13 @@ def glb_bytes(textured: Exportable) -> bytes:
 
 
 def _lines(prefix: str, rows: NDArray, form: str) -> str:
-    """Rows as lines of text; one format for the whole array is much quicker than a call per line."""
+    """Return the rows as lines of text; one format for the whole array is much quicker than a call per line."""
     pattern = prefix + " " + " ".join([form] * rows.shape[1]) + "\n"
     return (pattern * len(rows)) % tuple(rows.ravel().tolist())
 
 
 def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
-    """An OBJ with its material and picture, the OBJ last.
+    """Return an OBJ with its material and picture, the OBJ last.
 
     Positions and normals are written once per vertex of the uncut mesh (the input's vertices first, in their order);
     only texture coordinates are doubled along the seams, as the format allows.
@@ -166,7 +169,7 @@ def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] 
 
 
 def ply_bytes(textured: Exportable) -> bytes:
-    """A binary PLY of the **input's** vertices and faces, unchanged and in their order, with a colour per vertex."""
+    """Return a binary PLY of the **input's** vertices and faces, unchanged and in order, with a colour per vertex."""
     vertices, faces = textured.original_vertices, textured.original_faces
     record = np.dtype(
         [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("alpha", "u1")]

@@ -75,7 +75,7 @@ class GltfFile:
         return {"index": self._known[id(picture)], "texCoord": 0}
 
     def content(self, primitives: list[dict[str, object]], materials: list[dict[str, object]]) -> bytes:
-        """The whole file, with one mesh of triangles.
+        """Return the whole file, with one mesh of triangles.
 
         Args:
             primitives: attributes and indices of each, by the numbers of their accessors.
@@ -110,7 +110,7 @@ class GltfFile:
 
 
 def single_precision(values: NDArray[np.float64], name: str) -> NDArray[np.float32]:
-    """Numbers in the precision that the format has.
+    """Return the numbers in the precision that the format has.
 
     Args:
         values: any shape.
@@ -128,7 +128,7 @@ def single_precision(values: NDArray[np.float64], name: str) -> NDArray[np.float
 
 
 def flipped_rows(uv: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Texture coordinates [N, 2] with their origin at the top left, where the format has it."""
+    """Return the texture coordinates [N, 2] with their origin at the top left, where the format has it."""
     return np.ascontiguousarray(np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1), dtype=np.float32)
 
 

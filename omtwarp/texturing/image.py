@@ -29,7 +29,7 @@ _pillow = threading.Lock()  # over Pillow's own limit, which is one number for t
 
 
 def read_image(source: PictureLike) -> NDArray[np.generic]:
-    """A picture as an array, row 0 on top.
+    """Return a picture as an array, row 0 on top.
 
     Args:
         source: a path, a PIL image, or an array of shape [H, W], [H, W, 1], [H, W, 3] or [H, W, 4]: uint8, or floats
@@ -64,7 +64,10 @@ def read_image(source: PictureLike) -> NDArray[np.generic]:
 
 
 def _open(stream: BinaryIO) -> Image:
-    """A picture of which the header has been read, without Pillow's own limit: :func:`_from_pil` has one that fits."""
+    """Return a picture of which the header has been read, without Pillow's own limit.
+
+    :func:`_from_pil` has one that fits.
+    """
     from PIL import Image as pil
 
     with _pillow:
@@ -124,7 +127,7 @@ def _from_array(source: ArrayLike) -> NDArray[np.generic]:
 
 
 def as_floats(image: NDArray[np.generic]) -> NDArray[np.float32]:
-    """A picture as float32 in 0..1."""
+    """Return a picture as float32 in 0..1."""
     return (
         image.astype(np.float32) / np.float32(255.0)
         if image.dtype == np.uint8
@@ -133,14 +136,14 @@ def as_floats(image: NDArray[np.generic]) -> NDArray[np.float32]:
 
 
 def as_bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """A picture as uint8, rounded to the nearest and clipped."""
+    """Return a picture as uint8, rounded to the nearest and clipped."""
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
     return np.clip(np.multiply(image, np.float32(255.0)) + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:
-    """An image as a PNG file."""
+    """Return an image as a PNG file."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 

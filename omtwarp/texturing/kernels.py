@@ -25,7 +25,7 @@ def sign_of(x: wp.float64):
 
 @wp.func
 def cube_direction(face: int, a: wp.float64, b: wp.float64):
-    """Point of the plane of a face of the cube, a to the right and b up (frames as in omtwarp.texturing.atlas)."""
+    """Return a point of a cube face's plane, a to the right and b up (frames as in omtwarp.texturing.atlas)."""
     d = wp.vec3d(ONE, a, b)
     if face == 1:
         d = wp.vec3d(-a, ONE, b)
@@ -44,7 +44,10 @@ def cube_direction(face: int, a: wp.float64, b: wp.float64):
 def picture_direction(
     kind: int, x: wp.float64, y: wp.float64, width: int, height: int, offset: wp.float64, gutter: wp.float64
 ):
-    """Unit vector that a point of a picture shows; x to the right, y **down**, in texels. Gutters see past borders."""
+    """Return the unit vector that a point of a picture shows.
+
+    x to the right, y **down**, in texels. Gutters see past borders.
+    """
     w = wp.float64(width)
     h = wp.float64(height)
     d = wp.vec3d(ONE, ZERO, ZERO)
@@ -82,7 +85,7 @@ def picture_direction(
 
 @wp.func
 def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.float64, gutter: wp.float64):
-    """Where a picture shows a direction: x to the right and y down in texels."""
+    """Return where a picture shows a direction: x to the right and y down in texels."""
     w = wp.float64(width)
     h = wp.float64(height)
     x = ZERO
@@ -166,7 +169,7 @@ def texel(picture: wp.array3d[wp.float32], kind: int, row: int, column: int, c: 
 
 @wp.func
 def bilinear(picture: wp.array3d[wp.float32], kind: int, x: wp.float64, y: wp.float64, c: int):
-    """Value at a point (in texels, centres at halves) between the four nearest texels."""
+    """Return the value at a point (in texels, centres at halves) between the four nearest texels."""
     column = int(wp.floor(x - HALF))
     row = int(wp.floor(y - HALF))
     s = x - HALF - wp.float64(column)
@@ -188,7 +191,7 @@ def texel_sample_directions(
     # Data out:
     directions: wp.array[wp.vec3d],
 ):
-    """Directions of the samples (a regular grid of samples x samples) of texels given by number, row by row."""
+    """Compute directions of the samples (a regular grid of samples x samples) of texels given by number, row by row."""
     i, _compiled_once = wp.tid()
     number = texels[i]
     step = ONE / wp.float64(samples)
@@ -223,7 +226,7 @@ def average_samples(
     # Data out:
     out: wp.array2d[wp.float32],
 ):
-    """Mean of the samples of every texel, written to the texel's place."""
+    """Compute the mean of the samples of every texel, written to the texel's place."""
     i = wp.tid()
     per_texel = samples * samples
     for c in range(values.shape[1]):
@@ -242,7 +245,7 @@ def flag_changes(
     # Data out:
     flags: wp.array[wp.uint8],
 ):
-    """1 where a texel differs from one of its four neighbours by more than a threshold; ``flags`` starts at 0.
+    """Mark texels that differ from one of its four neighbours by more than a threshold; ``flags`` starts at 0.
 
     Each thread looks to the right and down and flags both texels: threads may write the same place, but only ever a 1.
     """
@@ -279,7 +282,7 @@ def own_texels(
     # Data out:
     owner: wp.array[wp.int32],
 ):
-    """Each triangle claims the texels whose centres it contains; the lowest number wins, whatever the order of threads.
+    """Give each texel to the lowest-numbered triangle that contains its centre, whatever the order of threads.
 
     ``corners`` are in texels, y down. ``grow`` lets a triangle claim centres up to that many texels outside, so that
     round-off cannot leave a hole between two triangles, or so that a ring around the charts gets an owner. Rows outside
@@ -313,7 +316,7 @@ def own_texels(
 
 @wp.func
 def barycentric(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, x: wp.float64, y: wp.float64, slack: wp.float64):
-    """Barycentric coordinates of a point, drawn back where it lies outside the triangle by more than a slack."""
+    """Return barycentric coordinates of a point, drawn back where it lies outside the triangle by more than a slack."""
     area = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
     u = edge_side(b[0], b[1], c[0], c[1], x, y) / area
     v = edge_side(c[0], c[1], a[0], a[1], x, y) / area
@@ -322,7 +325,7 @@ def barycentric(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, x: wp.float64, y: wp.floa
 
 @wp.func
 def drawn_back(u: wp.float64, v: wp.float64, slack: wp.float64):
-    """Barycentric coordinates, moved towards the middle until none is below the slack."""
+    """Return the barycentric coordinates, moved towards the middle until none is below the slack."""
     w = ONE - u - v
     least = wp.min(wp.min(u, v), w)
     if least < -slack:
@@ -345,7 +348,7 @@ def owner_values(
     # Data out:
     out: wp.array2d[wp.float64],
 ):
-    """Values at corners, linear over the owning triangle, at the samples of texels that have an owner.
+    """Compute the values at corners, linear over the owning triangle, at the samples of texels that have an owner.
 
     Samples next to a border may lie up to half a texel outside the triangle and are extrapolated within reason.
     """
@@ -410,7 +413,7 @@ def unit_vectors(
     # Data out:
     out: wp.array[wp.vec3d],
 ):
-    """Rows of three numbers as unit vectors."""
+    """Compute the rows of three numbers as unit vectors."""
     i = wp.tid()
     out[i] = wp.normalize(wp.vec3d(values[i, 0], values[i, 1], values[i, 2]))
 
@@ -422,7 +425,7 @@ def sample_plane(
     # Data out:
     out: wp.array2d[wp.float64],
 ):
-    """Bilinear samples of a picture at texture coordinates (v up), clamped at its borders."""
+    """Compute the bilinear samples of a picture at texture coordinates (v up), clamped at its borders."""
     i = wp.tid()
     x = points[i, 0] * wp.float64(picture.shape[1])
     y = (ONE - points[i, 1]) * wp.float64(picture.shape[0])
@@ -440,7 +443,7 @@ def dilate_texels(
     out: wp.array2d[wp.float32],
     out_known: wp.array[wp.uint8],
 ):
-    """One ring more: a texel without a value takes the mean of its known neighbours."""
+    """Grow by one ring: a texel without a value takes the mean of its known neighbours."""
     i = wp.tid()
     channels = picture.shape[1]
     out_known[i] = known[i]

@@ -93,13 +93,13 @@ class TexturedMesh:
         return colours
 
     def pil(self) -> Image:
-        """The texture as a PIL image."""
+        """Return the texture as a PIL image."""
         from PIL import Image
 
         return Image.fromarray(self.image)
 
     def trimesh(self) -> trimesh.Trimesh:
-        """The cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
+        """Return the cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
         import trimesh
 
         material = trimesh.visual.material.PBRMaterial(

@@ -13,7 +13,7 @@ RAY_BUDGET = 400_000  # about half a second on one CPU core
 
 
 def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Openness of every face, 0 (closed in) to 1 (nothing in sight), shape [F].
+    """Return the openness of every face, 0 (closed in) to 1 (nothing in sight), shape [F].
 
     Large meshes are sampled: a face that is not takes the value of the one before it in the mesh.
     """

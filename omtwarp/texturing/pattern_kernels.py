@@ -21,7 +21,7 @@ def latitude(d: wp.vec3d):
 
 @wp.func
 def cell_of(value: wp.float64, low: wp.float64, high: wp.float64, count: int):
-    """Which of ``count`` equal cells between two numbers a value falls in, the last one closed."""
+    """Return which of ``count`` equal cells between two numbers a value falls in, the last one closed."""
     k = int(wp.floor((value - low) / (high - low) * wp.float64(count)))
     return wp.clamp(k, 0, count - 1)
 
@@ -78,14 +78,14 @@ def circle_colours(
 
 @wp.func
 def smooth_union(a: wp.float64, b: wp.float64, k: wp.float64):
-    """The distance to a union of two shapes with the corner between them rounded (polynomial smooth minimum)."""
+    """Return the distance to a union of two shapes with the corner between them rounded (polynomial smooth minimum)."""
     h = wp.max(k - wp.abs(a - b), ZERO) / k
     return wp.min(a, b) - h * h * k * wp.float64(0.25)
 
 
 @wp.func
 def jigsaw_edge(s: wp.float64, t: wp.float64):
-    """Signed distance to a jigsaw edge: negative on the side of the piece that has the tab.
+    """Return the signed distance to a jigsaw edge: negative on the side of the piece that has the tab.
 
     The edge runs along t = 0 for s in 0..1, the tab reaches into t > 0; lengths are in sides of a piece.
     """
@@ -100,7 +100,7 @@ def jigsaw_edge(s: wp.float64, t: wp.float64):
 
 @wp.func
 def cube_face(d: wp.vec3d):
-    """Face of the cube that a direction passes through: +x, +y, -x, -y, +z, -z."""
+    """Return the face of the cube that a direction passes through: +x, +y, -x, -y, +z, -z."""
     ax = wp.abs(d[0])
     ay = wp.abs(d[1])
     az = wp.abs(d[2])
@@ -181,7 +181,7 @@ def puzzle_colours(
 
 @wp.func
 def crosses(px: wp.float64, py: wp.float64, qx: wp.float64, qy: wp.float64, a: wp.vec4d):
-    """1 when the straight piece a (its two ends) crosses the path p to q, in the plane; else 0."""
+    """Return 1 when the straight piece a (its two ends) crosses the path p to q, in the plane; else 0."""
     ax = a[0]
     ay = a[1]
     bx = a[2]
@@ -200,7 +200,7 @@ def crosses(px: wp.float64, py: wp.float64, qx: wp.float64, qy: wp.float64, a: w
 
 @wp.func
 def piece_distance(px: wp.float64, py: wp.float64, stretch: wp.float64, a: wp.vec4d):
-    """Distance from a point to a straight piece of coast, longitudes shortened by ``stretch``, in degrees."""
+    """Return distance from a point to a straight piece of coast, longitudes shortened by ``stretch``, in degrees."""
     ex = (a[2] - a[0]) * stretch
     ey = a[3] - a[1]
     dx = (px - a[0]) * stretch
@@ -213,7 +213,7 @@ def piece_distance(px: wp.float64, py: wp.float64, stretch: wp.float64, a: wp.ve
 
 @wp.func
 def near_multiple(value: wp.float64, step: wp.float64):
-    """Distance to the nearest multiple of a step."""
+    """Return the distance to the nearest multiple of a step."""
     return wp.abs(value - step * wp.floor(value / step + HALF))
 
 

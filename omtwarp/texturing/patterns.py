@@ -45,7 +45,7 @@ class Pattern(ABC):
     name: str
 
     def __call__(self, directions: ArrayLike, device: str | wp.Device = "cpu") -> Floats:
-        """Colours, float64 in 0..1, shape [N, 3], of directions of any length, shape [N, 3]."""
+        """Return the colours, float64 in 0..1, shape [N, 3], of directions of any length, shape [N, 3]."""
         d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
         where = resolve_device(device)
         out = wp.empty((len(d), 3), dtype=wp.float64, device=where)
@@ -73,7 +73,10 @@ class Pattern(ABC):
 
     @abstractmethod
     def _tables(self) -> list[object]:
-        """Kernel inputs between the directions and the output; (array, Warp dtype) is uploaded once per device."""
+        """Return the kernel inputs between the directions and the output.
+
+        (array, Warp dtype) is uploaded once per device.
+        """
 
 
 class Checker(Pattern):
@@ -99,7 +102,7 @@ class Checker(Pattern):
         return self.columns * self.rows
 
     def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
-        """Number of the field that each direction lies in, row by row from the north-west, shape [N]."""
+        """Return the number of the field that each direction lies in, row by row from the north-west, shape [N]."""
         lon, lat = longitude_latitude(directions)
         column = np.clip(np.floor((lon / (2.0 * np.pi) + 0.5) * self.columns), 0, self.columns - 1)
         row = np.clip(np.floor((0.5 - lat / np.pi) * self.rows), 0, self.rows - 1)
@@ -148,7 +151,7 @@ class Circles(Pattern):
         self.groups = _colour_groups(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(self.palette))
 
     def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
-        """Number of the circle that each direction lies in, -1 between the circles, shape [N]."""
+        """Return the number of the circle that each direction lies in, -1 between the circles, shape [N]."""
         from scipy.spatial import cKDTree
 
         distance, index = cKDTree(self.centres).query(normalised(np.asarray(directions, dtype=np.float64)))
@@ -208,13 +211,13 @@ class Puzzle(Pattern):
         return 6 * self.side**2
 
     def middles(self) -> Floats:
-        """Directions of the middles of the pieces, shape [count, 3]."""
+        """Return the directions of the middles of the pieces, shape [count, 3]."""
         piece = np.arange(self.count)
         row, column = piece // self.side % self.side, piece % self.side
         return self._points(piece // self.side**2, column + 0.5, row + 0.5)
 
     def _points(self, face: NDArray, x: NDArray, y: NDArray) -> Floats:
-        """Directions of points of faces, in pieces from the lower left corner."""
+        """Return the directions of points of faces, in pieces from the lower left corner."""
         slope = np.tan((np.stack([x, y], axis=-1) / self.side * 2.0 - 1.0) * np.pi / 4.0)
         local = np.concatenate([np.ones_like(slope[..., :1]), slope], axis=-1)
         return normalised(np.einsum("...i,...ij->...j", local, CUBE_FRAMES[face]))
@@ -227,7 +230,7 @@ class Puzzle(Pattern):
         face, row, column = piece // n**2, piece // n % n, piece % n
 
         def on_edge(s: float) -> Floats:
-            """Points at s along bottom, right, top and left side, as the kernel runs along them, shape [P, 4, 3]."""
+            """Return points at s on the bottom, right, top and left side in the kernel's order, shape [P, 4, 3]."""
             places = [(s, 0.0), (1.0, s), (s, 1.0), (0.0, s)]
             return np.stack([self._points(face, column + x, row + y) for x, y in places], axis=1)
 
@@ -307,7 +310,7 @@ def _default(name: str) -> Pattern:
 
 
 def pattern(name: str | Pattern, **options: int | str) -> Pattern:
-    """A built-in pattern by name, with the options of its class.
+    """Return a built-in pattern by name, with the options of its class.
 
     Raises:
         OmtwarpError: a name that does not exist, or an option that the pattern does not have.
@@ -326,7 +329,7 @@ def pattern(name: str | Pattern, **options: int | str) -> Pattern:
 
 
 def _even_points(count: int) -> Floats:
-    """Points spread evenly over the sphere, shape [count, 3]; the same ones every time."""
+    """Return the points spread evenly over the sphere, shape [count, 3]; the same ones every time."""
     frequency = round(((count - 2) / 10.0) ** 0.5)
     if count > 12 and 10 * frequency**2 + 2 == count:
         points = icosphere(frequency).vertices
@@ -346,7 +349,7 @@ def _even_points(count: int) -> Floats:
 
 
 def _neighbours(points: Floats, count: int) -> tuple[NDArray, Floats]:
-    """The nearest other points, nearest first, shape [N, count], and the angles to the very nearest, shape [N]."""
+    """Return nearest other points, nearest first, shape [N, count], and the angles to the very nearest, shape [N]."""
     from scipy.spatial import cKDTree
 
     distance, index = cKDTree(points).query(points, k=count + 1)
@@ -354,7 +357,7 @@ def _neighbours(points: Floats, count: int) -> tuple[NDArray, Floats]:
 
 
 def _colour_groups(neighbours: NDArray, colours: int) -> NDArray[np.int32]:
-    """A colour for every cell that no neighbour has, as evenly used as that allows, shape [N].
+    """Return a colour for every cell that no neighbour has, as evenly used as that allows, shape [N].
 
     Cells are coloured in smallest-last order (Matula and Beck, J. ACM 30, 1983): in a planar graph every cell meets
     at most five coloured neighbours then, so that six colours always suffice.
@@ -395,7 +398,7 @@ def _colour_groups(neighbours: NDArray, colours: int) -> NDArray[np.int32]:
 
 @lru_cache(maxsize=2)
 def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
-    """A grid over longitude and latitude that says, for each cell, which pieces of coast matter and what its centre is.
+    """Return a grid over longitude and latitude with the coast pieces near each cell, and whether its centre is land.
 
     Returns:
         pieces [S, 4] (two ends, degrees), which of them are coast rather than edge of the map [S], offsets and members

@@ -18,27 +18,27 @@ PROJECTIONS = ("equirectangular", "sinusoidal")
 
 
 def check_projection(projection: str) -> str:
-    """The name of a projection, or an error that lists the ones there are."""
+    """Return the name of a projection, or an error that lists the ones there are."""
     if projection not in PROJECTIONS:
         raise OmtwarpError(f"unknown projection '{projection}': use {' or '.join(PROJECTIONS)}")
     return projection
 
 
 def longitude_latitude(directions: ArrayLike) -> tuple[Floats, Floats]:
-    """Longitude in (-π, π] and latitude in [-π/2, π/2] of directions of any length, shape [..., 3], in radians."""
+    """Return longitude in (-π, π] and latitude in [-π/2, π/2] of directions of any length, [..., 3], in radians."""
     d = np.asarray(directions, dtype=np.float64)
     # atan2 keeps full accuracy next to the poles, where asin(z) loses half of the digits.
     return np.arctan2(d[..., 1], d[..., 0]), np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1]))
 
 
 def direction_from_angles(longitude: ArrayLike, latitude: ArrayLike) -> Floats:
-    """Unit vectors, shape [..., 3], from longitude and latitude in radians."""
+    """Return the unit vectors, shape [..., 3], from longitude and latitude in radians."""
     lon, lat = np.broadcast_arrays(np.asarray(longitude, dtype=np.float64), np.asarray(latitude, dtype=np.float64))
     return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def direction_to_image(directions: ArrayLike, projection: str = "equirectangular") -> Floats:
-    """Image coordinates of directions.
+    """Return the image coordinates of directions.
 
     ``sinusoidal`` is the correction of section 5 of the paper: the longitude is scaled by the cosine of the latitude,
     so that the picture is not stretched sideways next to the poles. It uses the part of the picture between the two
@@ -59,7 +59,7 @@ def direction_to_image(directions: ArrayLike, projection: str = "equirectangular
 
 
 def image_to_direction(uv: ArrayLike, projection: str = "equirectangular") -> Floats:
-    """The inverse of :func:`direction_to_image`: unit vectors, shape [..., 3].
+    """Return the inverse of :func:`direction_to_image`: unit vectors, shape [..., 3].
 
     Points of a sinusoidal picture outside its two bounding curves belong to no direction and give NaN.
     """
@@ -75,7 +75,7 @@ def image_to_direction(uv: ArrayLike, projection: str = "equirectangular") -> Fl
 
 
 def rotation_matrix(rotate: ArrayLike | None) -> Floats:
-    """A rotation from what a user may give, shape [3, 3].
+    """Return a rotation from what a user may give, shape [3, 3].
 
     Args:
         rotate: None (no rotation), a 3x3 rotation matrix, one number (yaw), or yaw, pitch and roll in **degrees**.

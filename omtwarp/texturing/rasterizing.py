@@ -22,7 +22,7 @@ def rasterize(
     supersample: int = 3,
     device: str | None = "auto",
 ) -> NDArray[np.uint8]:
-    """A pattern as a picture of the whole sphere, supersampled.
+    """Return a pattern as a picture of the whole sphere, supersampled.
 
     Args:
         source: name of a pattern, or a pattern.

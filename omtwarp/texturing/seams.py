@@ -120,7 +120,7 @@ def _refine(mesh: CutMesh, atlas: Atlas, tolerance: float) -> None:
 
 
 def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats, count: int) -> Unwrapped:
-    """One vertex per pair of vertex and texture coordinates; the first copy of every vertex keeps its number."""
+    """Make one vertex per pair of vertex and texture coordinates; the first copy of every vertex keeps its number."""
     vertex = mesh.faces.ravel()
     flat = corner_uv.reshape(-1, 2)
     order = np.lexsort((flat[:, 1], flat[:, 0], vertex))
@@ -157,7 +157,7 @@ def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats,
 
 
 def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats, *, candidates: int = 180) -> float:
-    """Longitude of the meridian that shows least on the surface, in radians in (-π, π].
+    """Return the longitude of the meridian that shows least on the surface, in radians in (-π, π].
 
     The measure is the length of the meridian's image on the surface, weighted by how much of the space around each
     piece is open: a short line in a fold is better than a long one across a forehead.

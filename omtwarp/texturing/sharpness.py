@@ -34,7 +34,7 @@ class Sharpness:
 def sharp_size(
     vertices: Floats, faces: NDArray[np.int32], sphere: Floats, atlas: str, limit: int = LARGEST_SIZE
 ) -> Sharpness:
-    """The size at which no texel covers more than 1.5 pixels of a picture of 1024 x 1024 that the surface fills.
+    """Return the size at which no texel covers more than 1.5 pixels of a picture of 1024 x 1024 that the surface fills.
 
     Where a map makes a triangle small on the sphere, its texels are large on the surface; the triangle in which the map
     shrinks lengths most decides.
@@ -64,7 +64,7 @@ def sharp_size(
 
 
 def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -> Floats:
-    """How much longer lengths are on the surface than on the sphere, at most, in every triangle, shape [F].
+    """Return how much longer lengths are on the surface than on the sphere, at most, in every triangle, shape [F].
 
     The larger root of det(A - x² B) = 0, with A and B the metrics of a triangle here and there. Infinite where a
     triangle has no area on the sphere, 0 where it is a point on both.
@@ -79,7 +79,7 @@ def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -
 
 
 def _metric(corner: Floats) -> Floats:
-    """Squared length of the first edge, product of both, and squared length of the second, shape [F, 3]."""
+    """Return the squared length of the first edge, product of both, and squared length of the second, shape [F, 3]."""
     one, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     pairs = ((one, one), (one, other), (other, other))
     return np.stack([np.einsum("ij,ij->i", x, y) for x, y in pairs], axis=1)

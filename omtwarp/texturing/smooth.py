@@ -73,7 +73,7 @@ class SmoothMap:
 
 @lru_cache(maxsize=8)
 def grid_points(parts: int) -> NDArray[np.int64]:
-    """Steps from corner 0 towards corners 1 and 2 of the points of an evenly divided triangle, shape [K, 2].
+    """Return the steps from corner 0 towards corners 1 and 2 of the points of an evenly divided triangle, shape [K, 2].
 
     Row i holds the points with i steps towards corner 1; point (i, j) is number i (2 n + 3 - i) / 2 + j.
     """
@@ -82,7 +82,7 @@ def grid_points(parts: int) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=8)
 def grid_triangles(parts: int) -> NDArray[np.int64]:
-    """Corners of the parts of an evenly divided triangle, numbers of its points, shape [parts², 3]."""
+    """Return the corners of the parts of an evenly divided triangle, numbers of its points, shape [parts², 3]."""
 
     def number(i: int, j: int) -> int:
         return i * (2 * parts + 3 - i) // 2 + j
@@ -166,7 +166,7 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, fil
 
 
 def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
-    """The images of the vertices with waves of a few edges filtered out, without a new flip, unit vectors [V, 3]."""
+    """Return images of the vertices with waves of a few edges filtered out, without a new flip, unit vectors [V, 3]."""
     count, (low, high) = len(places), COTANGENTS
     ends, weights = [], []
     for k in range(3):
@@ -213,7 +213,7 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
 
 
 def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray[np.int64]) -> Floats:
-    """Derivatives at the two ends of every edge, from its first end to its second, for the whole edge, [E, 2, 3]."""
+    """Return the derivatives along every edge at its two ends, from first to second, per whole edge, [E, 2, 3]."""
     count = len(places)
     corner = places[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -256,7 +256,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
 
 
 def _tangents(normals: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors at right angles to each normal, and to one another; any where the normal is 0."""
+    """Return two unit vectors at right angles to each normal, and to one another; any where the normal is 0."""
     size = np.linalg.norm(normals, axis=1, keepdims=True)
     n = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), (0.0, 0.0, 1.0))
     away = np.eye(3)[np.argmin(np.abs(n), axis=1)]
@@ -266,7 +266,7 @@ def _tangents(normals: Floats) -> tuple[Floats, Floats]:
 
 
 def _solve(matrix: sparse.csr_matrix, right: Floats) -> Floats:
-    """Conjugate gradients for three right-hand sides at once, conditioned by the diagonal's blocks of two."""
+    """Solve for three right-hand sides by conjugate gradients, preconditioned by the diagonal's blocks of two."""
     count = matrix.shape[0] // 2
     blocks = np.empty((count, 2, 2))
     blocks[:, 0, 0], blocks[:, 1, 1] = matrix.diagonal()[::2], matrix.diagonal()[1::2]
@@ -307,7 +307,10 @@ def _inside(
     towards: Floats,
     share: Floats,
 ) -> Floats:
-    """The cubic map at points inside of every triangle, by their shares of its corners [K, 3]; shape [F, K, 3]."""
+    """Return the cubic map at points inside of every triangle, by their shares of its corners [K, 3].
+
+    Shape [F, K, 3].
+    """
     corner, value = places[faces], sphere[faces]
     # Derivatives along the sides of each triangle: out[k] from corner k to the next, back[k] from k + 1 to k.
     forward = (faces == ends[edge_of, 0])[..., None]
@@ -372,7 +375,7 @@ def _inside(
 
 
 def _weights(ends: NDArray[np.int64], faces: Ints, steps: Floats, share: Floats, count: int) -> sparse.csr_matrix:
-    """Every point as a combination of vertices, shape [N, V]."""
+    """Return every point as a combination of vertices, shape [N, V]."""
     on_edges = len(ends) * len(steps)
     inside = len(faces) * len(share)
     columns = np.concatenate(
@@ -399,7 +402,7 @@ def _without_flips(
     grid: Ints,
     parts: int,
 ) -> Floats:
-    """Points of the grid with as much of the curve over every edge and in every face as flips nothing."""
+    """Return the points of the grid with as much of the curve over every edge and in every face as flips nothing."""
     edges = int(edge_of.max(initial=-1)) + 1
     kept = np.ones(edges + len(faces))
     triangles = grid_triangles(parts)

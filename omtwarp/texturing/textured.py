@@ -66,7 +66,7 @@ class TexturesItself(Protocol):
     def textured(
         self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
     ) -> object:
-        """The surface with a picture."""
+        """Return the surface with a picture."""
 
 
 class SphereMap(Protocol):
@@ -198,7 +198,7 @@ def _source(
     size: int | tuple[int, int] | None,
     seam: float,
 ) -> tuple[NDArray | Pattern, Atlas, NDArray[np.uint8] | None]:
-    """Source of a texture, its layout, and its texels where the picture is to be kept to the byte."""
+    """Return the source of a texture, its layout, and its texels where the picture is to be kept to the byte."""
     if image is None:
         chosen = "circles" if pattern is None else pattern
         return by_name(chosen) if isinstance(chosen, str) else chosen, make_atlas(atlas, size, seam=seam), None
@@ -211,13 +211,13 @@ def _source(
 
 
 def _parts(layout: Atlas, face_count: int) -> int:
-    """Into how many parts the edges of a mesh are divided to bend a texture; 1 where that would not show."""
+    """Return into how many parts edges are divided to bend a texture; 1 where that would not show."""
     side = float(np.sqrt(layout.width * layout.height / face_count))  # of the square that a triangle's texels fill
     return 1 if side < LEAST_BENT else int(np.clip(np.ceil(side / GRID_STEP), 2, MOST_PARTS))
 
 
 def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
-    """Unit normals at vertices, shape [V, 3]: the mean of the faces' normals, weighted by area.
+    """Return the unit normals at vertices, shape [V, 3]: the mean of the faces' normals, weighted by area.
 
     Zero where the faces around a vertex cancel or have no area.
     """
@@ -235,13 +235,16 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 def unit_normals(normals: Floats) -> Floats:
-    """Normals of length one; the north pole where there is none, as formats of files demand some direction."""
+    """Return the normals of length one.
+
+    The north pole where there is none, as formats of files demand some direction.
+    """
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
 
 
 def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
-    """The matrix that turns the texture.
+    """Return the matrix that turns the texture.
 
     ``auto`` turns its left and right borders, at longitude 180 degrees, to the least visible meridian.
     """
@@ -253,7 +256,7 @@ def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sph
 
 
 def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, NDArray[np.uint8]]:
-    """An equirectangular picture itself, to the byte, in the layout whose seam is nearest to the wanted one.
+    """Return an equirectangular picture itself, to the byte, in the layout whose seam is nearest to the wanted one.
 
     A seam that is moved by whole columns shifts the picture by as many.
     """
@@ -264,7 +267,7 @@ def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, NDArray[np
 
 
 def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[Floats, Ints, Floats]:
-    """Vertices [V, 3], faces [F, 3] and unit vectors [V, 3] of a map in any of its forms.
+    """Return the vertices [V, 3], faces [F, 3] and unit vectors [V, 3] of a map in any of its forms.
 
     Raises:
         OmtwarpError: it is no map, or one with points at the centre of the sphere.
@@ -303,7 +306,7 @@ def _seam(given: float | str, vertices: Floats, faces: Ints, sphere: Floats, rot
 
 
 def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
-    """Texels of about the size of the image's own."""
+    """Return the texels of about the size of the image's own."""
     height, width = picture.shape[:2]
     if atlas == "equirectangular":
         return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))

@@ -9,7 +9,7 @@ from omtwarp.errors import OmtwarpError
 
 
 def boundary_half_edges(faces: NDArray, vertex_count: int) -> NDArray[np.int64]:
-    """Directed edges (tail, head) of faces that no other face runs through the other way, shape [B, 2].
+    """Return the directed edges (tail, head) of faces that no other face runs through the other way, shape [B, 2].
 
     Args:
         faces: vertex indices of an oriented mesh, shape [F, 3].
@@ -22,7 +22,7 @@ def boundary_half_edges(faces: NDArray, vertex_count: int) -> NDArray[np.int64]:
 
 
 def boundary_loops(faces: NDArray, vertex_count: int) -> list[NDArray[np.int64]]:
-    """Closed loops of boundary vertices, each in the direction in which the faces run through them.
+    """Return the closed loops of boundary vertices, each in the direction in which the faces run through them.
 
     The loops are ordered by their smallest vertex, and each begins there, so that the same mesh gives the same loops.
 
@@ -54,7 +54,7 @@ def boundary_loops(faces: NDArray, vertex_count: int) -> list[NDArray[np.int64]]
 
 
 def loop_length(vertices: NDArray[np.float64], loop: NDArray[np.int64]) -> float:
-    """Length of a closed loop of vertices, in the units of the input."""
+    """Return the length of a closed loop of vertices, in the units of the input."""
     points = vertices[loop]
     return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
 

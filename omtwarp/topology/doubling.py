@@ -63,7 +63,7 @@ def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np
 def _subdivided(
     faces: NDArray[np.int64], midpoint: NDArray[np.int64], edges: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
-    """Faces cut through the midpoints of their edges (k, k+1), -1 where an edge stays whole."""
+    """Return the faces cut through the midpoints of their edges (k, k+1), -1 where an edge stays whole."""
     whole = (midpoint < 0).all(axis=1)
     parts, origins = [faces[whole]], [np.flatnonzero(whole)]
     for split_count in (1, 2, 3):
@@ -137,7 +137,7 @@ def double(vertices: NDArray[np.float64], faces: NDArray) -> Double:
 
 
 def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
-    """The double whose triangles are the parts of another's.
+    """Return the double whose triangles are the parts of another's.
 
     Args:
         whole: a surface and its mirror copy, W vertices and 2F faces.

@@ -61,7 +61,7 @@ def fill_loop(points: NDArray[np.float64]) -> Patch:
 
 
 def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """A triangulated unit disk whose first vertices lie on the circle at the turns given, in [0, 1), ascending."""
+    """Triangulate the unit disk, its first vertices on the circle at the turns given, in [0, 1), ascending."""
     rings, radius = [turns], 1.0
     points = [np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns), 0.0 * turns], axis=1)]
     while len(rings[-1]) > FAN:
@@ -87,7 +87,7 @@ def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _strip(outer: NDArray[np.float64], inner: NDArray[np.float64], first: int, second: int) -> NDArray[np.int64]:
-    """Triangles between two rings of vertices, counter-clockwise: each advances the ring that lags behind."""
+    """Return triangles between two rings of vertices, counter-clockwise: each advances the ring that lags behind."""
     start = int(np.argmin(np.abs(inner - outer[0])))
     ahead = np.concatenate([outer, [outer[0] + 1.0]])
     behind = np.concatenate([inner[start:], inner[:start] + 1.0, [inner[start] + 1.0]])
@@ -105,7 +105,7 @@ def _strip(outer: NDArray[np.float64], inner: NDArray[np.float64], first: int, s
 
 
 def _harmonic(shape: NDArray[np.float64], faces: NDArray[np.int64], loop: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places of all vertices with the loop held, harmonic by the cotangent weights of a shape, shape [n + K, 3]."""
+    """Return harmonic positions of all vertices by a shape's cotangent weights, the loop held, shape [n + K, 3]."""
     count, held = len(shape), len(loop)
     halves = 0.5 * np.clip(corner_cotangents(shape, faces), LEAST_WEIGHT, 1.0 / LEAST_WEIGHT)
     one, other = np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()

@@ -175,7 +175,7 @@ class _LoopGraph:
         self._crossed = self._crossings(cotree)
 
     def roots(self) -> NDArray[np.int64]:
-        """Vertices, none on the boundary, of which every loop that does not separate passes through one."""
+        """Return the vertices, none on the boundary, of which every loop that does not separate passes through one."""
         marked = np.zeros(self.count, dtype=bool)
         for end in self.edges[self._left].ravel().tolist():
             while end >= 0 and not marked[end]:
@@ -208,7 +208,7 @@ class _LoopGraph:
         return np.minimum(tail, head).astype(np.int64) * self.count + np.maximum(tail, head)
 
     def _number(self, tail: NDArray, head: NDArray) -> NDArray[np.int64]:
-        """The edges with these ends."""
+        """Return the edges with these ends."""
         return np.searchsorted(self._keys, self._key(tail, head))
 
     def _tree_and_cotree(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -237,7 +237,7 @@ class _LoopGraph:
         return before.astype(np.int64), cotree, np.flatnonzero(left)
 
     def _crossings(self, cotree: NDArray[np.int64]) -> NDArray[np.uint64]:
-        """Which of the 2g loops of triangles cross each edge, as bits, shape [E, words]."""
+        """Return which of the 2g loops of triangles cross each edge, as bits, shape [E, words]."""
         crossed = np.zeros((len(self.edges), max(1, -(-len(self._left) // 64))), dtype=np.uint64)
         size = self.dual_count
         # The edge that each link of the dual tree crosses, found by the link's two ends.
@@ -257,7 +257,7 @@ class _LoopGraph:
         return crossed
 
     def _parities(self, steps: NDArray[np.float64], before: NDArray) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
-        """Which of the loops of triangles the path from each root to each vertex that it reaches crosses oddly.
+        """Return which of the loops of triangles the path from each root to each vertex that it reaches crosses oddly.
 
         Returns:
             A number for each root and vertex, -1 where there is no path, shape [R, V]; and bits by that number.
@@ -293,7 +293,7 @@ class _LoopGraph:
 def _cut_along(
     faces: NDArray[np.int64], loop: NDArray[np.int64], count: int, closed: bool = True
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Faces cut open along a loop or a path, and the vertices that were copied, in the order of the copies."""
+    """Return faces cut open along a loop or a path, and the vertices that were copied, in the order of the copies."""
     ends = np.stack([loop, np.roll(loop, -1)], axis=1)[: None if closed else -1]
     cut = np.unique(ends.min(axis=1) * count + ends.max(axis=1))
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()

@@ -47,7 +47,7 @@ class Part:
 
 
 def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part]:
-    """The connected pieces of an oriented manifold mesh, in the order of their first faces.
+    """Return the connected pieces of an oriented manifold mesh, in the order of their first faces.
 
     Args:
         vertices: coordinates, shape [V, 3].
@@ -75,12 +75,12 @@ def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part
 
 
 def connected_components(faces: NDArray, vertex_count: int) -> tuple[int, NDArray[np.int32]]:
-    """Number of pieces that hang together through edges, and the piece of every face, shape [F]."""
+    """Return the number of pieces that hang together through edges, and the piece of every face, shape [F]."""
     return Topology(np.asarray(faces, dtype=np.int64), vertex_count).components
 
 
 def described(part: Part) -> str:
-    """A part in words: ``genus 1, 2 holes``."""
+    """Return a part in words: ``genus 1, 2 holes``."""
     holes = number(len(part.loops), "hole") if part.loops else "closed"
     return f"genus {part.genus}, {holes}"
 

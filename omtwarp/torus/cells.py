@@ -81,24 +81,24 @@ class TorusCellEnergy(TorusEnergy):
         return self._factor
 
     def cells_of(self, triangles: Floats) -> Floats:
-        """Areas of the mesh's triangles, shape [F], from those of their parts."""
+        """Return the areas of the mesh's triangles, shape [F], from those of their parts."""
         return self._quartered.sum_of_parts(triangles)
 
     def means(self, terms: PlaneTerms) -> Floats:
-        """Mean of |y - x|² over the mass of every triangle, shape [F]."""
+        """Return the mean of |y - x|² over the mass of every triangle, shape [F]."""
         return terms.square[self._cells] @ _SHARES
 
     def masses(self, terms: PlaneTerms) -> Floats:
-        """The share of the torus that every vertex stands for, times 4π, shape [V]."""
+        """Return the share of the torus that every vertex stands for, times 4π, shape [V]."""
         shares = terms.cells[:, None] * _SHARES
         return np.bincount(self._cells.ravel(), shares.ravel(), self.surface.vertex_count).astype(np.float64)
 
     def on_triangles(self, potential: Floats) -> Floats:
-        """The potential of every part, shape [4 F], from that of the triangles."""
+        """Return the potential of every part, shape [4 F], from that of the triangles."""
         return np.repeat(potential, PARTS)
 
     def area_derivatives(self, points: Floats) -> Floats:
-        """Derivatives of the area of every triangle by its six vertices, corners first, shape [F, 6, 2]."""
+        """Return the derivatives of the area of every triangle by its six vertices, corners first, shape [F, 6, 2]."""
         places = points[self._cells] + self._cell_shift
         ring = places[:, [0, 3, 1, 4, 2, 5]]  # of the hexagon, in order
         across = np.roll(ring, 1, axis=1) - np.roll(ring, -1, axis=1)

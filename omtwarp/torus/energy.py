@@ -87,7 +87,7 @@ class TorusEnergy:
         return surface_saddle_factor(self.surface)
 
     def terms(self, points: Floats) -> PlaneTerms:
-        """Areas, squared distances and distortion of a map, shape [V, 2]."""
+        """Return the areas, squared distances and distortion of a map, shape [V, 2]."""
         count = self.surface.face_count
         areas, angle, area = (wp.empty(count, dtype=wp.float64, device="cpu") for _ in range(3))
         self._launch(kernels.plane_triangles, count, [*self._map(points), self._frames], [areas, angle, area])
@@ -97,45 +97,45 @@ class TorusEnergy:
         return PlaneTerms(triangles, self.cells_of(triangles), square, means[0], means[1])
 
     def cells_of(self, triangles: Floats) -> Floats:
-        """The areas that are constrained, from those of the triangles."""
+        """Return the areas that are constrained, from those of the triangles."""
         return self.surface.sum_to_vertices(triangles)
 
     def missing(self, terms: PlaneTerms) -> Floats:
-        """Areas less those wanted, shape [V]."""
+        """Return the areas less those wanted, shape [V]."""
         return terms.cells - self.wanted
 
     def area_errors(self, terms: PlaneTerms) -> tuple[float, float]:
-        """Root mean square, weighted by area, and largest relative error of the areas."""
+        """Return the root mean square, weighted by area, and largest relative error of the areas."""
         relative = self.missing(terms) / self.wanted
         return float(np.sqrt((self.wanted * relative**2).sum() / self.wanted.sum())), float(np.abs(relative).max())
 
     def cost(self, terms: PlaneTerms) -> float:
-        """Σ m_v |y_v - x_v|², with masses 4π in all."""
+        """Return Σ m_v |y_v - x_v|², with masses 4π in all."""
         return float(self.surface.vertex_areas @ terms.square)
 
     def shape(self, terms: PlaneTerms) -> float:
-        """β S."""
+        """Return β S."""
         return self.shape_weight * (terms.angle - 2.0 + self.area_weight * (terms.area - 2.0))
 
     def lagrangian(self, terms: PlaneTerms, multipliers: Floats) -> float:
-        """C' + Σ p_v (a_v - 3 m_v) + β S."""
+        """Return C' + Σ p_v (a_v - 3 m_v) + β S."""
         cost = self.cost_weight * float(terms.cells @ self.means(terms)) / self.wanted.sum()
         return cost + float(multipliers @ self.missing(terms)) + self.shape(terms)
 
     def means(self, terms: PlaneTerms) -> Floats:
-        """The squared distance that a cell counts with, shape [V]."""
+        """Return the squared distance that a cell counts with, shape [V]."""
         return terms.square
 
     def potential(self, terms: PlaneTerms, multipliers: Floats) -> Floats:
-        """P_v, the potential of the target, shape [V], from p_v."""
+        """Return P_v, the potential of the target, shape [V], from p_v."""
         return multipliers + self.cost_weight / self.wanted.sum() * self.means(terms)
 
     def masses(self, terms: PlaneTerms) -> Floats:
-        """The share of the torus that every vertex stands for, times 4π, shape [V]."""
+        """Return the share of the torus that every vertex stands for, times 4π, shape [V]."""
         return terms.cells / 3.0
 
     def gradient(self, points: Floats, terms: PlaneTerms, multipliers: Floats) -> Floats:
-        """Gradient of the Lagrangian by the vertices, shape [V, 2]."""
+        """Return the gradient of the Lagrangian by the vertices, shape [V, 2]."""
         count = self.surface.face_count
         potential = self.on_triangles(self.potential(terms, multipliers))
         out = wp.empty((count, 3), dtype=wp.vec2d, device="cpu")
@@ -148,12 +148,12 @@ class TorusEnergy:
         return sums.numpy() + pull[:, None] * (points - self.start)
 
     def on_triangles(self, potential: Floats) -> Floats:
-        """Factor of every triangle's area, shape [F]."""
+        """Return the factor of every triangle's area, shape [F]."""
         total: Floats = potential[self.surface.faces].sum(axis=1)
         return total
 
     def blocks(self, points: Floats, terms: PlaneTerms, least: float) -> tuple[Floats, Floats, Floats]:
-        """Second derivative of the Lagrangian and first derivatives of the areas.
+        """Return the second derivative of the Lagrangian and first derivatives of the areas.
 
         Args:
             points: the map, shape [V, 2].
@@ -176,7 +176,7 @@ class TorusEnergy:
         return diagonal + metric.numpy().reshape(-1, 2, 2), off_diagonal, self.area_derivatives(points)
 
     def area_derivatives(self, points: Floats) -> Floats:
-        """Derivatives of the areas around vertices across every edge, both ways, shape [2, E, 2]."""
+        """Return the derivatives of the areas around vertices across every edge, both ways, shape [2, E, 2]."""
         edges = len(self.surface.edges)
         forward, backward = (wp.empty(edges, dtype=wp.vec2d, device="cpu") for _ in range(2))
         inputs = [*self._map(points), self._mesh.edges, self._mesh.edge_corners]

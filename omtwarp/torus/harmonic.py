@@ -59,7 +59,7 @@ class FlatTorus:
     lattice: Floats
 
     def corners(self, faces: NDArray) -> Floats:
-        """Corners of the triangles in multiples of the lattice's vectors, exactly, shape [F, 3, 2]."""
+        """Return the corners of the triangles in multiples of the lattice's vectors, exactly, shape [F, 3, 2]."""
         return self.coordinates[faces] + self.wraps
 
 
@@ -133,7 +133,7 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
 
 
 def _mesh_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
-    """The edges of the mesh itself, their weights kept within bounds."""
+    """Return the edges of the mesh itself, their weights kept within bounds."""
     faces, opposite = surface.faces, surface.edge_corners
     cotangents = corner_cotangents(surface.scaled_vertices, faces).ravel()
     corner = opposite[:, 0].astype(np.int64)
@@ -148,7 +148,7 @@ def _mesh_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
 
 
 def _harmonic(count: int, points: Floats, edges: WeightedEdges) -> Floats:
-    """Functions at vertices whose differences and the steps make harmonic forms, shape [V, 2]."""
+    """Return the functions at vertices whose differences and the steps make harmonic forms, shape [V, 2]."""
     apart = edges.ends[:, 0] != edges.ends[:, 1]
     keys = edges.ends.min(axis=1) * count + edges.ends.max(axis=1)
     unique, which = np.unique(keys[apart], return_inverse=True)
@@ -200,12 +200,12 @@ def _reduced(values: Floats, jumps: NDArray[np.int64], lattice: Floats) -> FlatT
 
 
 def quantised(values: Floats) -> Floats:
-    """Coordinates rounded to the multiples that whole numbers can be added to without rounding."""
+    """Return the coordinates rounded to the multiples that whole numbers can be added to without rounding."""
     return np.round(values / QUANTUM) * QUANTUM
 
 
 def _two_loops(points: Floats, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Integers at corners, shape [F, 3] each, that jump by one across two loops that cross once."""
+    """Return the integers at corners, shape [F, 3] each, that jump by one across two loops that cross once."""
     cut = cut_handles(points, faces, 1, thorough=False)  # any two loops will do
     one, other = cut.sides[0]
     count = len(cut.vertices)

@@ -41,7 +41,7 @@ class WeightedEdges:
 
 
 def delaunay_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
-    """Edges of the intrinsic Delaunay triangulation.
+    """Return the edges of the intrinsic Delaunay triangulation.
 
     Args:
         surface: closed; F faces.
@@ -85,7 +85,7 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
 def _opposite_cotangents(
     side: NDArray[np.float64], one: NDArray[np.float64], other: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Cotangent of the angle opposite to a side, from the lengths of the three sides."""
+    """Return the cotangent of the angle opposite to a side, from the lengths of the three sides."""
     product = (side + one + other) * (one + other - side) * (side - one + other) * (side + one - other)
     doubled = 0.5 * np.sqrt(np.maximum(product, np.finfo(float).eps ** 2 * (side * side + one * one) ** 2))
     return (one * one + other * other - side * side) / (2.0 * doubled)

@@ -10,14 +10,14 @@ ROUND_OFF = wp.constant(wp.float64(1e-12))
 
 @wp.func
 def doubled_area(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
-    """Twice the area of a triangle of these sides (Heron)."""
+    """Return twice the area of a triangle of these sides (Heron)."""
     product = (a + b + c) * (b + c - a) * (a - b + c) * (a + b - c)
     return HALF * wp.sqrt(wp.max(product, ZERO))
 
 
 @wp.func
 def is_delaunay(half: int, other: int, following: wp.array[wp.int32], lengths: wp.array[wp.float64]) -> bool:
-    """Whether the angles opposite to the edge of two half-edges add up to at most π."""
+    """Return whether the angles opposite to the edge of two half-edges add up to at most π."""
     edge = lengths[half]
     a, b = lengths[following[half]], lengths[following[following[half]]]
     c, d = lengths[following[other]], lengths[following[following[other]]]

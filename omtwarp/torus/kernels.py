@@ -14,13 +14,13 @@ SMALLEST = wp.constant(wp.float64(arrays.TINY))
 
 @wp.func
 def turned(v: wp.vec2d) -> wp.vec2d:
-    """A vector turned by +90 degrees."""
+    """Return a vector turned by +90 degrees."""
     return wp.vec2d(-v[1], v[0])
 
 
 @wp.func
 def area_by_corner(p: wp.vec2d, q: wp.vec2d) -> wp.vec2d:
-    """Gradient of the area of the triangle (own, p, q) by its first corner."""
+    """Return the gradient of the area of the triangle (own, p, q) by its first corner."""
     return HALF * turned(q - p)
 
 
@@ -35,7 +35,10 @@ def plane_triangles(
     angle: wp.array[wp.float64],
     area: wp.array[wp.float64],
 ):
-    """Signed areas, and distortion of angle and area less 2, of every triangle; infinite where it is turned over."""
+    """Compute the signed areas, and distortion of angle and area less 2, of every triangle.
+
+    Infinite where it is turned over.
+    """
     f = wp.tid()
     face, frame = faces[f], frames[f]
     a = points[face[0]] + shift[f, 0]
@@ -67,7 +70,7 @@ def plane_gradients(
     # Data out:
     gradients: wp.array2d[wp.vec2d],
 ):
-    """Gradient by its corners of a triangle's distortion, weighted, and of its area times a potential, shape [F, 3]."""
+    """Compute the gradient of weighted distortion and of area times a potential by the corners, shape [F, 3]."""
     f = wp.tid()
     face, frame = faces[f], frames[f]
     a = points[face[0]] + shift[f, 0]
@@ -98,7 +101,7 @@ def plane_hessians(
     # Data out:
     hessians: wp.array2d[wp.float64],
 ):
-    """A positive semidefinite Hessian of a triangle's distortion, the entries on and above the diagonal, shape [F, 21].
+    """Compute positive semidefinite Hessians of the distortion, entries on and above the diagonal, shape [F, 21].
 
     With the Jacobian J and its determinant D the energy is |J|² / D + λ (D + 1 / D). Both terms are convex in (J, D);
     the Hessian leaves out the curvature of D, which is not.
@@ -154,7 +157,7 @@ def sum_at_vertices(
     # Data out:
     sums: wp.array[wp.vec2d],
 ):
-    """Sum of what the corners around every vertex have."""
+    """Compute the sum of what the corners around every vertex have."""
     v = wp.tid()
     total = wp.vec2d()
     for k in range(offsets[v], offsets[v + 1]):
@@ -173,7 +176,10 @@ def plane_couplings(
     forward: wp.array[wp.vec2d],
     backward: wp.array[wp.vec2d],
 ):
-    """Derivatives of the areas around vertices, shape [E] each: see :func:`omtwarp.optimal.kernels.ring_couplings`."""
+    """Compute the derivatives of the areas around vertices, shape [E] each.
+
+    See :func:`omtwarp.optimal.kernels.ring_couplings`.
+    """
     e = wp.tid()
     i = edges[e][0]
     by_i, by_j = wp.vec2d(), wp.vec2d()
@@ -207,7 +213,7 @@ def plane_cost_metric(
     # Data out:
     metric: wp.array2d[wp.float64],
 ):
-    """The derivative of the inverse map y -> x at every vertex, fitted to its neighbours, scaled, shape [V, 4].
+    """Compute the derivative of the inverse map y -> x at every vertex, fitted to its neighbours, scaled, shape [V, 4].
 
     It is made symmetric and its eigenvalues raised to ``least``: see :func:`omtwarp.optimal.kernels.cost_metric`.
     """

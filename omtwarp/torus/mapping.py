@@ -84,7 +84,7 @@ class _Run:
         return report
 
     def optimal(self, measure: bool) -> None:
-        """The discrete optimal map."""
+        """Find the discrete optimal map."""
         found = transport_on_torus(self.surface, self.conformal, self.torus, progress=self.notify("omt"))
         self.largest_ring_error = found.history[-1]["ring_largest"]
         self.take("omt", found, {"largest_ring_error": self.largest_ring_error})
@@ -94,7 +94,7 @@ class _Run:
             self.measured = torus_optimality(self.surface, x, found.points, shift, lattice).to_dict()
 
     def keep_every_area(self) -> None:
-        """The optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
+        """Find the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
         quartered = quarter(self.surface)
         maps = self.conformal.coordinates, self.torus.coordinates
         wraps, (x, y) = quartered_torus(quartered, self.surface.faces, self.conformal.wraps, *maps)
@@ -111,7 +111,7 @@ class _Run:
         self.take("exact", found, {"largest_area_error": found.history[-1]["ring_largest"]})
 
     def refine(self, weight: AreaMatch | str | float) -> None:
-        """Less distortion of shape, at more cost."""
+        """Reduce the distortion of shape, at a higher cost."""
         points = self.torus.coordinates @ self.torus.lattice
         found, used = refine_on_torus(self.surface, self.conformal, points, weight, progress=self.notify("refine"))
         self.measured = None
@@ -144,7 +144,7 @@ class _Run:
         self.clock = now
 
     def made(self, torus: FlatTorus) -> TorusMap:
-        """A result with these coordinates."""
+        """Return a result with these coordinates."""
         surface = self.surface
         area = float(triangle_areas(surface.vertices, surface.faces).sum())
         return TorusMap(
@@ -160,7 +160,7 @@ class _Run:
         )
 
     def result(self, strict: bool) -> TorusMap:
-        """The finished map; with a warning, or an error if strict, where areas are wrong.
+        """Return the finished map; with a warning, or an error if strict, where areas are wrong.
 
         Raises:
             OmtwarpError: it is not one to one.

@@ -108,7 +108,7 @@ def torus_optimality(
 
 
 def _edge_ends(surface: Surface, shift: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Ends of the edges, and what is added to the second one in the cover of the first, shape [E, 2]."""
+    """Return the ends of the edges, and what is added to the second one in the cover of the first, shape [E, 2]."""
     corner = surface.edge_corners[:, 0].astype(np.int64)
     face, place = corner // 3, corner % 3
     one, two = (place + 1) % 3, (place + 2) % 3
@@ -177,11 +177,11 @@ class _Dual:
         self._fit = _EdgeFit(surface, x, y, shift)
 
     def fitted(self) -> Floats:
-        """ψ from the displacements along edges."""
+        """Return ψ from the displacements along edges."""
         return self._fit.solve(self._fit.flow)
 
     def bound(self, potential: Floats) -> _Bound:
-        """The best image of every point, over all of the torus."""
+        """Return the best image of every point, over all of the torus."""
         count = len(self.own)
         mesh = [self._corners, _on_host(self._half_squares - potential[self._faces], wp.vec3d), self._bulges]
         nodes = wp.empty(2 * self._leaves, dtype=vec7d, device="cpu")
@@ -200,7 +200,7 @@ class _Dual:
         return _Bound(potential, float(self.mass @ (own - proven)), leaf, shares)
 
     def ascent_direction(self, current: _Bound) -> tuple[Floats, float]:
-        """A change of ψ that raises the bound, and the bound's slope along it.
+        """Return a change of ψ that raises the bound, and the bound's slope along it.
 
         The slope in ψ is a vertex's own mass less what the best images put there; the matrix is that of the fit.
         """
@@ -213,7 +213,7 @@ class _Dual:
         return direction, float(direction @ slope)
 
     def _copies(self, potential: Floats) -> Floats:
-        """Sums of the lattice's vectors that a best image may be shifted by, the shortest first, shape [N, 2]."""
+        """Return the lattice vectors that a best image may be shifted by, the shortest first, shape [N, 2]."""
         reach = float(np.sqrt(2.0 * (self.own - potential + potential.max()).max()))  # nothing farther is better
         far = np.ceil(np.linalg.norm(np.linalg.inv(self.lattice), axis=0) * reach).astype(int) + 1
         steps = [(i, j) for i in range(-far[0], far[0] + 1) for j in range(-far[1], far[1] + 1)]
@@ -251,7 +251,7 @@ class _EdgeFit:
 
 
 def _relative_curl(surface: Surface, corner: Floats, moved: Floats) -> float:
-    """The part of the displacement on the image triangles that is the rotated gradient of a function."""
+    """Return the part of the displacement on the image triangles that is the rotated gradient of a function."""
     one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
     field = moved[surface.faces].mean(axis=1)

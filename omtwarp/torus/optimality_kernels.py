@@ -18,13 +18,13 @@ SLACK = wp.constant(wp.float64(1.0e-14))  # that rounding may add to a bound
 
 @wp.func
 def lowest_point(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, heights: wp.vec3d, bulge: wp.vec3d) -> wp.vec3d:
-    """Barycentric coordinates of where U(z) - x · z is least on a triangle."""
+    """Return the barycentric coordinates of where U(z) - x · z is least on a triangle."""
     return lowest_on_triangle(heights - wp.vec3d(wp.dot(x, a), wp.dot(x, b), wp.dot(x, c)), bulge)
 
 
 @wp.func
 def height_at(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, heights: wp.vec3d, bulge: wp.vec3d, w: wp.vec3d):
-    """U(z) - x · z at barycentric coordinates."""
+    """Return U(z) - x · z at barycentric coordinates."""
     return potential_at(heights - wp.vec3d(wp.dot(x, a), wp.dot(x, b), wp.dot(x, c)), bulge, w)
 
 

@@ -85,7 +85,7 @@ class TexturedTorus:
         return export(self, path, keep=keep)
 
     def trimesh(self) -> trimesh.Trimesh:
-        """The cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
+        """Return the cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
         import trimesh
         from PIL import Image
 
@@ -103,7 +103,7 @@ class TexturedTorus:
 
 
 def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArray[np.uint8]:
-    """A picture of a flat torus: u to the right along the first lattice vector, v upwards along the second.
+    """Return a picture of a flat torus: u to the right along the first lattice vector, v upwards along the second.
 
     Args:
         name: ``circles``, all of one size and round on the torus, or ``checker``.
@@ -131,14 +131,14 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArra
 
 
 def _checks(lattice: Floats, u: Floats, v: Floats) -> Floats:
-    """1 on the dark cells of a checker, which are as nearly square as even numbers of them allow, shape [H, W]."""
+    """Return 1 on the dark cells of a checker, as nearly square as even numbers allow, shape [H, W]."""
     along = np.linalg.norm(lattice, axis=1)
     columns, rows = (max(2, 2 * round(CHECKS / 2 * float(side / along.min()))) for side in along)
     return ((np.floor(rows * v)[:, None] + np.floor(columns * u)[None, :]) % 2.0).astype(np.float64)
 
 
 def _circles(lattice: Floats, u: Floats, v: Floats) -> Floats:
-    """1 inside of circles and 0 outside, in between at their rims, shape [H, W]."""
+    """Return 1 inside of circles and 0 outside, in between at their rims, shape [H, W]."""
     area = abs(float(np.linalg.det(lattice)))
     first = float(np.linalg.norm(lattice[0]))
     apart = np.sqrt(2.0 / np.sqrt(3.0) * area / CIRCLES)
@@ -218,7 +218,7 @@ def textured_torus(
 
 
 def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
-    """Points of a ring torus for points of a flat one, areas in proportion, shape [N, 3].
+    """Return the points of a ring torus for points of a flat one, areas in proportion, shape [N, 3].
 
     The first coordinate goes around the tube and the second around the ring. The radii are in the proportion of the
     lattice's vectors, the tube at most 0.8 of the ring; along the tube the angle t grows such that t + (r/R) sin t, to

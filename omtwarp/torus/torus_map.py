@@ -146,7 +146,7 @@ class TorusMap(Shown):
         return self.certificate.bijective
 
     def distortion(self, stage: str = "torus") -> Distortion:
-        """Distortion of the map, or with ``conformal`` of the conformal map, as of maps to the sphere.
+        """Return the distortion of the map, or with ``conformal`` of the conformal map, as of maps to the sphere.
 
         Raises:
             OmtwarpError: another stage.
@@ -174,7 +174,7 @@ class TorusMap(Shown):
     def textured(
         self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
     ) -> TexturedTorus:
-        """The surface with a picture that closes up both ways; ``.export("name.glb")`` writes it.
+        """Return the surface with a picture that closes up both ways; ``.export("name.glb")`` writes it.
 
         Args:
             image: a picture that repeats, path, PIL image or array [H, W, 3], shown once on the torus: to the right
@@ -196,7 +196,7 @@ class TorusMap(Shown):
         return textured_torus(self.vertices, self.faces, normals, self.coordinates, self.wraps, picture, source)
 
     def trimesh(self, image: PictureLike | None = None) -> trimesh.Trimesh:
-        """The surface with a texture that closes up both ways, as a :class:`trimesh.Trimesh`.
+        """Return the surface with a texture that closes up both ways, as a :class:`trimesh.Trimesh`.
 
         Args:
             image: a picture that repeats, path or array, shown once on the torus; a checker by default.
@@ -204,7 +204,7 @@ class TorusMap(Shown):
         return self.textured(image, pattern="checker" if image is None else None).trimesh()
 
     def ring(self) -> Floats:
-        """The vertices on a ring torus, areas in proportion to those of the surface, shape [V, 3].
+        """Return the vertices on a ring torus, areas in proportion to those of the surface, shape [V, 3].
 
         The ring's radii are in the proportion of the lattice's vectors, the tube at most 0.8 of the ring.
         """
@@ -261,7 +261,7 @@ _LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 
 
 def _areas(corner: Floats) -> Floats:
-    """Signed areas of plane triangles, shape [F], from corners [F, 3, 2]."""
+    """Return the signed areas of plane triangles, shape [F], from corners [F, 3, 2]."""
     one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
 

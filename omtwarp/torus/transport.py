@@ -191,7 +191,7 @@ def refine_on_torus(
 
 
 def _with_right_areas(energy: TorusEnergy, found: TorusTransport, rounds: int) -> TorusTransport:
-    """A minimum with its areas made right, as one more record of its history."""
+    """Return a minimum with its areas made right, as one more record of its history."""
     points, terms = restore_areas(energy, found.points, rounds)
     rms, largest = energy.area_errors(terms)
     last = found.history[-1] | {"cost": energy.cost(terms), "ring_rms": rms, "ring_largest": largest}
@@ -404,7 +404,7 @@ def _factorise(
 def _held_back(
     energy: TorusEnergy, points: Floats, terms: PlaneTerms, step: Floats
 ) -> tuple[Floats, PlaneTerms, int] | None:
-    """Points moved by the largest shares of a step, halved corner by corner, that keep every triangle.
+    """Move points by the largest shares of a step, halved corner by corner, that keep every triangle.
 
     Returns:
         The map, its terms, and how many vertices were held back; None where no shares were found.

@@ -26,7 +26,7 @@ class AreaMonitor:
         self._sums = RowSums(surface.face_count, 1, device)
 
     def error(self, points: wp.array, largest: float = LARGEST_ERROR) -> float:
-        """Mean of D + 1/D - 2 weighted by original area, each triangle counting at most ``largest``."""
+        """Return the mean of D + 1/D - 2 weighted by original area, each triangle counting at most ``largest``."""
         wp.launch(
             capped_area_error,
             dim=len(self._errors),

@@ -64,7 +64,10 @@ def inner_products(
     # Data out:
     sums: wp.array2d[wp.float64],
 ):
-    """Gradient times preconditioned gradient, ascent, and last direction; and last gradient times ascent."""
+    """Compute the gradient times preconditioned gradient, ascent, and last direction.
+
+    And last gradient times ascent.
+    """
     thread = wp.tid()
     with_preconditioned = wp.float64(0.0)
     with_ascent = wp.float64(0.0)
@@ -151,7 +154,7 @@ def turn_direction(
     # Data out:
     previous: wp.array[wp.float64],
 ):
-    """direction <- factor * direction - ascent; and the gradient becomes the previous one."""
+    """Compute direction <- factor * direction - ascent; and the gradient becomes the previous one."""
     i = wp.tid()
     direction[i] = state[0].factor * direction[i] - ascent[i]
     previous[i] = gradient[i]

@@ -322,7 +322,7 @@ class _Flow:
         return wp.empty(size, dtype=wp.float64, device=self.device)
 
     def _centres_of(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
-        """The centres of the triangles of an image, shape [F]."""
+        """Return the centres of the triangles of an image, shape [F]."""
         centres = wp.empty(self.face_count, dtype=wp.vec3d, device=self.device)
         self.launch(face_centres, self.face_count, [points, self.faces], [centres])
         return centres
@@ -333,7 +333,7 @@ class _Flow:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def measure(self, points: wp.array) -> wp.array:
-        """Partial sums of cost and area error; also sets what :meth:`set_gradient` needs."""
+        """Return the partial sums of cost and area error; also sets what :meth:`set_gradient` needs."""
         if self.targeted:
             self.launch(
                 values_at_points,
@@ -351,12 +351,12 @@ class _Flow:
         return self.face_sums(self.measured)
 
     def set_gradient(self) -> None:
-        """The derivative of the cost with respect to H at the nodes, weak form."""
+        """Compute the derivative of the cost with respect to H at the nodes, in weak form."""
         self.grid.sampler.locate(self.centres)
         self.grid.sampler.gradient_adjoint(self.turned, out=self.gradient, smooth=True)
 
     def set_steepest(self) -> None:
-        """H of equation 12, the curl itself, in the space that the mesh resolves: F A^-1 F^T of the weak one.
+        """Compute H of equation 12, the curl, in the space that the mesh resolves: F A^-1 F^T of the weak one.
 
         F fades out the wavelets that are too fine for the mesh (Algorithm 1 clears those of the finest levels), A holds
         the nodes' areas. Unfiltered, steepest descent follows the finest wavelets first, which is what vertices cannot
@@ -369,7 +369,7 @@ class _Flow:
         self.grid.filter.apply(self.steepest)
 
     def iterate(self) -> None:
-        """One iteration: a direction, and steps along it until one is good."""
+        """Run one iteration: choose a direction, and try steps along it until one is accepted."""
         self.set_gradient()
         self.grid.preconditioner.apply(self.gradient, out=self.image)
         ascent = self.image
@@ -462,7 +462,7 @@ class _Flow:
 def resolution_damping(
     squares: NDArray[np.float64], places: NDArray[np.int32], hierarchy: SphereHierarchy
 ) -> NDArray[np.float64]:
-    """How much of every wavelet the vertices of an image can follow, between 0 and 1, shape [N].
+    """Return how much of every wavelet the vertices of an image can follow, between 0 and 1, shape [N].
 
     ``squares`` holds the square of the longest edge of each of the image's triangles, shape [F], and ``places`` the
     triangle of the hierarchy's finest level that its centre is in.

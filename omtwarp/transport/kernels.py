@@ -33,7 +33,7 @@ def longest_edges(
     # Data out:
     squares: wp.array[wp.float64],
 ):
-    """The square of the longest edge of every triangle."""
+    """Compute the square of the longest edge of every triangle."""
     f = wp.tid()
     a, b, c = points[faces[f][0]], points[faces[f][1]], points[faces[f][2]]
     squares[f] = wp.max(wp.max(wp.length_sq(b - a), wp.length_sq(c - b)), wp.length_sq(a - c))
@@ -47,7 +47,7 @@ def centre_distance(
     # Data out:
     distance: wp.array[wp.float64],
 ):
-    """How far every triangle's centre has moved, in radians."""
+    """Compute how far every triangle's centre has moved, in radians."""
     f = wp.tid()
     x, y = centre(start, faces[f]), centre(points, faces[f])
     distance[f] = wp.atan2(wp.length(wp.cross(x, y)), wp.dot(x, y))
@@ -55,7 +55,7 @@ def centre_distance(
 
 @wp.func
 def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, largest: wp.float64):
-    """Area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
+    """Return area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
     p0 = points[face[0]]
     image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
     ratio = wp.max(image / area, wp.float64(1e-150))
@@ -77,7 +77,7 @@ def cost_and_force(
     turned: wp.array[wp.vec3d],
     centres: wp.array[wp.vec3d],
 ):
-    """Cost and area error of every triangle, and c × y with c the cost's derivative with respect to its centre y.
+    """Compute cost and area error of every triangle, and c × y with c the cost's derivative by its centre y.
 
     ``shares`` is the area that a unit of mass is to cover at every vertex, or empty where that is 1.
     """
@@ -108,7 +108,7 @@ def find_triangle(
     faces: wp.array2d[wp.int32],
     level_starts: wp.array[wp.int32],
 ):
-    """The triangle of the finest level that holds p, as a row of ``faces``.
+    """Return the triangle of the finest level that holds p, as a row of ``faces``.
 
     It is found by descent through the hierarchy; child 3 of a triangle is the middle one, whose corners are the
     midpoints that separate it from the other three.
@@ -146,7 +146,7 @@ def stream_velocity(
     level_starts: wp.array[wp.int32],
     gradients: wp.array[wp.vec3d],
 ):
-    """J ∇H at p: p × ∇H, with ∇H linear between the nodes of the finest level; and the triangle that p is in.
+    """Return J ∇H at p: p × ∇H, with ∇H linear between the nodes of the finest level; and the triangle that p is in.
 
     The triangle of a point nearby, where one is known, is tried first.
     """
@@ -175,7 +175,7 @@ def advect_points(
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
-    """One fourth-order Runge-Kutta step of dy/dt = J ∇H(y), as long as the state says.
+    """Take a fourth-order Runge-Kutta step of dy/dt = J ∇H(y), of the length in the state.
 
     ``hints`` remembers in which triangle it ended, where the next one is likely to begin; -1 where nothing is known.
     """

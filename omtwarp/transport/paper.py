@@ -172,7 +172,7 @@ class PaperFlow:
         return wp.empty(size, dtype=dtype, device=self.device)
 
     def _at_dual(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
-        """Points at the dual vertices, means of those at the corners by the dual vertices' coordinates."""
+        """Return the points at the dual vertices, means of those at the corners by the dual vertices' coordinates."""
         dual = self._empty(len(self._weights), wp.vec3d)
         inputs = [self.operators.faces, self._weights, points]
         self._launch(kernels.average_to_dual, len(dual), inputs, [dual])
@@ -182,24 +182,24 @@ class PaperFlow:
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
     def cost_of(self, dual_map: wp.array) -> float:
-        """M(g), equation (6): the sum over triangles of surface area times Phi at the dual vertex."""
+        """Return M(g), equation (6): the sum over triangles of surface area times Phi at the dual vertex."""
         inputs = [self._points, dual_map, self._masses, self.squared]
         self._launch(kernels.dual_costs, len(dual_map), inputs, [self._per_face])
         return float(self._per_face.numpy().sum())
 
     def area_of(self, image: wp.array) -> float:
-        """Mean of r + 1/r over the image of the mesh, r = image area / surface area of a triangle."""
+        """Return the mean of r + 1/r over the image of the mesh, r = image area / surface area of a triangle."""
         inputs = [self.operators.faces, image, self._masses]
         self._launch(kernels.area_distortions, len(self.dual_map), inputs, [self._per_face, self._image_areas])
         return float(self._per_face.numpy().sum() / self._image_areas.numpy().sum())
 
     def _to_vertices(self, dual_map: wp.array, out: wp.array) -> None:
-        """g at the mesh vertices from the dual ones (Algorithm 1, lines 7 and 8)."""
+        """Compute g at the mesh vertices from the dual ones (Algorithm 1, lines 7 and 8)."""
         self.operators.interpolate_dual(dual_map, out=out)
         self._launch(kernels.correct_and_normalise, len(out), [self._correction, out], [])
 
     def set_hamiltonian(self, resolution: int) -> None:
-        """H at the wavelets' nodes from g, without levels j > ``resolution`` (Algorithm 1, lines 2 to 14)."""
+        """Compute H at the wavelets' nodes from g, without levels j > ``resolution`` (Algorithm 1, lines 2 to 14)."""
         inputs = [self._points, self.dual_map, self.squared, self._smallest]
         self._launch(kernels.rotated_cost_gradients, len(self.dual_map), inputs, [self._field])
         self.operators.divergence(self._field, out=self._flux)
@@ -209,12 +209,12 @@ class PaperFlow:
         self.wavelets.synthesise(self.hamiltonian)
 
     def hamiltonian_norm(self) -> float:
-        """The integral of H^2 over the sphere (section 2.4's second stopping rule)."""
+        """Return the integral of H^2 over the sphere (section 2.4's second stopping rule)."""
         values = self.hamiltonian.numpy()
         return float(self.wavelets.hierarchy.node_areas @ (values * values))
 
     def set_velocity(self) -> float:
-        """v at the dual vertices (Algorithm 1, line 16); returns the largest rate |v| / (triangle size)."""
+        """Return v at the dual vertices (Algorithm 1, line 16); returns the largest rate |v| / (triangle size)."""
         self.sampler.interpolate(self.hamiltonian, out=self._at_vertices)
         mesh = [self.operators.vertices, self.operators.faces]
         inputs = [*mesh, self._areas, self._masses, self._at_vertices]
@@ -222,7 +222,9 @@ class PaperFlow:
         return float(np.quantile(self._rate.numpy(), WITHIN_COURANT))
 
     def advance(self, step: float) -> bool:
-        """The map after a step dt (Algorithm 1, line 17), kept aside; False where it would flip triangles regardless.
+        """Return the map after a step dt (Algorithm 1, line 17), kept aside.
+
+        False where it would flip triangles regardless.
 
         Where it turns triangles over, the step is repeated with the flow held still around them.
         """
@@ -243,11 +245,11 @@ class PaperFlow:
         return False
 
     def advanced_cost(self) -> float:
-        """M of the map that :meth:`advance` gave."""
+        """Return M of the map that :meth:`advance` gave."""
         return self.cost_of(self._advanced)
 
     def advanced_area(self) -> float:
-        """:meth:`area_of` the map that :meth:`advance` gave."""
+        """Return :meth:`area_of` the map that :meth:`advance` gave."""
         return self.area_of(self._advanced_map)
 
     def accept(self) -> None:
@@ -257,7 +259,7 @@ class PaperFlow:
 
 
 def _dual_weights(surface: Surface) -> NDArray[np.float64]:
-    """Barycentric coordinates of the dual vertices, clamped to their triangles, shape [F, 3]."""
+    """Return the barycentric coordinates of the dual vertices, clamped to their triangles, shape [F, 3]."""
     inside = np.maximum(circumcentric_coordinates(surface.vertices, surface.faces), 0.0)
     total = inside.sum(axis=1)
     inside[~np.isfinite(total) | (total <= 0)] = 1 / 3
@@ -265,7 +267,7 @@ def _dual_weights(surface: Surface) -> NDArray[np.float64]:
 
 
 def default_resolutions(vertex_count: int) -> tuple[int, ...]:
-    """The paper's V-cycle without resolutions whose nodes outnumber the mesh's vertices; at least level 1."""
+    """Return the paper's V-cycle without resolutions whose nodes outnumber the mesh's vertices; at least level 1."""
     highest = min(max(1, level_for(vertex_count) - 1), max(V_CYCLE))
     return (*range(1, highest), *range(highest, 0, -1))
 
@@ -285,7 +287,7 @@ def paper_flow(
     smallest_hamiltonian: float = 0.0,
     area_loss: float | None = None,
 ) -> FlowResult:
-    """Algorithm 2: V-cycles of Algorithm 1 over the resolutions 1, 2, 3, 4, 5, 4, 3, 2, 1.
+    """Run Algorithm 2: V-cycles of Algorithm 1 over the resolutions 1, 2, 3, 4, 5, 4, 3, 2, 1.
 
     Stops, as section 2.4 says, when the cost ceases to decrease (a whole cycle lowers it by less than ``tolerance`` of
     its value) or when the integral of H^2 is below ``smallest_hamiltonian``; and when areas would no longer be kept.

@@ -9,7 +9,9 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def rotated_cost_gradient(x: wp.vec3d, g: wp.vec3d, squared: wp.int32, smallest: wp.float64) -> wp.vec3d:
-    """J Phi_x(x, g) in the tangent plane at x: section 2.5 for Phi = theta, and 2 theta times that for theta squared.
+    """Return J Phi_x(x, g) in the tangent plane at x.
+
+    Section 2.5 for Phi = theta, and 2 theta times that for theta squared.
 
     ``smallest`` bounds the denominator |x × g| from below, smoothly: Phi = theta has no gradient where g = x.
     """
@@ -119,7 +121,7 @@ def area_distortions(
     weighted: wp.array[wp.float64],
     areas: wp.array[wp.float64],
 ):
-    """Image area times (r + 1/r), r the ratio of image area to surface area, and the image area."""
+    """Compute the image area times (r + 1/r), r the ratio of image area to surface area, and the image area."""
     f = wp.tid()
     a = image[faces[f, 0]]
     area = wp.length(wp.cross(image[faces[f, 1]] - a, image[faces[f, 2]] - a)) / TWO
@@ -148,7 +150,7 @@ def dual_velocity(
     velocity: wp.array[wp.vec3d],
     rate: wp.array[wp.float64],
 ):
-    """v = -(1 / mu) x × grad H at the dual vertices (line 16), and the triangle sizes it crosses in a unit of time.
+    """Compute v = -(1 / mu) x × grad H at dual vertices (line 16), and the triangle sizes it crosses per unit of time.
 
     At its circumcentre an inscribed triangle's unit normal is the point x itself.
     """
@@ -179,7 +181,7 @@ def advance_map(
     # Data out:
     advanced: wp.array[wp.vec3d],
 ):
-    """g - dt grad g · v (line 17), the Jacobian from the map at the vertices by the gradient of appendix A."""
+    """Compute g - dt grad g · v (line 17), the Jacobian from the map at the vertices by the gradient of appendix A."""
     f = wp.tid()
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
     a, b, c = vertices[i], vertices[j], vertices[k]

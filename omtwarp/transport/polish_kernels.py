@@ -21,7 +21,7 @@ def cost_and_area_errors(
     # Data out:
     measured: wp.array2d[wp.float64],
 ):
-    """Squared cost of every triangle, and its area error, at most ``usual`` and at most ``worst``."""
+    """Compute the squared cost of every triangle, and its area error, at most ``usual`` and at most ``worst``."""
     f = wp.tid()
     face = faces[f]
     _pull, distance = logarithm(centre(points, face), centre(start, face))
@@ -55,7 +55,7 @@ def weak_curl_and_area(
     energy: wp.array[wp.float64],
     area: wp.array[wp.float64],
 ):
-    """∫ u · J∇φ over the triangles around a vertex, a third of ∫ |u|², and a third of their area on the sphere.
+    """Compute ∫ u · J∇φ over the triangles around a vertex, a third of ∫ |u|², and a third of their area on the sphere.
 
     The area is that of the spherical triangles, which tile the sphere: in a fan of long thin triangles the flat ones
     fall short of it by several per cent, and equal flat areas would push the map out of the fan at the expense of cost.
@@ -109,7 +109,7 @@ def move_by_potentials(
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
-    """Along J∇H and along -∇Θ at once, means over the triangles around a vertex weighted by one over their areas.
+    """Move along J∇H and -∇Θ, means over the triangles around a vertex weighted by one over their areas.
 
     With n the normal of length 2A and e_k the edge opposite corner k, ∇H = Σ H_k n × e_k / (2A)² and
     J∇H = -Σ H_k e_k / 2A.

@@ -21,7 +21,7 @@ def retract_to_sphere(
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
-    """Every vertex moved by its share of a step and put back on the sphere."""
+    """Move every vertex by its share of a step, and project it to the sphere."""
     i = wp.tid()
     moved[i] = wp.normalize(sphere[i] + length * share[i] * direction[i])
 
@@ -35,7 +35,7 @@ def triangle_trouble(
     trouble: wp.array[wp.int32],
     count: wp.array[wp.int32],
 ):
-    """1 where a step flips a triangle or takes nearly all its volume, shape [F], and how many there are."""
+    """Mark with 1 where a step flips a triangle or takes nearly all its volume, shape [F], and how many there are."""
     t = wp.tid()
     face = faces[t]
     after = oriented_volume(moved[face[0]], moved[face[1]], moved[face[2]])
@@ -74,7 +74,7 @@ def to_tangent(
     # Data out:
     coordinates: wp.array2d[wp.float64],
 ):
-    """Coordinates of vectors in the tangent bases that the Hessian is written in, shape [V, 2]."""
+    """Compute the coordinates of vectors in the tangent bases that the Hessian is written in, shape [V, 2]."""
     i = wp.tid()
     y = sphere[i]
     t = first_tangent(y)
@@ -89,7 +89,7 @@ def from_tangent(
     # Data out:
     vectors: wp.array[wp.vec3d],
 ):
-    """Vectors with these coordinates in the tangent bases, shape [V]."""
+    """Compute the vectors with these coordinates in the tangent bases, shape [V]."""
     i = wp.tid()
     y = sphere[i]
     t = first_tangent(y)

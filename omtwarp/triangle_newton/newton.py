@@ -55,7 +55,7 @@ class NewtonMatrix:
 
     @classmethod
     def of_surface(cls, surface: Surface, workspace: Workspace | None = None) -> NewtonMatrix:
-        """The matrix over all vertices of a surface."""
+        """Return the matrix over all vertices of a surface."""
         mesh = surface.on("cpu")
         arrays = mesh.faces, mesh.edges, mesh.edge_corners, mesh.vertex_corners
         return cls(*arrays, surface_factor(surface, 2, workspace or Workspace()))
@@ -68,7 +68,7 @@ class NewtonMatrix:
         workspace: Workspace | None = None,
         growth: float = PATCH_REGULARISATION,
     ) -> NewtonMatrix:
-        """The matrix over the freed vertices of patches.
+        """Return the matrix over the freed vertices of patches.
 
         Args:
             patches: V of their vertices are freed.
@@ -98,7 +98,7 @@ class NewtonMatrix:
         return cls(*sides, rows, factor, 0.0, growth)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2], from blocks of triangles, [F, 21]."""
+        """Sum blocks of triangles, [F, 21], to the matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2]."""
         source = wp.array(np.ascontiguousarray(blocks), dtype=wp.float64, device="cpu", copy=False)
         (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
 

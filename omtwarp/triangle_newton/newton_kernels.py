@@ -7,7 +7,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def packed(row: int, column: int) -> int:
-    """Place of an entry on or above the diagonal of a symmetric 6x6 matrix of which only these are kept, row by row."""
+    """Return the index of an entry in a symmetric 6x6 matrix stored by its upper triangle, row by row."""
     return (row * (11 - row)) // 2 + column
 
 
@@ -18,7 +18,7 @@ def vertex_block(
     corners: wp.array[wp.int32],
     blocks: wp.array2d[wp.float64],
 ) -> wp.vec4d:
-    """The 2x2 block of a vertex: the sum over the triangles around it."""
+    """Return the 2x2 block of a vertex: the sum over the triangles around it."""
     s0, s1, s2 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
         face = corners[k] // 3
@@ -37,7 +37,7 @@ def edge_block(
     faces: wp.array[wp.vec3i],
     blocks: wp.array2d[wp.float64],
 ) -> wp.vec4d:
-    """The 2x2 block of an edge, rows of one end, columns of the other: the sum over its two triangles."""
+    """Return the 2x2 block of an edge, rows of one end, columns of the other: the sum over its two triangles."""
     s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     for k in range(2):
         face = opposite_corners[k] // 3
@@ -68,7 +68,7 @@ def gather_vertex_blocks(
     # Data out:
     diagonal: wp.array2d[wp.float64],
 ):
-    """The block of every vertex."""
+    """Compute the block of every vertex."""
     v = wp.tid()
     block = vertex_block(v, offsets, corners, blocks)
     for q in range(4):
@@ -84,7 +84,7 @@ def gather_edge_blocks(
     # Data out:
     off_diagonal: wp.array2d[wp.float64],
 ):
-    """The block of every edge, rows of its first end."""
+    """Compute the block of every edge, rows of its first end."""
     e = wp.tid()
     block = edge_block(edges[e][0], corners[e], faces, blocks)
     for q in range(4):

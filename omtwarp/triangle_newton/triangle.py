@@ -23,19 +23,19 @@ def second_column(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.
 
 @wp.func
 def first_weights(frame: wp.vec3d) -> wp.vec3d:
-    """Derivative of the first column by the three corners."""
+    """Return the derivative of the first column by the three corners."""
     return wp.vec3d(-frame[0], frame[0], ZERO)
 
 
 @wp.func
 def second_weights(frame: wp.vec3d) -> wp.vec3d:
-    """Derivative of the second column by the three corners."""
+    """Return the derivative of the second column by the three corners."""
     return wp.vec3d(-frame[1] - frame[2], frame[1], frame[2])
 
 
 @wp.func
 def first_tangent(y: wp.vec3d) -> wp.vec3d:
-    """A unit vector orthogonal to y, from the axis least aligned with it."""
+    """Return a unit vector orthogonal to y, from the axis least aligned with it."""
     axis = wp.vec3d(ONE, ZERO, ZERO)
     if wp.abs(y[1]) < wp.abs(y[0]) and wp.abs(y[1]) <= wp.abs(y[2]):
         axis = wp.vec3d(ZERO, ONE, ZERO)
@@ -46,7 +46,10 @@ def first_tangent(y: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def barrier(d: wp.float64, eps: wp.float64) -> wp.float64:
-    """χ(D, ε) = (D + sqrt(D² + ε²)) / 2 of Garanzha et al. (2021): positive, and near D where D is well above ε."""
+    """Return χ(D, ε) = (D + sqrt(D² + ε²)) / 2 of Garanzha et al. (2021).
+
+    Positive, and near D where D is well above ε.
+    """
     root = wp.sqrt(d * d + eps * eps)
     if d >= ZERO:
         return HALF * (d + root)

@@ -62,7 +62,7 @@ def solid_angles(
     # Data out:
     solid: wp.array[wp.float64],
 ):
-    """Signed solid angle of every triangle (van Oosterom and Strackee 1983)."""
+    """Compute the signed solid angle of every triangle (van Oosterom and Strackee 1983)."""
     t = wp.tid()
     a, b, c = sphere[faces[t][0]], sphere[faces[t][1]], sphere[faces[t][2]]
     solid[t] = TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
@@ -82,7 +82,7 @@ def untangle_newton(
     gradient: wp.array2d[wp.float64],
     hessian: wp.array2d[wp.float64],
 ):
-    """Gradient [F, 6] and Hessian [F, 21], see :func:`packed`, in the tangent bases of the three corners."""
+    """Compute gradient [F, 6] and Hessian [F, 21], see :func:`packed`, in the tangent bases of the three corners."""
     t, _compiled_once = wp.tid()
     face = faces[t]
     frame = frames[t]
@@ -149,7 +149,7 @@ def move_in_tangent(
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
-    """Points moved by coordinates [V, 2] in their tangent bases and put back on the sphere."""
+    """Move points by coordinates [V, 2] in their tangent bases, and project them to the sphere."""
     i = wp.tid()
     y = sphere[i]
     t = first_tangent(y)

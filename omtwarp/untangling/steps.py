@@ -39,7 +39,7 @@ class FlipFreeSteps:
     def untangled(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float, weight: float
     ) -> tuple[wp.array, int] | None:
-        """Points moved by the whole step, with the patches around triangles that it flips untangled where they are.
+        """Move points by the whole step, and untangle the patches around triangles that it flips.
 
         Holding a few vertices back while all around them move on would tangle them more.
 
@@ -74,7 +74,7 @@ class FlipFreeSteps:
     def held_back(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float
     ) -> tuple[wp.array, wp.array] | None:
-        """Points moved with the largest shares of the step, halved corner by corner, that keep every triangle.
+        """Move points by the largest shares of the step, halved corner by corner, that keep every triangle.
 
         Returns:
             The map and the shares, float64, shape [V], on the device; None where no shares were found. Arguments as of
@@ -94,11 +94,11 @@ class FlipFreeSteps:
         return None
 
     def _admitted(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The map nearby of the kind that these steps lead to, shape [V, 3]; here every map is."""
+        """Return the map nearby of the kind that these steps lead to, shape [V, 3]; here every map is."""
         return sphere
 
     def _counted(self, faces: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Those of some triangles that have to be seen to, shape [F]; here all of them."""
+        """Return which of some triangles have to be repaired, shape [F]; here all of them."""
         return faces
 
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
@@ -111,7 +111,7 @@ class FlipFreeSteps:
         return moved
 
     def _trouble(self, moved: wp.array, volume: wp.array) -> NDArray[np.bool_] | None:
-        """The triangles that a step must not leave as they are, shape [F]; None where there are none."""
+        """Return the triangles that a step must not leave as they are, shape [F]; None where there are none."""
         faces = self._surface.face_count
         trouble = wp.empty(faces, dtype=wp.int32, device=self._device)
         count = wp.zeros(1, dtype=wp.int32, device=self._device)

@@ -210,7 +210,7 @@ def untangle_patches(
     device: wp.Device,
     budget: RepairBudget | None = None,
 ) -> tuple[NDArray[np.float64], int]:
-    """One attempt to untangle the patches around given triangles.
+    """Try once to untangle the patches around given triangles.
 
     Args:
         surface: the original surface, V vertices and F faces.
@@ -229,7 +229,7 @@ def untangle_patches(
 
 
 def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], schedule: Schedule) -> NDArray[np.bool_]:
-    """The flipped triangles of those patches that have no more of them than the schedule takes on, shape [F]."""
+    """Return the flipped triangles of those patches that have no more of them than the schedule takes on, shape [F]."""
     if schedule.most >= flipped.sum():
         return flipped
     seed = np.zeros(int(faces.max()) + 1, dtype=bool)
@@ -340,7 +340,7 @@ class _Untangling:
         self.result[back] = self.sphere[back]
 
     def _newton_step(self, points, epsilon, active) -> tuple[wp.array, bool]:
-        """The points after a step of the active patches, and whether none of these had much left to gain."""
+        """Return the points after a step of the active patches, and whether none of these had much left to gain."""
         patches = self.patches
         face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device)
         energy = self._energy(points, face_epsilon)
@@ -378,14 +378,14 @@ class _Untangling:
         return moved, settled
 
     def _moved(self, points, step: NDArray[np.float64]):
-        """The points after the freed ones have gone by coordinates [free, 2] in their tangent planes."""
+        """Return the points after the freed ones have gone by coordinates [free, 2] in their tangent planes."""
         moved = wp.clone(points)
         inputs = [points, wp.array(step, dtype=wp.float64, device=self.device)]
         wp.launch(move_in_tangent, dim=self.patches.free, inputs=inputs, outputs=[moved], device=self.device)
         return moved
 
     def _energy(self, points, face_epsilon) -> NDArray[np.float64]:
-        """Energy of every patch; infinite where it covers the sphere once more than it did."""
+        """Return the energy of every patch; infinite where it covers the sphere once more than it did."""
         patches = self.patches
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(untangle_value, dim=len(patches.faces), inputs=inputs, outputs=[self.d_value], device=self.device)
@@ -394,7 +394,10 @@ class _Untangling:
         return energy
 
     def _covered(self, points: wp.array, patches: Patches) -> NDArray[np.float64]:
-        """How much of the sphere every patch covers, with signs and as often as it does, shape [count]; 1 is all."""
+        """Return how much of the sphere every patch covers, with signs and as often as it does, shape [count].
+
+        1 is all.
+        """
         faces = triangles(patches.faces, self.device)
         solid = wp.empty(len(faces), dtype=wp.float64, device=self.device)
         wp.launch(solid_angles, dim=len(faces), inputs=[points, faces], outputs=[solid], device=self.device)

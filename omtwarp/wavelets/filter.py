@@ -40,13 +40,13 @@ class WaveletFilter:
         self._factors = wp.array(kept, device=self.device)
 
     def apply(self, values: wp.array) -> None:
-        """F, in place, on a Warp array of one value per node."""
+        """Apply F in place to a Warp array of one value per node."""
         self.wavelets.analyse(values)
         self._scale(values)
         self.wavelets.synthesise(values)
 
     def apply_adjoint(self, values: wp.array) -> None:
-        """The transpose of F, in place."""
+        """Apply the transpose of F in place."""
         self.wavelets.synthesise_adjoint(values)
         self._scale(values)
         self.wavelets.analyse_adjoint(values)

@@ -25,7 +25,7 @@ HIGHEST_LEVEL = 10  # of an icosahedron that has 10 · 4¹⁰ + 2 nodes, ten mil
 
 
 def platonic_solid(solid: str = "icosahedron") -> tuple[FloatArray, IntArray]:
-    """Vertices on the unit sphere and outward faces of ``icosahedron``, ``octahedron`` or ``tetrahedron``.
+    """Return the vertices on the unit sphere and outward faces of ``icosahedron``, ``octahedron`` or ``tetrahedron``.
 
     Raises:
         OmtwarpError: another name.
@@ -111,11 +111,11 @@ class SphereHierarchy:
         return np.bincount(self.faces.ravel(), weights=shares, minlength=self.node_count).astype(np.float64)
 
     def node_spacing(self, level: int) -> float:
-        """Distance between neighbouring nodes of a level, in radians, were its triangles equilateral and equal."""
+        """Return the spacing of a level's nodes in radians, as if all triangles were equilateral and equal."""
         return float(np.sqrt(4 * np.pi / len(self.level_faces[level]) * 4 / np.sqrt(3)))
 
     def refinement_matrix(self, level: int, *, butterfly: bool = False) -> sparse.csr_matrix:
-        """Values at K(level) to values at K(level + 1) by subdivision, as a matrix (section 3.1, refinement)."""
+        """Return values at K(level) to values at K(level + 1) by subdivision, as a matrix (section 3.1, refinement)."""
         stencil, weights = predict_stencil(self, level, butterfly=butterfly)
         coarse, added = self.node_counts[level], len(stencil)
         rows = np.concatenate([np.arange(coarse), coarse + np.repeat(np.arange(added), len(weights))])
@@ -125,7 +125,7 @@ class SphereHierarchy:
 
 
 def predict_stencil(hierarchy: SphereHierarchy, level: int, *, butterfly: bool) -> tuple[IntArray, FloatArray]:
-    """Nodes, shape [M_j, 2 or 8], and weights from which the value at each midpoint of a level is predicted.
+    """Return the nodes, shape [M_j, 2 or 8], and weights from which the value at each midpoint of a level is predicted.
 
     Linear: half of each end. Butterfly: the eight-point rule of Dyn, Levin and Gregory (1990) with tension 1/16, as in
     Schröder and Sweldens (1995).
@@ -137,7 +137,7 @@ def predict_stencil(hierarchy: SphereHierarchy, level: int, *, butterfly: bool) 
 
 
 def _halve_edges(faces: IntArray, node_count: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Edges' ends [E, 2], butterfly wings [E, 6], and the edge (k, k + 1) of every triangle [F, 3]."""
+    """Return the edges' ends [E, 2], butterfly wings [E, 6], and the edge (k, k + 1) of every triangle [F, 3]."""
     tail, head = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
     keys = np.minimum(tail, head) * node_count + np.maximum(tail, head)
     unique, first, edge = np.unique(keys.ravel(), return_index=True, return_inverse=True)
@@ -193,7 +193,7 @@ def sphere_hierarchy(level: int, solid: str = "icosahedron") -> SphereHierarchy:
 
 
 def level_for(node_budget: float, solid: str = "icosahedron", lowest: int = 0) -> int:
-    """The highest level whose nodes are at most ``node_budget``, at least ``lowest``."""
+    """Return the highest level whose nodes are at most ``node_budget``, at least ``lowest``."""
     edges = {"icosahedron": 30, "octahedron": 12, "tetrahedron": 6}[solid]
     level = lowest
     while level < HIGHEST_LEVEL and edges * 4 ** (level + 1) / 3 + 2 <= node_budget:

@@ -150,14 +150,17 @@ class SphereSampler:
         self._level_masses = []
 
     def matrix(self) -> sparse.csr_matrix:
-        """Linear interpolation from nodes to points, [P, N], for the host; its transpose is :meth:`adjoint`."""
+        """Return the linear interpolation from nodes to points, [P, N], for the host.
+
+        Its transpose is :meth:`adjoint`.
+        """
         faces = self.hierarchy.level_faces[self.level][self.point_faces.numpy()]
         rows = np.repeat(np.arange(self.point_count), 3)
         data = self.coordinates.numpy().ravel()
         return sparse.csr_matrix((data, (rows, faces.ravel())), shape=(self.point_count, self.node_count))
 
     def interpolate(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """A function of the nodes, [N], at the points, [P]: linear in each triangle, constants exact."""
+        """Return a function of the nodes, [N], at the points, [P]: linear in each triangle, constants exact."""
         source, from_numpy = self._take(values, wp.float64)
         out = self._output(out, self.point_count, wp.float64)
         inputs = [self._faces, self.point_faces, self.coordinates, source]
@@ -165,7 +168,7 @@ class SphereSampler:
         return out.numpy() if from_numpy else out
 
     def adjoint(self, at_points: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """The transpose of :meth:`interpolate`, [P] -> [N]; the sum is kept."""
+        """Return the transpose of :meth:`interpolate`, [P] -> [N]; the sum is kept."""
         source, from_numpy = self._take(at_points, wp.float64)
         out = self._output(out, self.node_count, wp.float64)
         rows, whole = [self._point_rows, self._order], [self.coordinates, source]
@@ -180,7 +183,7 @@ class SphereSampler:
         self._level_masses = self._coarsen(self.adjoint(source), [wp.empty_like(a) for a in self._level_sums])
 
     def restrict(self, sums: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Means at the nodes of a density given by its sums at the points, [P] -> [N], such as mass times value.
+        """Return means at the nodes of a density given by its sums at the points, [P] -> [N], such as mass times value.
 
         Each node gets the adjoint's sum over its mass. A node that no point reaches takes the mean of the ends of its
         edge, from the finest level that has points near it, so that the result is defined everywhere; constants are
@@ -223,7 +226,7 @@ class SphereSampler:
         return workspace
 
     def gradient(self, values: ArrayLike | wp.array, out: wp.array | None = None, *, smooth: bool = False) -> wp.array:
-        """Gradient at the points of a function of the nodes, [N] -> [P, 3], in the sphere's tangent plane.
+        """Return the gradient at the points of a function of the nodes, [N] -> [P, 3], in the sphere's tangent plane.
 
         Args:
             values: one value per node.
@@ -253,7 +256,7 @@ class SphereSampler:
         self._launch_parts(gather_corners_to_nodes, self.node_count, rows, [], whole, out)
 
     def node_gradient(self, values: ArrayLike | wp.array) -> wp.array:
-        """Area-weighted means of the gradients around each node, Warp vec3d [N]: what ``smooth`` interpolates.
+        """Return area-weighted means of the gradients around each node, Warp vec3d [N]: what ``smooth`` interpolates.
 
         The array is the sampler's own and holds until the next call.
         """
@@ -267,7 +270,9 @@ class SphereSampler:
     def gradient_adjoint(
         self, field: ArrayLike | wp.array, out: wp.array | None = None, *, smooth: bool = False
     ) -> wp.array:
-        """The transpose of :meth:`gradient`, [P, 3] -> [N]: entry k is the sum of field · grad phi(k) over the points.
+        """Return the transpose of :meth:`gradient`, [P, 3] -> [N].
+
+        Entry k is the sum of field · grad phi(k) over the points.
 
         With field = c × y (c the derivative of a cost with respect to the point y) it is that cost's derivative with
         respect to the stream function of a motion dy/dt = y × grad H: the weak curl.

@@ -10,7 +10,10 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def child_of(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.int32:
-    """Which of a spherical triangle's four children holds ``p``; on the arcs between midpoints, the middle one."""
+    """Return which of a spherical triangle's four children holds ``p``.
+
+    On the arcs between midpoints, the middle one.
+    """
     ab, bc, ca = wp.normalize(a + b), wp.normalize(b + c), wp.normalize(c + a)
     if triple_product(ab, ca, p) > ZERO:
         return 0
@@ -82,7 +85,7 @@ def face_rows(
     # Data out:
     row_offsets: wp.array[wp.int32],
 ):
-    """First place of each face, from a first one on, among the sorted keys, by bisection."""
+    """Compute the first place of each face, from a first one on, among the sorted keys, by bisection."""
     f = first + wp.tid()
     low = int(0)
     high = int(count)
@@ -150,7 +153,7 @@ def face_weight(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.in
 
 @wp.func
 def corner_products(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32, v: wp.vec3d) -> wp.vec3d:
-    """Inner products of a vector with the gradients of the three corners' hat functions."""
+    """Return the inner products of a vector with the gradients of the three corners' hat functions."""
     a, b, c = nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]]
     n = wp.cross(b - a, c - a)
     turned = wp.cross(v, n) / wp.max(wp.dot(n, n), TINY)  # v · (n × e) is (v × n) · e
@@ -166,7 +169,7 @@ def level_face_gradients(
     # Data out:
     face_gradients: wp.array[wp.vec3d],
 ):
-    """The gradient in each triangle, times its area if ``weighted``."""
+    """Compute the gradient in each triangle, times its area if ``weighted``."""
     f = wp.tid()
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
     a, b, c = nodes[i], nodes[j], nodes[k]
@@ -198,7 +201,7 @@ def mean_node_gradients(
     # Data out:
     node_gradients: wp.array[wp.vec3d],
 ):
-    """Mean of the weighted gradients around each node, in its tangent plane."""
+    """Compute the mean of the weighted gradients around each node, in its tangent plane."""
     k = wp.tid()
     total = wp.vec3d(ZERO, ZERO, ZERO)
     for n in range(corner_offsets[k], corner_offsets[k + 1]):
@@ -306,7 +309,7 @@ def coarsen_sums(
     # Data out:
     coarse: wp.array[wp.float64],
 ):
-    """Sums of a level from those of the next: half of each midpoint's goes to each end of its edge."""
+    """Compute the sums of a level from those of the next: half of each midpoint's goes to each end of its edge."""
     k = wp.tid()
     total = wp.float64(0.0)
     for n in range(offsets[k], offsets[k + 1]):
@@ -322,7 +325,7 @@ def mean_values(
     # Data in and out:
     values: wp.array[wp.float64],
 ):
-    """Mean where there is mass; elsewhere what ``values`` holds already."""
+    """Compute the mean where there is mass; elsewhere what ``values`` holds already."""
     k = wp.tid()
     if masses[k] > smallest:
         values[k] = sums[k] / masses[k]

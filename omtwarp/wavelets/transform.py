@@ -32,7 +32,7 @@ from omtwarp.wavelets.hierarchy import SphereHierarchy, predict_stencil
 
 
 def transposed_rows(stencil: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """For each of ``count`` nodes the flat places of ``stencil`` that name it, as compressed rows."""
+    """Return the flat indices in ``stencil`` of each of ``count`` nodes, as compressed rows."""
     flat = stencil.ravel()
     entries = np.argsort(flat, kind="stable").astype(np.int32)
     offsets = np.zeros(count + 1, dtype=np.int32)
@@ -141,7 +141,7 @@ class SphericalWavelets:
             wp.launch(kernels.update_adjoint, dim=level.added, inputs=inputs, device=self.device)
 
     def analyse(self, values: wp.array) -> None:
-        """Values at nodes to coefficients, in place: SWfwd of Algorithm 1."""
+        """Transform values at nodes to coefficients in place: SWfwd of Algorithm 1."""
         self._run(self._analyse, values)
 
     def _analyse(self, values: wp.array) -> None:
@@ -150,7 +150,7 @@ class SphericalWavelets:
             self._update(level, values, 1.0)
 
     def synthesise(self, values: wp.array) -> None:
-        """Coefficients to values at nodes, in place: SWbak of Algorithm 1."""
+        """Transform coefficients to values at nodes in place: SWbak of Algorithm 1."""
         self._run(self._synthesise, values)
 
     def _synthesise(self, values: wp.array) -> None:
@@ -159,7 +159,7 @@ class SphericalWavelets:
             self._predict(level, values, 1.0)
 
     def synthesise_adjoint(self, values: wp.array) -> None:
-        """The transpose of :meth:`synthesise`, in place: entry (j, m) becomes the sum of values times psi(j, m)."""
+        """Apply the transpose of :meth:`synthesise` in place: entry (j, m) becomes Σ values times psi(j, m)."""
         self._run(self._synthesise_adjoint, values)
 
     def _synthesise_adjoint(self, values: wp.array) -> None:
@@ -168,7 +168,7 @@ class SphericalWavelets:
             self._update_adjoint(level, values, -1.0)
 
     def analyse_adjoint(self, values: wp.array) -> None:
-        """The transpose of :meth:`analyse`, in place."""
+        """Apply the transpose of :meth:`analyse` in place."""
         self._run(self._analyse_adjoint, values)
 
     def _analyse_adjoint(self, values: wp.array) -> None:
@@ -195,21 +195,27 @@ class SphericalWavelets:
         return np.asarray(on_device.numpy())
 
     def forward(self, values: ArrayLike) -> NDArray[np.float64]:
-        """:meth:`analyse` for a NumPy array, shape [N] -> [N]."""
+        """Apply :meth:`analyse` to a NumPy array, shape [N] -> [N]."""
         return self._on_copy(values, self._analyse)
 
     def inverse(self, coefficients: ArrayLike) -> NDArray[np.float64]:
-        """:meth:`synthesise` for a NumPy array, shape [N] -> [N]."""
+        """Apply :meth:`synthesise` to a NumPy array, shape [N] -> [N]."""
         return self._on_copy(coefficients, self._synthesise)
 
     def wavelet(self, node: int) -> NDArray[np.float64]:
-        """The basis function of a node at the finest nodes, shape [N]: psi(j, m), or phi(0, k) at the solid's nodes."""
+        """Return the basis function of a node at the finest nodes, shape [N].
+
+        Psi(j, m), or phi(0, k) at the solid's nodes.
+        """
         unit = np.zeros(self.hierarchy.node_count)
         unit[node] = 1.0
         return self.inverse(unit)
 
     def scaling_function(self, level: int, node: int) -> NDArray[np.float64]:
-        """phi(level, node) at the finest nodes, shape [N]: subdivision of a unit value at one node of K(level)."""
+        """Return phi(level, node) at the finest nodes, shape [N].
+
+        Subdivision of a unit value at one node of K(level).
+        """
         values = np.zeros(self.hierarchy.node_counts[level])
         values[node] = 1.0
         for j in range(level, self.hierarchy.level):

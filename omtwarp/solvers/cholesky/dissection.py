@@ -178,7 +178,7 @@ def _depth(nodes: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) -> NDArray[np.int64]:
-    """The node of the dissection's tree that every vertex belongs to, shape [V]; the root is 1."""
+    """Return the node of the dissection's tree that every vertex belongs to, shape [V]; the root is 1."""
     count = len(points)
     node = np.ones(count, dtype=np.int64)
     alive = np.arange(count)
@@ -287,7 +287,7 @@ def _halves(
 def _principal_axes(
     points: NDArray[np.float64], part: NDArray[np.int64], sizes: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions relative to the middles of the parts, shape [N, 3], and their axes as columns, the main one last."""
+    """Return positions relative to the parts' centres, shape [N, 3], and the parts' axes as columns, the main last."""
     count = len(sizes)
     mean = np.stack([np.bincount(part, points[:, k], count) for k in range(3)], axis=1) / sizes[:, None]
     centred = points - mean[part]
@@ -299,7 +299,7 @@ def _principal_axes(
 
 
 def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Pairs (node, vertex above it that its elimination reaches) as node * V + vertex."""
+    """Return the pairs (node, vertex above it that its elimination reaches) as node * V + vertex."""
     count = len(node)
     ends = node[edges]
     across = ends[:, 0] != ends[:, 1]
@@ -321,7 +321,10 @@ def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np
 
 
 def surface_dissection(surface: Surface) -> Dissection:
-    """The order in which sparse matrices on a surface's edges are eliminated; worked out once and kept with it."""
+    """Return the order in which sparse matrices on a surface's edges are eliminated.
+
+    Worked out once and kept with it.
+    """
     return surface.kept("dissection", lambda: dissect(surface.scaled_vertices, surface.edges))
 
 
@@ -333,7 +336,7 @@ def of_unknowns(
     row_keys: NDArray[np.int64],
     couplings: NDArray[np.int64],
 ) -> Dissection:
-    """The dissection of unknowns of which every node of a graph has some, with the fronts of that graph.
+    """Return the dissection of unknowns of which every node of a graph has some, with the fronts of that graph.
 
     Args:
         nodes: the dissection of the graph.
@@ -378,7 +381,7 @@ def of_unknowns(
 
 
 def edge_blocks(edges: NDArray[np.int32], size: int) -> NDArray[np.int64]:
-    """Couplings of the two coordinates of the ends (i, j) of edges, rows of i and columns of j, shape [4 E, 2].
+    """Return couplings of the two coordinates of the ends (i, j) of edges, rows of i and columns of j, shape [4 E, 2].
 
     Coordinate c of vertex v is unknown ``size * v + c``.
     """

@@ -331,7 +331,7 @@ def solve_triangular(
     carried: wp.array[wp.float64],
     x: wp.array[wp.float64],
 ):
-    """The part of x <- L^-1 x, or x <- L^-T x where ``transposed`` is 1, that falls to some fronts, one after another.
+    """Compute the part of x <- L^-1 x, or x <- L^-T x where ``transposed`` is 1, of some fronts in order.
 
     Their children have to be done before, or their parents; ``carried`` holds ``stride`` numbers for each right-hand
     side, one for every row of every front.

@@ -21,7 +21,7 @@ ONES = np.array([1.0, -1.0])  # the factors that routines of BLAS take by addres
 
 @lru_cache
 def routine(name: str) -> int:
-    """The address of a routine that SciPy offers to compiled code: ``dpotrf``, or one of BLAS."""
+    """Return the address of a routine that SciPy offers to compiled code: ``dpotrf``, or one of BLAS."""
     capsule = (cython_lapack if name == "dpotrf" else cython_blas).__pyx_capi__[name]
     get_name = ctypes.pythonapi.PyCapsule_GetName
     get_name.restype, get_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
@@ -35,7 +35,7 @@ def routine(name: str) -> int:
 
 @lru_cache
 def _callable(name: str, arguments: int) -> Callable[..., None]:
-    """A routine to be called from Python; other threads run meanwhile."""
+    """Return a routine to be called from Python; other threads run meanwhile."""
     return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(routine(name))
 
 

@@ -78,7 +78,7 @@ class MultifrontalCholesky:
         self._upload()
 
     def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
-        """Fronts of whole branches of the tree, one job for every thread, and the trunk above them, depth by depth."""
+        """Return the fronts of whole branches of the tree, a job per thread, and the trunk above them by depth."""
         d = self.dissection
         every = d.postorder.astype(np.int32)
         if self.threads == 1 or self._operations < MIN_PARALLEL_OPERATIONS:
@@ -138,7 +138,7 @@ class MultifrontalCholesky:
         return offsets, length
 
     def _find_negative(self) -> NDArray[np.intp]:
-        """Places of the unknowns with negative pivots in the order of elimination."""
+        """Return the places of the unknowns with negative pivots in the order of elimination."""
         d, block = self.dissection, self.block
         place = np.arange(block * d.vertex_count)
         end = np.repeat(block * (d.first + d.owned), block * d.owned)

@@ -77,7 +77,7 @@ class SaddleFactor:
 
 
 def expand(d: Dissection) -> Dissection:
-    """The order of elimination of three unknowns for every vertex, as a dissection of unknowns.
+    """Return the order of elimination of three unknowns for every vertex, as a dissection of unknowns.
 
     Unknown 3v + c is coordinate c of vertex v, or its multiplier where c is 2. Couplings are numbered as
     :class:`SaddleFactor` has them: four for each edge's block, two for each of its two gradients, and one for each

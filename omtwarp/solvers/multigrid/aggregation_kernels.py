@@ -14,7 +14,7 @@ def aggregate_nodes(
     aggregates: wp.array[wp.int32],
     count: wp.array[wp.int32],
 ):
-    """Aggregates of Vaněk, Mandel and Brezina (1996), in the order of the nodes.
+    """Compute the aggregates of Vaněk, Mandel and Brezina (1996), in the order of the nodes.
 
     A node with no neighbour in an aggregate founds one with all of them; what is left joins the founded aggregate that
     it is bound to most strongly; what no neighbour of has been founded makes aggregates with its like.
@@ -65,7 +65,7 @@ def colour_nodes(
     # Data out:
     colours: wp.array[wp.int32],
 ):
-    """The first colour that no neighbour has, node by node."""
+    """Compute the first colour that no neighbour has, node by node."""
     size = colours.shape[0]
     for i in range(size):
         colours[i] = wp.int32(-1)

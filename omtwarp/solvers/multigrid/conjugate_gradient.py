@@ -113,7 +113,7 @@ class MultigridSolver:
         wp.copy(out, self._x)
 
     def outcome(self) -> Outcome:
-        """How the last solve ended; waits for it."""
+        """Return how the last solve ended; waits for it."""
         _, done, broken = self._counters.numpy().tolist()
         return Outcome(done, broken == 0)
 
@@ -131,14 +131,14 @@ class MultigridSolver:
         wp.capture_while(self._counters, self._iterate)
 
     def _smooth(self, out: wp.array) -> None:
-        """One cycle for the residual."""
+        """Run one cycle for the residual."""
         self._cycle.apply(self._residual, out)
         if self._total is not None:
             # Constants cost nothing and grow from cycle to cycle, until the rest of a direction is lost beside them.
             self._sum.remove_mean(out, self._total)
 
     def _iterate(self) -> None:
-        """One iteration."""
+        """Run one iteration."""
         device, state = self.device, [self._scalars, self._counters]
         size = self._x.size
         self.matrix.multiply(self._direction, self._image)

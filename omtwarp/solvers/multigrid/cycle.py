@@ -46,17 +46,17 @@ class LevelMatrix:
         wp.launch(INVERT[self.block], dim=self.level.size, inputs=inputs, outputs=outputs, device=self.device)
 
     def multiply(self, x: wp.array, out: wp.array) -> None:
-        """out = A x."""
+        """Compute out = A x."""
         inputs = [*self._rows, self.block, self.block, x]
         wp.launch(kernels.multiply_rows, dim=out.size, inputs=inputs, outputs=[out], device=self.device)
 
     def residual(self, right: wp.array, x: wp.array, out: wp.array) -> None:
-        """out = right - A x."""
+        """Compute out = right - A x."""
         inputs = [*self._rows, self.block, self.block, wp.float64(-1.0), x, right]
         wp.launch(kernels.multiply_and_add, dim=out.size, inputs=inputs, outputs=[out], device=self.device)
 
     def sweep(self, right: wp.array, x: wp.array, backwards: bool) -> None:
-        """One sweep over the colours."""
+        """Sweep once over the colours."""
         colours = self.level.colours
         for nodes in reversed(colours) if backwards else colours:
             inputs = [nodes, *self._rows, self.inverse, right]
@@ -64,7 +64,7 @@ class LevelMatrix:
 
 
 def coarsen(matrix: LevelMatrix, coarse: LevelMatrix, tentative: wp.array, damping: float) -> None:
-    """The prolongation smoothed by one step of Jacobi, and the coarse matrix Pᵀ A P.
+    """Smooth the prolongation by one step of Jacobi, and compute the coarse matrix Pᵀ A P.
 
     Args:
         matrix: of a level, its diagonal inverted.
@@ -171,7 +171,7 @@ class VCycle:
             before, after = after, before
 
     def apply(self, right: wp.array, out: wp.array) -> None:
-        """One cycle from zero for a right-hand side, shape [V b]; without allocations, for a graph."""
+        """Run one cycle from zero for a right-hand side, shape [V b]; without allocations, for a graph."""
         self._descend(0, right, out)
 
     def _descend(self, k: int, right: wp.array, x: wp.array) -> None:

@@ -124,7 +124,7 @@ def aggregate(matrix: sparse.csr_matrix, threshold: float) -> tuple[NDArray[np.i
 
 
 def colour(matrix: sparse.csr_matrix) -> list[NDArray[np.int32]]:
-    """Nodes of every colour, ascending; neighbours differ in colour."""
+    """Return the nodes of every colour, ascending; neighbours differ in colour."""
     colours = np.empty(matrix.shape[0], dtype=np.int32)
     inputs = [wp.array(a, dtype=wp.int32, device="cpu") for a in (matrix.indptr, matrix.indices)]
     out = wp.array(colours, dtype=wp.int32, device="cpu", copy=False)
@@ -134,7 +134,7 @@ def colour(matrix: sparse.csr_matrix) -> list[NDArray[np.int32]]:
 
 
 def _first_half(matrix: sparse.csr_matrix, device: wp.Device) -> Level:
-    """A level as far as it stands alone."""
+    """Return a level as far as it stands alone."""
     rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     own = np.flatnonzero(rows == matrix.indices)
     colours = [on_device_indices(nodes, device) for nodes in colour(matrix)]
@@ -144,7 +144,7 @@ def _first_half(matrix: sparse.csr_matrix, device: wp.Device) -> Level:
 def _second_half(
     level: Level, matrix: sparse.csr_matrix, groups: NDArray[np.int32], number: int, device: wp.Device
 ) -> tuple[Level, sparse.csr_matrix]:
-    """The level with what joins it to the next one, and the pattern of that one's matrix."""
+    """Return the level with what joins it to the next one, and the pattern of that one's matrix."""
     size = level.size
     # Counts of paths: positive sums, so that no entry of a pattern can cancel.
     tentative = _ones(groups, np.arange(size + 1), (size, number))
@@ -176,7 +176,7 @@ def _ones(indices: NDArray, offsets: NDArray, shape: tuple[int, int]) -> sparse.
 
 
 def _pattern(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Ones where a matrix has entries, columns ascending."""
+    """Return the ones where a matrix has entries, columns ascending."""
     matrix.sort_indices()
     return _ones(matrix.indices, matrix.indptr, matrix.shape)
 

@@ -44,7 +44,10 @@ def cg_alpha(
     scalars: wp.array[wp.float64],
     counters: wp.array[wp.int32],
 ):
-    """The step to the minimum along the direction, from p · A p; none where the matrix is not positive along it."""
+    """Compute the step to the minimum along the direction, from p · A p.
+
+    None where the matrix is not positive along it.
+    """
     curvature = column_sum(products, 0)
     scalars[ALPHA] = ZERO
     if counters[ACTIVE] > 0:
@@ -77,7 +80,10 @@ def cg_beta(
     scalars: wp.array[wp.float64],
     counters: wp.array[wp.int32],
 ):
-    """How much of the last direction the next one keeps, from the new r · z; and whether there is a next one."""
+    """Compute how much of the last direction the next one keeps, from the new r · z.
+
+    And whether there is a next one.
+    """
     energy = column_sum(products, 0)
     scalars[BETA] = ZERO
     if counters[ACTIVE] > 0:

@@ -24,7 +24,7 @@ def fill_rows(
     # Data out:
     values: wp.array[wp.float64],
 ):
-    """Entries of compressed rows from blocks of vertices and edges, one thread per number.
+    """Compute the entries of compressed rows from blocks of vertices and edges, one thread per number.
 
     ``source`` of an entry is 3 i for the diagonal of vertex i, 3 e + 1 for edge e as it is, 3 e + 2 for its transpose.
     """
@@ -53,7 +53,7 @@ def laplacian_diagonal(
     # Data out:
     diagonal: wp.array[wp.float64],
 ):
-    """The diagonal of a Laplacian: the weights of a vertex's edges, summed in the order of its row."""
+    """Compute the diagonal of a Laplacian: the weights of a vertex's edges, summed in the order of its row."""
     i = wp.tid()
     total = wp.float64(0.0)
     for k in range(offsets[i], offsets[i + 1]):
@@ -108,7 +108,7 @@ def invert_diagonal_b3(
     # Data out:
     inverse: wp.array[wp.float64],
 ):
-    """By square-root-free elimination, whose pivots stay positive where Cramer's rule loses all digits."""
+    """Invert by square-root-free elimination, whose pivots stay positive where Cramer's rule loses all digits."""
     i, _compiled_once = wp.tid()
     at = 9 * diagonal[i]
     floor = RANK_FLOOR * (values[at] + values[at + 4] + values[at + 8])
@@ -212,7 +212,7 @@ def row_product(
     c: int,
     x: wp.array[wp.float64],
 ) -> wp.float64:
-    """Component ``at`` of A x, blocks of b by c."""
+    """Return the component ``at`` of A x, blocks of b by c."""
     i = at // b
     u = at - b * i
     total = wp.float64(0.0)
@@ -233,7 +233,7 @@ def multiply_rows(
     # Data out:
     product: wp.array[wp.float64],
 ):
-    """A x, one thread per unknown."""
+    """Compute a x, one thread per unknown."""
     at = wp.tid()
     product[at] = row_product(at, offsets, columns, values, b, c, x)
 
@@ -251,7 +251,7 @@ def multiply_and_add(
     # Data out:
     result: wp.array[wp.float64],
 ):
-    """added + factor A x, one thread per unknown; ``result`` may be ``added``."""
+    """Compute added + factor A x, one thread per unknown; ``result`` may be ``added``."""
     at = wp.tid()
     result[at] = added[at] + factor * row_product(at, offsets, columns, values, b, c, x)
 
@@ -268,7 +268,7 @@ def restrict_to_coarse(
     # Data out:
     coarse: wp.array[wp.float64],
 ):
-    """Pᵀ fine, by the columns of P, one thread per coarse unknown."""
+    """Compute Pᵀ fine, by the columns of P, one thread per coarse unknown."""
     at = wp.tid()
     i = at // c
     v = at - c * i
@@ -281,7 +281,7 @@ def restrict_to_coarse(
 
 @wp.func
 def block_entry(at: int, b: int, c: int):
-    """Which block of b by c the number ``at`` belongs to, its row there, and its column."""
+    """Return which block of b by c the number ``at`` belongs to, its row there, and its column."""
     k = at // (b * c)
     q = at - b * c * k
     u = q // c
@@ -304,7 +304,7 @@ def smooth_prolongation(
     # Data out:
     prolongation: wp.array[wp.float64],
 ):
-    """(I - damping D^-1 A) T, one thread per number."""
+    """Compute (I - damping D^-1 A) T, one thread per number."""
     at, _compiled_once = wp.tid()
     e, u, v = block_entry(at, b, c)
     i = rows[e]
@@ -324,7 +324,7 @@ def smooth_prolongation(
 
 @wp.func
 def position(column: int, begin: int, end: int, columns: wp.array[wp.int32]) -> int:
-    """Where a short row has a column, or -1."""
+    """Return where a short row has a column, or -1."""
     found = int(-1)
     for m in range(begin, end):
         if columns[m] == column:
@@ -347,7 +347,7 @@ def multiply_by_prolongation(
     # Data out:
     product: wp.array[wp.float64],
 ):
-    """A P, one thread per number."""
+    """Compute a P, one thread per number."""
     at, _compiled_once = wp.tid()
     e, u, v = block_entry(at, b, c)
     i = rows[e]
@@ -377,7 +377,7 @@ def coarse_matrix(
     # Data out:
     coarse: wp.array[wp.float64],
 ):
-    """Pᵀ (A P), one thread per number."""
+    """Compute Pᵀ (A P), one thread per number."""
     at, _compiled_once = wp.tid()
     e, u, v = block_entry(at, c, c)
     total = wp.float64(0.0)
@@ -400,7 +400,10 @@ def scatter_dense(
     dense: wp.array2d[wp.float64],
     scale: wp.array[wp.float64],
 ):
-    """Compressed rows of c by c blocks in a dense matrix, and its diagonal beside it; every place is written once."""
+    """Compute the compressed rows of c by c blocks in a dense matrix, and its diagonal beside it.
+
+    Every place is written once.
+    """
     at = wp.tid()
     e, u, v = block_entry(at, c, c)
     i = c * rows[e] + u
@@ -418,7 +421,7 @@ def eliminate_pivot(
     # Data out:
     after: wp.array2d[wp.float64],
 ):
-    """One step of Gauss and Jordan's inversion; after all steps ``after`` is the inverse."""
+    """Take one step of Gauss and Jordan's inversion; after all steps ``after`` is the inverse."""
     i, j = wp.tid()
     divisor = before[pivot, pivot]
     share = wp.float64(0.0)
@@ -441,7 +444,7 @@ def multiply_dense(
     # Data out:
     x: wp.array[wp.float64],
 ):
-    """The product with a symmetric matrix of which the lower triangle counts, so that no rounding tilts it."""
+    """Compute the product with a symmetric matrix of which the lower triangle counts, so that no rounding tilts it."""
     i = wp.tid()
     total = wp.float64(0.0)
     for j in range(right.shape[0]):

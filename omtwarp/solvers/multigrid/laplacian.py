@@ -23,7 +23,10 @@ MANY_ITERATIONS = 60
 
 
 def surface_hierarchy(surface: Surface, device: wp.Device) -> MeshHierarchy:
-    """The levels of a surface on a device, by its own cotangent Laplacian; made once and kept with the surface."""
+    """Return the levels of a surface on a device, by its own cotangent Laplacian.
+
+    Made once and kept with the surface.
+    """
     return surface.kept(_name(device), lambda: positioned_hierarchy(surface, surface.scaled_vertices, device))
 
 
@@ -39,7 +42,7 @@ def _name(device: wp.Device) -> str:
 def positioned_hierarchy(
     surface: Surface, points: NDArray[np.float64], device: wp.Device, strong: float = STRONG
 ) -> MeshHierarchy:
-    """Levels by the cotangent Laplacian at other positions of the vertices, shape [V, 3].
+    """Return the levels by the cotangent Laplacian at other positions of the vertices, shape [V, 3].
 
     Args:
         surface: a closed connected surface.

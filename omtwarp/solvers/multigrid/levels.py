@@ -60,7 +60,7 @@ class Level:
 
 
 def on_device_indices(values: NDArray, device: wp.Device) -> wp.array:
-    """Whole numbers as int32 on a device."""
+    """Copy whole numbers to a device as int32."""
     return wp.array(np.ascontiguousarray(values, dtype=np.int32), dtype=wp.int32, device=device)
 
 
