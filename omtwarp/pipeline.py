@@ -671,7 +671,8 @@ class _Run:
         self.notify(OPTIMALITY, 0, 1, {})
         measured = self.measured
         if measured is None or self.sphere is not self.maps.get(Stage.OMT):
-            measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
+            optimal = self.records[-1].name in (Stage.OMT, EXACT)
+            measured = self.bounded(self.sphere, improve=optimal)
         found: dict[str, float | int | None] = measured.to_dict()
         if self.target is not None:  # the uniform sphere is not where this map goes
             found = {name: value for name, value in found.items() if not name.startswith("uniform")}

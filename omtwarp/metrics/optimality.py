@@ -24,10 +24,13 @@ appendix A; the relative curl is ||J∇H|| / ||log_y(x)||.
   c(x_a, y_b) - c(x_a, y_a), or else a and b would gain by swapping partners. The middles of these intervals, weighted
   by one over their widths, are a Poisson problem on the mesh's graph. Ascent steps with the same matrix improve it.
 
-The target of that problem is the image of the masses, which is uniform as far as the map preserves area. The bound
-against the exactly uniform sphere, Σ m_i φ(x_i) + ∫ψ, is given too: no plan from the points x_i to the uniform sphere
-costs less. A map whose cost lies below it is cheap because its areas are wrong. That its problem is another one shows
-too: spreading each point's mass over its own share of the sphere adds about 8π/V to the cost.
+The target of that problem is the image of the masses, which is uniform as far as the map preserves area. The problem
+between the surface itself and the exactly uniform sphere is bounded too: with the surface's areas spread over its
+triangles on the conformal sphere, no plan costs less than ∫φ + ∫ψ, both integrals of quadratics on triangles. Beside it
+stands the cost of the map between the vertices too, ∫ d(x, y)², integrated from the middles of edges. A map whose cost
+lies below this bound is cheap because its areas are wrong. Sums over vertices would not do for this comparison: where
+large and small triangles are mapped to one size, as on a bust with a fine face, the sum over vertices differs from the
+integral by 2 to 5 % at 25,000 faces.
 
 **Exact optimum.** On small meshes, the optimal plan between two sets of points from the package POT.
 """
@@ -81,8 +84,9 @@ class Optimality:
         cost: M = Σ m_i d(x_i, y_i)², radians² times area; the masses sum to 4π.
         lower_bound: what no rearrangement can go below, same unit.
         gap: cost / lower_bound - 1.
-        uniform_lower_bound: the same bound with the exactly uniform sphere for target (see the module's text).
-        uniform_gap: cost / uniform_lower_bound - 1; negative where the map is cheap because its areas are wrong.
+        uniform_cost: ∫ d(x, y)² over the triangles, same unit: the cost of the map between the vertices too.
+        uniform_lower_bound: the bound between the triangles and the exactly uniform sphere (see the module's text).
+        uniform_gap: uniform_cost / uniform_lower_bound - 1; negative where areas are wrong and the map is cheap for it.
         swapped_edges: edges whose two ends would gain by swapping partners; 0 for an optimal map without flips.
         ascent_steps: improvements of the potential that were made.
         potential: ψ at the y_i, float64, shape [V].
@@ -94,6 +98,7 @@ class Optimality:
     cost: float
     lower_bound: float
     gap: float
+    uniform_cost: float
     uniform_lower_bound: float
     uniform_gap: float
     swapped_edges: int
@@ -255,15 +260,17 @@ def _measure(
     vertex_gap = 2.0 * mass * best.vertex_gap
     transform = dual.cost - best.potential - best.vertex_gap
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
-    uniform = 2.0 * (float(mass @ transform) + dual.integral(best.potential))
+    spread = dual.spread(transform)
+    uniform = 2.0 * (spread.transform + dual.integral(best.potential))
     notify(steps, _excess(cost, lower))
     return Optimality(
         relative_curl=curl,
         cost=cost,
         lower_bound=lower,
         gap=_excess(cost, lower),
+        uniform_cost=2.0 * spread.cost,
         uniform_lower_bound=uniform,
-        uniform_gap=_excess(cost, uniform),
+        uniform_gap=_excess(2.0 * spread.cost, uniform),
         swapped_edges=swapped,
         ascent_steps=steps,
         potential=best.potential,

@@ -46,6 +46,19 @@ class Bound:
     visited: NDArray[np.int32]
 
 
+@dataclass(frozen=True)
+class Spread:
+    """Integrals over the triangles at the x_i, the masses spread over them.
+
+    Attributes:
+        cost: of c(x, y), y the map between the vertices too.
+        transform: of φ.
+    """
+
+    cost: float
+    transform: float
+
+
 class TransportDual:
     """The dual problem of a map x_i -> y_i with masses m_i.
 
@@ -155,6 +168,25 @@ class TransportDual:
         solid = 2.0 * np.arctan2(triple, 1.0 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
         nodal = potential[self.surface.faces[self.order]].mean(axis=1)
         return float(solid @ (nodal + self.edge_terms.sum(axis=1) / 12.0))
+
+    def spread(self, transform: Array) -> Spread:
+        """Integrate the cost and its dual φ, given at the x_i, shape [V], over the triangles that carry the masses.
+
+        A triangle carries its share of the masses of its corners. Along an edge φ is the quadratic with the slopes
+        -log_x(y) at both ends, as ψ is.
+        """
+        surface = self.surface
+        count, corners = surface.face_count, surface.faces
+        faces = surface.on(self.device).faces
+        displaced = wp.empty(surface.vertex_count, dtype=wp.vec3d, device=self.device)
+        bulges = wp.empty(count, dtype=wp.vec3d, device=self.device)
+        means = wp.empty(count, dtype=wp.float64, device=self.device)
+        self._launch(kernels.vertex_displacement, surface.vertex_count, [self._x, self._y], [displaced])
+        self._launch(kernels.edge_bulges, count, [self._x, faces, displaced], [bulges])
+        self._launch(kernels.triangle_costs, count, [self._x, self._y, faces], [means])
+        masses = surface.face_areas * (self.mass / surface.vertex_areas)[corners].mean(axis=1)
+        nodal = transform[corners].mean(axis=1) + bulges.numpy().sum(axis=1) / 12.0
+        return Spread(float(masses @ means.numpy()), float(masses @ nodal))
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)

@@ -108,16 +108,37 @@ def edge_bulges(
 ):
     """Compute the quadratic terms e of ψ on the edges (k, k+1) from the slopes -log at their ends.
 
-    Those that a quadratic with
-    these slopes has, its two ends averaged."""
+    They are those that a quadratic of the distance along the edge has with these slopes, its two ends averaged.
+    """
     f = wp.tid()
     face = faces[f]
     out = wp.vec3d()
     for k in range(3):
         a = face[k]
         b = face[(k + 1) % 3]
-        out[k] = HALF * wp.dot(log[b] - log[a], points[b] - points[a])
+        ahead, _length = logarithm(points[a], points[b])
+        back, _length = logarithm(points[b], points[a])
+        out[k] = -HALF * (wp.dot(log[b], back) + wp.dot(log[a], ahead))
     edge_out[f] = out
+
+
+@wp.kernel
+def triangle_costs(
+    sources: wp.array[wp.vec3d],
+    images: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    mean_out: wp.array[wp.float64],
+):
+    """Mean of half the squared distance over every triangle, from the middles of its edges."""
+    f = wp.tid()
+    face = faces[f]
+    total = wp.float64(0.0)
+    for k in range(3):
+        a = face[k]
+        b = face[(k + 1) % 3]
+        total += half_squared_distance(wp.normalize(sources[a] + sources[b]), wp.normalize(images[a] + images[b]))
+    mean_out[f] = total / wp.float64(3.0)
 
 
 @wp.kernel
