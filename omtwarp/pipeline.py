@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -86,7 +87,7 @@ MAX_GAP, MAX_CURL = 9e-4, 0.025
 MAX_GAP_SHRUNKEN = 9e-3
 SHAPE_DECAY = (0.1, 0.4)
 SHAPE_ROUNDS = 4
-MIN_GAP_SHARE = 0.8
+MIN_GAP_SHARE = 0.87
 # What area distortion counts in the shape term where the conformal map shrinks limbs to points: cost hardly holds
 # triangles there. With the usual 10 their mean area distortion is 2.055 and 2.071 on two scans of that kind, with 20 it
 # is 2.039 and 2.040, with 40 it is 2.031 and 2.022 at 3 % more angle distortion and a gap of up to 0.6 %.
@@ -488,33 +489,14 @@ class _Run:
             .sphere
         )
         give_back()  # the largest matrices follow
-        cost = transport_cost(surface, self.points(sphere), start=self.start, device=self.device)
-        weight = min(SHAPE_WEIGHT, SHAPE_BY_DISTANCE * float(np.sqrt(cost / SPHERE_AREA)))
+        weight = self.first_shape_weight(sphere)
         sphere = self.symmetric(sphere, repair=True)
         if self.mirror is not None and not is_symmetric(self.mirror, sphere):
             sphere = self.optimal(sphere, weight).sphere  # the optimal map is symmetric up to the mesh's error
             frame = mirror_frame(self.mirror, sphere, surface.vertex_areas)
             sphere = self.symmetric(sphere @ frame, repair=True)
-        found = last = None
-        used = weight
-        excess = np.inf
-        for _ in range(SHAPE_ROUNDS):
-            multipliers = None if found is None else found.multipliers
-            last, found = found, self.optimal(sphere if found is None else found.sphere, weight, multipliers)
-            known = len(self.history)
-            self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
-            before, measured_before = excess, self.measured
-            excess = self.shape_excess(found.sphere)
-            if excess > MIN_GAP_SHARE * before and last is not None and measured_before is not None:
-                found, self.measured, weight = last, measured_before, used  # as good, and smoother
-                break
-            if excess <= 1.0 or not found.converged:
-                break
-            used = weight
-            weight *= float(np.clip(0.7 / excess, *SHAPE_DECAY))
-        assert found is not None
-        sphere = found.sphere
-        sphere, repaired = self.untangle(initial, sphere)
+        found, weight = self.lowering_shape_weight(self.optimal, sphere, weight)
+        sphere, repaired = self.untangle(initial, found.sphere)
         details: dict[str, str | float | None] = {
             "repaired": repaired,
             "converged": found.converged,
@@ -522,6 +504,49 @@ class _Run:
             "shape_weight": weight,
         }
         self.finish(Stage.OMT, sphere, len(self.history) - 1, **details)
+
+    def lowering_shape_weight(
+        self,
+        solve: Callable[[NDArray[np.float64], float, NDArray[np.float64] | None], OptimalMap],
+        sphere: NDArray[np.float64],
+        weight: float,
+    ) -> tuple[OptimalMap, float]:
+        """Solve with less and less weight of the shape term, until gap and curl are small or fall no more.
+
+        Args:
+            solve: called with a map, the weight, and multipliers of a map nearby if there is one.
+            sphere: the map to begin with.
+            weight: the first weight.
+
+        Returns:
+            The map, and the weight that it was made with; ``measured`` and ``history`` are set.
+        """
+        found = solve(sphere, weight, None)
+        self.remember(found)
+        excess = self.shape_excess(found.sphere)
+        for _ in range(SHAPE_ROUNDS - 1):
+            if excess <= 1.0 or not found.converged:
+                break
+            lower = weight * float(np.clip(0.7 / excess, *SHAPE_DECAY))
+            measured, other = self.measured, solve(found.sphere, lower, found.multipliers)
+            self.remember(other)
+            changed = self.shape_excess(other.sphere) if other.converged else np.inf
+            # Where only the curl was known of the map before, its excess compares with nothing.
+            if not other.converged or (measured is not None and changed > MIN_GAP_SHARE * excess):
+                self.measured = measured  # as good, and smoother
+                break
+            found, weight, excess = other, lower, changed
+        return found, weight
+
+    def first_shape_weight(self, sphere: NDArray[np.float64]) -> float:
+        """The largest weight of the shape term that is tried: less for maps that move points little."""
+        cost = transport_cost(self.surface, self.points(sphere), start=self.start, device=self.device)
+        return min(SHAPE_WEIGHT, SHAPE_BY_DISTANCE * float(np.sqrt(cost / SPHERE_AREA)))
+
+    def remember(self, found: OptimalMap) -> None:
+        """Append the steps of a minimisation to the history."""
+        known = len(self.history)
+        self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
 
     def optimal(
         self, sphere: NDArray[np.float64], weight: float, multipliers: NDArray[np.float64] | None = None
@@ -588,9 +613,7 @@ class _Run:
             self.notify(EXACT, done, total, details)
 
         give_back()
-        optimal = self.record_of(Stage.OMT)
-        assert self.source is not None and optimal is not None
-        weight = float(optimal.details["shape_weight"] or 0.0)
+        assert self.source is not None
         quartered = quarter(self.surface)
         self.surface = quartered.surface
         if self.mirror is not None:
@@ -599,23 +622,33 @@ class _Run:
             "vertex_origin": quartered.vertex_origin,
             "face_origin": quartered.parents.astype(np.int64),
         }
-        self.source = quartered.on_sphere(self.source)
-        self.first = vectors(self.source, resolve_device(self.device))
+        self.source = source = quartered.on_sphere(self.source)
+        self.first = vectors(source, resolve_device(self.device))
         # Great circles cut what is one to one into what is one to one, but for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.untangle(self.sphere, self.sphere)
-        solve = exact_map
+        on_cells = exact_map
         if self.mirror is not None and is_symmetric(self.mirror, before):
-            solve = partial(symmetric_exact_map, self.mirror)
-        found = solve(quartered, before, start=self.source, shape_weight=weight, device=self.device, progress=notify)
-        known = len(self.history)
-        self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
+            on_cells = partial(symmetric_exact_map, self.mirror)
+
+        def solve(sphere: NDArray[np.float64], weight: float, multipliers: NDArray[np.float64] | None) -> OptimalMap:
+            return on_cells(
+                quartered,
+                sphere,
+                start=source,
+                shape_weight=weight,
+                multipliers=multipliers,
+                device=self.device,
+                progress=notify,
+            )
+
+        found, weight = self.lowering_shape_weight(solve, before, self.first_shape_weight(before))
         sphere, repaired = self.untangle(before, found.sphere)
-        self.measured = None  # that was of the map before
         self.finish(
             EXACT,
             sphere,
             len(found.history) - 1,
+            shape_weight=weight,
             repaired=crowded + repaired,
             converged=found.converged,
             ended=found.ended,
@@ -670,9 +703,8 @@ class _Run:
         assert self.source is not None
         self.notify(OPTIMALITY, 0, 1, {})
         measured = self.measured
-        if measured is None or self.sphere is not self.maps.get(Stage.OMT):
-            optimal = self.records[-1].name in (Stage.OMT, EXACT)
-            measured = self.bounded(self.sphere, improve=optimal)
+        if measured is None or self.records[-1].name not in (Stage.OMT, EXACT):
+            measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
         found: dict[str, float | int | None] = measured.to_dict()
         if self.target is not None:  # the uniform sphere is not where this map goes
             found = {name: value for name, value in found.items() if not name.startswith("uniform")}

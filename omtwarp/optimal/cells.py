@@ -46,6 +46,7 @@ def exact_map(
     *,
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
+    multipliers: ArrayLike | None = None,
     iterations: int = ITERATIONS,
     gain: float = GAIN,
     device: str | None = "auto",
@@ -58,6 +59,7 @@ def exact_map(
         sphere: a map without flips to begin with, unit vectors, shape [V, 3].
         start: the points x that are transported, unit vectors, shape [V, 3].
         shape_weight: weight of angle and area distortion of the parts beside the mean squared distance.
+        multipliers: of a map nearby, such as one with another shape weight, to begin with; shape [F].
         iterations: most steps.
         gain: end where the expected gain of a step falls below this share of the cost, and areas are kept to 1e-6.
         device: where the kernels run.
@@ -72,14 +74,20 @@ def exact_map(
     where = resolve_device(device)
     given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
     energy = CellEnergy(quartered, vectors(x, where), where, shape_weight)
-    return minimise_cells(energy, given, gain=gain, iterations=iterations, progress=progress)
+    return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
 def minimise_cells(
-    energy: CellEnergy, sphere: Numbers, *, gain: float, iterations: int, progress: Progress | None
+    energy: CellEnergy,
+    sphere: Numbers,
+    *,
+    multipliers: ArrayLike | None = None,
+    gain: float,
+    iterations: int,
+    progress: Progress | None,
 ) -> OptimalMap:
     """Minimise an energy of cells, and make their areas right to 1e-6; arguments and result as of :func:`exact_map`."""
-    found = minimise(energy, sphere, gain=gain, iterations=iterations, progress=progress)
+    found = minimise(energy, sphere, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
     history = list(found.history)
 
     def notify(number: int, terms: MapTerms) -> None:
