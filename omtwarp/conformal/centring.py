@@ -27,7 +27,7 @@ TOLERANCE = 1e-13  # on the length of the mean of the points: some hundred times
 MAXIMUM_STEPS = 100  # at most; Newton's method needs few where there is a centre
 MAX_CENTRE = 0.7  # of the ball's radius: Newton's centre can lie outside the ball, where there is no transformation
 MIN_CENTRE = 1e-16  # a step halved to less than this moves nothing in float64
-FULL_STEP_MEAN = 1e-10  # below this size of the mean the decrease is lost in round-off: steps are taken whole
+FULL_STEP_MEAN = 1e-10  # below this size of the mean the decrease is lost in round-off: full steps are taken
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class _Moments(Protocol):
 
 
 class _HostMoments:
-    """By NumPy, in its order."""
+    """Moments by NumPy, in its order of summation."""
 
     def __init__(self, weights: NDArray[np.float64], device: wp.Device):
         self._weights = weights
@@ -182,7 +182,7 @@ class _HostMoments:
 
 
 class _DeviceMoments:
-    """By a kernel; a few rows of partial sums come to the host."""
+    """Moments by a kernel; a few rows of partial sums are copied to the host."""
 
     def __init__(self, weights: NDArray[np.float64], device: wp.Device):
         rows = partial_count(len(weights))

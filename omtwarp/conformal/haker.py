@@ -1,7 +1,7 @@
 """The conformal map of section 4.1 (Haker et al. 2000).
 
-A triangle ABC is removed, the Dirichlet problems D x = a and D y = b map the rest to the complex plane, and inverse
-stereographic projection takes the plane to the sphere with the removed triangle around the north pole. A Möbius
+A triangle ABC is removed, the Dirichlet problems D x = a and D y = b map the other triangles to the complex plane, and
+inverse stereographic projection takes the plane to the sphere with the removed triangle around the north pole. A Möbius
 transformation then centres the map.
 """
 
@@ -26,12 +26,12 @@ from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
 TIE_BREAKER = np.array([0.6180, 0.2361, 0.7503])  # chosen: any direction oblique to the axes will do
-PARTS = 4  # of the work as progress counts it: half is the factorisation
+PARTS = 4  # of the work in progress reports: half is the factorisation
 
 
 @dataclass(frozen=True)
 class ConformalMap:
-    """A conformal map to the sphere and the density it leaves.
+    """A conformal map to the sphere and its density.
 
     Attributes:
         sphere: unit vectors, float64, shape [V, 3].

@@ -1,4 +1,4 @@
-"""Kernels of the conformal map: inverse stereographic projection, Möbius transformations and what centres them."""
+"""Kernels of the conformal map: inverse stereographic projection, Möbius transformations and moments for centring."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, wp
 from omtwarp.device.sum_kernels import GROUP, LANES, first_row
@@ -57,10 +57,7 @@ def weighted_moments(
     # Data out:
     sums: wp.array2d[wp.float64],
 ):
-    """Compute the sums over GROUP points p each, weighted.
-
-    Of p in the first three columns, of p p' row by row in the others.
-    """
+    """Compute weighted sums over GROUP points p each: Σ w p in three columns, Σ w p p' row by row in the others."""
     thread, column = wp.tid()
     row = column // 3 - 1
     total = wp.float64(0.0)

@@ -15,19 +15,19 @@ from omtwarp.mesh.surface import Surface
 # A vertex whose step was halved this often stays where it was.
 MAX_HALVINGS = 6
 MAX_ROUNDS = 500
-# A step that leaves a triangle a hundredth of its area is as good as a flip: on scanned shapes a single such triangle
-# costs the whole map's area distortion more than the step gains.
+# A step that leaves a triangle a hundredth of its area counts as a flip: on scanned shapes one such triangle raises the
+# area distortion of the map by more than the step lowers it.
 MIN_PART = 0.2
-# A motion of which not even this part of a halving leaves a bijection is given up.
+# A motion is given up if not even this share of it leaves a bijection.
 MAX_WHOLE_HALVINGS = 6
 
 
 class StepGuard:
-    """Keeps every triangle of a moving sphere map positive, and from all but vanishing.
+    """Keeps every triangle of a moving sphere map positively oriented and above a smallest area.
 
-    A vertex of a triangle that a step would flip has its own step halved, again and again, and is held in the end; its
-    neighbours follow only where that in turn would flip one of theirs. Since the map before the step has no flip,
-    holding vertices always ends in a map without one, and a few bad triangles slow nobody but themselves.
+    The step of a vertex of a triangle that would flip is halved repeatedly, and the vertex finally held; the steps of
+    its neighbours are shortened only where a triangle of theirs would flip as a result. Since the map before the step
+    has no flip, holding vertices always leads to a map without flips, and a few bad triangles do not slow the others.
 
     Args:
         surface: the surface; its triangles' areas, total 4π, are what they should have on the sphere.
@@ -79,7 +79,7 @@ class StepGuard:
     def hold(self, old: wp.array, new: wp.array, rounds: int = MAX_ROUNDS) -> None:
         """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips or shrinks too far.
 
-        Where so many rounds of it do not suffice, everything stays at ``old``. All happens on the device and can be
+        If ``rounds`` rounds do not suffice, all vertices stay at ``old``. All happens on the device and can be
         part of a graph; :attr:`held` says how many vertices it touched.
         """
         for array in (self._counters, self._face_rounds, self._vertex_rounds, self._halvings):
@@ -98,7 +98,7 @@ class StepGuard:
     def _launches(self, old: wp.array, new: wp.array, rounds: int) -> tuple[wp.Launch, ...]:
         """Prepare the launches of a step from one array to another, once for its dozens of short rounds.
 
-        Only addresses and lengths are kept, so that arrays that come to lie where others were are served as well.
+        Launches are kept by addresses and lengths, so that they also serve new arrays at the addresses of old ones.
         """
         key = (old.ptr, new.ptr, rounds)
         if key not in self._ready:
@@ -133,8 +133,8 @@ def hold_back(
 ) -> NDArray[np.float64]:
     """Move a bijection towards another map as far as it stays a bijection.
 
-    The guard's map has no flips, but large steps can turn a triangle over the far side of the sphere, so that rings
-    turn twice: then all steps are halved.
+    The guard's map has no flips, but large steps can carry a triangle over the far side of the sphere, so that rings
+    turn twice; all steps are then halved.
 
     Args:
         surface: the surface, V vertices.

@@ -1,7 +1,7 @@
 """Kernels that find flipped triangles and shorten the steps of their vertices.
 
-After the first look at all triangles only those around vertices that have just been changed are looked at again. Lists
-of them are filled by counting upwards: in an order that differs from run to run, which nothing depends on.
+The first round examines all triangles, later rounds only those around vertices that have just been changed. Lists of
+these are filled by counting upwards, in an order that differs from run to run; no result depends on it.
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp

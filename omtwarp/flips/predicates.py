@@ -1,8 +1,8 @@
-"""Exact orientation of spherical triangles: what floating point cannot decide is decided in integers.
+"""Exact orientation of spherical triangles, in integers where floating point cannot decide.
 
 A map is flip-free where det[a, b, c] > 0 for every spherical triangle. The determinant of three float64 points is a
 rational number with a definite sign; a forward error bound (Shewchuk, "Adaptive precision floating-point arithmetic and
-fast robust geometric predicates", 1997) certifies the sign of all but the smallest, and Python's integers settle those.
+fast robust geometric predicates", 1997) certifies the sign of all but the smallest, which Python's integers decide.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.flips.guard_kernels import UNCERTAIN, certain_signs
 
-# Six triple products, each rounded at most four times, and their sum: 7 units of roundoff would do; 8 leaves the
-# rounding of the bound itself room. A product and a sum that are rounded once together only err less.
+# Six triple products, each rounded at most four times, and their sum: 7 units of roundoff suffice, 8 also
+# cover the rounding of the bound. Fused multiply-add only lowers the error.
 _RELATIVE_BOUND = 8.0 * 2.0**-53
 # Products below this may have lost bits to gradual underflow, which a relative bound does not see.
 _UNDERFLOW_BOUND = 2.0**-1000

@@ -18,7 +18,7 @@ def add_turning_angles(
     angles: wp.array[wp.int64],
     errors: wp.array[wp.int64],
 ):
-    """Add every triangle's signed angle to each of its corners, with a bound on how far rounding put it wrong.
+    """Add every triangle's signed angle to each of its corners, with a bound on its rounding error.
 
     The direction from p towards a is that of the normal p x (a - p) of the great circle through both. Angles are added
     as whole multiples of 1 / SCALE radians, whose sum does not depend on the order.

@@ -1,4 +1,4 @@
-"""How often the neighbours of a vertex go around it, decided exactly: what tells a bijection from a branched covering.
+"""How often the neighbours of a vertex go around it, decided exactly: 1 for a bijection, more for a branched covering.
 
 A continuous map of a closed surface to the sphere whose triangles are all positive is a covering everywhere but at
 vertices. Where the ring of neighbours goes k > 1 times around the image of a vertex, k sheets meet. On a connected
@@ -38,13 +38,13 @@ def ring_turns(
     Args:
         sphere: float64 points, shape [V, 3], of any length but 0; or a Warp array of vec3d.
         faces: integer corner indices, shape [F, 3]; or a Warp array of vec3i.
-        signs: what :func:`omtwarp.flips.predicates.orientation_signs` says of the triangles, int8, shape [F]; worked
-            out here when left out.
+        signs: what :func:`omtwarp.flips.predicates.orientation_signs` says of the triangles, int8, shape [F]; computed
+            here when left out.
         device: where floating point is tried.
 
     Returns:
         int32, shape [V]: 1 where the ring turns once counter-clockwise, as it does in a bijection; 0 for a vertex
-        without triangles. Beside a triangle of sign 0 the number means nothing.
+        without triangles. Next to a triangle of sign 0 the number has no meaning.
 
     Example:
         >>> from omtwarp.mesh.shapes import icosphere
@@ -101,7 +101,7 @@ def is_bijective(
 ) -> bool:
     """Decide exactly whether a map of a closed connected surface of genus 0 to the sphere is one to one and onto.
 
-    Every triangle is positive and every ring turns once: see the head of this module for why that suffices.
+    Every triangle is positive and every ring turns once: the module's docstring says why that suffices.
 
     Args:
         sphere: float64 points, shape [V, 3]; or a Warp array of vec3d.

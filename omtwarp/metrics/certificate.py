@@ -17,7 +17,7 @@ from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
 
-RAYS = 32  # all have to count the same degree; without flips one would do, and the others check it
+RAYS = 32  # all have to count the same degree; without flips one would suffice
 # Rays that pass an edge this closely (as a triple product of unit vectors) are drawn again.
 CLEARANCE = 1e-13
 
@@ -115,7 +115,7 @@ def certify_triangles(faces: ArrayLike, sphere: ArrayLike, *, device: str | None
     areas = triangle_areas(sphere, faces)
     smallest = int(np.argmin(areas))
     a, b, c = (sphere[faces[:, k]] for k in range(3))
-    # The exact sign decides whether a triangle of nearly half the sphere is that or the other half.
+    # The exact sign decides which half of the sphere a triangle of nearly half the sphere covers.
     triple = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c))) * signs
     dots = 1.0 + sum(np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
     degree = float((2.0 * np.arctan2(triple, dots)).sum() / SPHERE_AREA)

@@ -144,7 +144,7 @@ def measure(
 ) -> Aggregates:
     """Return the aggregates of :func:`distortion` alone, as :meth:`Distortion.to_dict` has them; arguments as there.
 
-    On CUDA they are made on the device, and some twenty numbers come back instead of six for every triangle. Sums
+    On CUDA they are computed on the device, and some twenty numbers are copied instead of six for every triangle. Sums
     differ by rounding.
     """
     where = resolve_device(device)
@@ -198,7 +198,7 @@ def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> Aggregates:
         picked = wp.empty(len(places), dtype=wp.float64, device=where)
         wp.launch(pick_values, dim=len(places), inputs=[keys, chosen], outputs=[picked], device=where)
         first, second, low, high, largest = picked.numpy().tolist()
-        # As NumPy interpolates. A sort says nothing of what is not a number; a mean does.
+        # Interpolated as by NumPy. A sort does not detect NaN; the mean does.
         part = at - int(at)
         between = high - (high - low) * (1.0 - part) if part >= 0.5 else low + (high - low) * part
         ranked = {"median": 0.5 * (first + second), "p95": between, "max": largest}

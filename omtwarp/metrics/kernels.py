@@ -66,10 +66,7 @@ def weighted_distortions(
     area: wp.array[wp.float64],
     terms: wp.array2d[wp.float64],
 ):
-    """Compute the area distortion, and what is to be summed.
-
-    Both distortions in three weightings, flips and solid angles.
-    """
+    """Compute area distortion, and the summands of both distortions in three weightings, of flips and solid angles."""
     f = wp.tid()
     ratio = determinant[f] * (surface_total[0] / sphere_total[0])
     area[f] = ratio + ONE / ratio
@@ -119,10 +116,9 @@ def count_crossings(
 ):
     """Compute the signed number of spherical triangles over every ray from the centre.
 
-    Rays too near an edge are marked.
-
-    A ray is inside a triangle where its three triple products have the sign of the triangle's own; with the opposite
-    sign all three, its antipode is. The counts are integers, so the order of the additions does not matter.
+    Rays too near an edge are marked. A ray is inside a triangle where its three triple products have the sign of the
+    triangle's own; with the opposite sign all three, its antipode is. The counts are integers, so the order of the
+    additions does not matter.
     """
     f, r = wp.tid()
     face = faces[f]

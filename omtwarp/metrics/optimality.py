@@ -1,4 +1,4 @@
-"""How far a map is from optimal transport: the curl left over, a lower bound on the cost, and the exact optimum.
+"""How far a map is from optimal transport: the remaining curl, a lower bound on the cost, and the exact optimum.
 
 The map sends x_i on the conformal sphere, with mass m_i (the original area around vertex i, 4π in all), to y_i. The
 cost is the squared geodesic one, M = Σ m_i d(x_i, y_i)² (equation 6); c = d²/2 inside, where gradients are simpler.
@@ -9,17 +9,17 @@ appendix A; the relative curl is ||J∇H|| / ||log_y(x)||.
 
 **Lower bound** (Kantorovich's dual). For any function ψ on the sphere let φ(x) = min over z of c(x, z) - ψ(z). Then
 φ(x_i) + ψ(y_j) <= c(x_i, y_j) for all i and j, so every plan that takes {x_i, m_i} to {y_j, m_j} costs at least
-Σ m_i (φ(x_i) + ψ(y_i)). Two things make this bound mean something:
+Σ m_i (φ(x_i) + ψ(y_i)). Two properties make the bound tight:
 
 * ψ is a function on the whole sphere (quadratic on each image triangle), and the minimum is taken over all of it, by
-  branch and bound in a tree of triangles, with a proof for every branch left out (what the proofs leave open, at most
-  1e-5 of the mean cost, is conceded) and the least point of a quadratic in each triangle that is not. Were z to run
-  over the points y_j alone, the bound would still hold, but no curl that shifts points by less than half an edge could
-  show in it: Moser's maps, 0.2 to 1 % off the optimum, would pass as optimal to 1e-4. The proofs hold at the corners of
+  branch and bound in a tree of triangles, with a proof for every branch left out (the tolerance of the proofs, at most
+  1e-5 of the mean cost, is subtracted) and the minimum of a quadratic in each other triangle. With z restricted to the
+  points y_j the bound would still hold, but would not detect curl that shifts points by less than half an edge: Moser's
+  maps, 0.2 to 1 % off the optimum, would pass as optimal to 1e-4. The proofs hold at the corners of
   triangles and the middles of their edges, to round-off; the corners are the y_j, so the bound is a theorem about the
   discrete problem. In between they hold to third order in the edge length: on a hippocampus, the gargoyle and the bunny
-  a search through 45 points in each triangle, and downhill from the best, finds no lower bound. That far the bound is
-  one for mass spread out in between, too.
+  a search through 45 points in each triangle, and downhill from the best, finds no lower bound. To that accuracy the
+  bound also holds for mass spread out in between.
 * ψ comes from the map itself: along an edge (a, b), ψ_b - ψ_a has to lie between c(x_b, y_b) - c(x_b, y_a) and
   c(x_a, y_b) - c(x_a, y_a), or else a and b would gain by swapping partners. The middles of these intervals, weighted
   by one over their widths, are a Poisson problem on the mesh's graph. Ascent steps with the same matrix improve it.
@@ -82,7 +82,7 @@ class Optimality:
     Attributes:
         relative_curl: norm of the curl part of log_y(x) over the norm of log_y(x); 0 for an optimal map.
         cost: M = Σ m_i d(x_i, y_i)², radians² times area; the masses sum to 4π.
-        lower_bound: what no rearrangement can go below, same unit.
+        lower_bound: a lower bound on the cost of every rearrangement, same unit.
         gap: cost / lower_bound - 1.
         uniform_cost: ∫ d(x, y)² over the triangles, same unit: the cost of the map between the vertices too.
         uniform_lower_bound: the bound between the triangles and the exactly uniform sphere (see the module's text).
@@ -133,22 +133,22 @@ def optimality(
 ) -> Optimality:
     """Measure how far a map is from the optimal one (squared geodesic cost).
 
-    Sparse systems are solved in the order of elimination that a :class:`Surface` keeps, so that of a surface whose map
-    was just made it takes a fraction of the time that the map took.
+    Sparse systems are solved in the order of elimination that a :class:`Surface` keeps, so that for a surface
+    whose map was just made this takes a fraction of the map's time.
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
         sphere: the y_i, unit vectors, shape [V, 3].
         start: the x_i that are transported (the conformal or substitute start), in the same way.
         masses: the m_i, shape [V], positive; scaled to sum to 4π. The surface's areas around vertices by default.
-        potential: ψ at the y_i, shape [V], radians², where it is known better than the map tells.
+        potential: ψ at the y_i, shape [V], radians²; estimated from the map by default.
         ascent_steps: at most this many improvements of the potential.
-        enough: the gap at which improvements end.
+        enough: the gap at which the improvements end.
         device: where kernels run.
         progress: called as ``progress("optimality", step, most steps, {"gap": gap})``.
 
     Returns:
-        The report. The bound holds whatever the map is like; flips make it loose, not wrong.
+        The report. The bound holds for every map; flips make it loose, not wrong.
 
     Raises:
         OmtwarpError: the mesh or a map cannot be used, or masses that are not positive.
@@ -280,7 +280,7 @@ def _measure(
 
 
 def _excess(cost: float, bound: float) -> float:
-    """Return the cost over bound, less 1; infinite where the bound says nothing."""
+    """Return the cost over bound, less 1; infinite where the bound is zero."""
     if bound > 0.0:
         return cost / bound - 1.0
     return 0.0 if cost == bound else float("inf")
@@ -293,7 +293,7 @@ def relative_curl(
     start: ArrayLike | wp.array,
     device: str | None = "auto",
 ) -> float:
-    """Measure ||J∇H|| / ||log_y(x)|| on the image mesh: the part of the displacement that no gradient accounts for.
+    """Measure ||J∇H|| / ||log_y(x)|| on the image mesh: the part of the displacement that is no gradient.
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
@@ -323,9 +323,9 @@ def exact_transport(
         target_masses: shape [K], scaled to sum to 4π.
 
     Returns:
-        The least Σ plan_ij d(x_i, z_j)², and Σ m_i d(x_i, z̄_i)² with z̄_i the mean of what the plan makes of x_i. The
-        second is free of most of what it costs to spread a point over many targets, and is the one to compare with a
-        map's cost when the targets are finer than the sources.
+        The least Σ plan_ij d(x_i, z_j)², and Σ m_i d(x_i, z̄_i)² with z̄_i the mean image of x_i under the plan. The
+        second omits most of the cost of spreading a point over many targets; compare it with a map's cost when the
+        targets are finer than the sources.
 
     Raises:
         OmtwarpError: POT is not installed, or its solver gives up.

@@ -1,6 +1,6 @@
 """Kantorovich's dual on a device: potentials from a map, their c-transform, and steps that improve them.
 
-See :mod:`omtwarp.metrics.optimality` for what the bound says.
+:mod:`omtwarp.metrics.optimality` explains the bound.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Bound:
         excess: Σ m_i vertex_gap_i.
         face: the triangle in which the minimum is attained, shape [V]; -1 where that is y_i itself.
         weights: its barycentric coordinates there, shape [V, 3].
-        visited: nodes of the tree that were looked at, shape [V].
+        visited: nodes of the tree that were examined, shape [V].
     """
 
     potential: Array
@@ -63,7 +63,7 @@ class TransportDual:
     """The dual problem of a map x_i -> y_i with masses m_i.
 
     Args:
-        surface: the faces, V vertices; where its vertices are does not matter.
+        surface: the faces, V vertices; positions are not used.
         x: the x_i, unit vectors, shape [V, 3].
         y: the y_i, unit vectors, shape [V, 3].
         mass: the m_i, shape [V].
@@ -147,9 +147,9 @@ class TransportDual:
     def ascent_direction(self, current: Bound) -> tuple[Array, float]:
         """Find a change of ψ that raises the bound, and the slope of the bound along it.
 
-        Where the minima attract mass that the map does not send, ψ has to sink, smoothly. The slope of
+        Where the minima attract more mass than the map sends, ψ has to decrease, smoothly. The slope of
         Σ m_i (φ(x_i) + ψ(y_i)) in ψ is the map's own mass minus the mass at the minimisers, and the matrix of the
-        initial fit stands for its second derivative.
+        initial fit approximates its second derivative.
         """
         assert self._solver is not None
         moved = current.face >= 0

@@ -25,7 +25,7 @@ LARGE = wp.constant(wp.float64(1.0e300))  # in place of infinity, which minima b
 RIDGE = wp.constant(wp.float64(1.0e-10))
 SLACK = wp.constant(wp.float64(1.0e-14))  # lowers bounds of numbers of size 1 by fifty times float64's round-off
 SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
-# Triangles of a node that its paraboloid is fitted to; the level that makes it a bound looks at all of them.
+# Triangles of a node that its paraboloid is fitted to; the level that makes it a bound uses all of them.
 FITTED = wp.constant(4)
 
 
@@ -209,7 +209,7 @@ def split_segments(
     # Data in and out:
     order: wp.array[wp.int32],
 ):
-    """Sort every segment of ``size`` entries of an order so far that its halves are apart from each other in space.
+    """Partition every segment of ``size`` entries of an order into halves that are apart in space.
 
     The first half are the points that are lowest along the longest side of the segment's bounding box (Hoare's
     selection, 1961); where the last segment is not full, its first half is filled first.
@@ -287,8 +287,8 @@ def build_nodes(
 
     With w the part of z - c tangent at the centre c, in the frame (axis, c × axis), every sample z below the node has w
     in the rectangle and ψ(z) <= level + slope · w + w · B w / 2. Slope and B are fitted to some of the triangles; the
-    level is raised until the inequality holds at all samples, and in between as far as what is left of ψ there is a
-    quadratic in barycentric coordinates, which it is to third order.
+    level is raised until the inequality holds at all samples, and between them to third order, as far as the residual
+    of ψ is a quadratic in barycentric coordinates.
     """
     node, _compiled_once = wp.tid()
     model = vec11d()
@@ -412,7 +412,7 @@ def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: 
     cosine = wp.dot(x, c)
     v = HALF * wp.length_sq(x - c)
     if radius > ONE or v > wp.float64(1.999999):
-        return -LARGE  # next to the antipode the slope is infinite and says nothing
+        return -LARGE  # next to the antipode the slope is infinite
     sine = wp.sqrt(v * (TWO - v))
     angle = TWO * wp.asin(wp.sqrt(HALF * v))
     kappa = ONE
@@ -521,8 +521,8 @@ def c_transform(
 ):
     """Compute φ(x) = min of c(x, z) - ψ(z) over the sphere.
 
-    A branch is left out where its bound proves that it holds nothing lower than the best value so far minus the
-    tolerance. In a triangle that is not left out the quadratic through the values at the six samples says where the
+    A branch is skipped where its bound proves that it has no value below the best so far minus the tolerance. In a
+    triangle that is not skipped the quadratic through the values at the six samples says where the
     least value is, and the value there is taken. ``proven`` is the lower of the least value found and of all bounds
     that were relied upon: no sample has a value below it, and it is at most the tolerance below what was found.
     """

@@ -23,7 +23,7 @@ from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve
 FINAL_TIME = 14.0
 LARGEST_STEP = 0.25  # at the start; it grows with s
 COURANT = 0.5
-PARTS = 4  # of the work as progress counts it: half is the factorisation
+PARTS = 4  # of the work in progress reports: half is the factorisation
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class MoserMap:
     Attributes:
         sphere: the image of every vertex, unit vectors, float64, shape [V, 3].
         potential: Θ at the vertices, shape [V].
-        steps: Runge-Kutta steps of the particle that took most.
+        steps: the largest number of Runge-Kutta steps of a particle.
         history: empty: every particle takes steps of its own.
         converged: True: every particle ends at t = 1.
     """

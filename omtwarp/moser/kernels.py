@@ -7,7 +7,7 @@ from omtwarp.location.kernels import walk
 wp.set_module_options(KERNEL_OPTIONS)
 
 LONGEST_STEP = wp.constant(wp.float64(2.0))  # of the 14 units of time of a path
-SHORTEST_STEP = wp.constant(wp.float64(1e-3))  # where slivers would ask for less: a path has 14 units of time
+SHORTEST_STEP = wp.constant(wp.float64(1e-3))  # where slivers would need shorter ones: a path has 14 units of time
 MAX_STEPS = wp.constant(20000)  # of a path: more than FINAL_TIME / SHORTEST_STEP, so that every path ends
 # Coefficients of Ralston's method of third order (1962).
 QUARTER = wp.constant(wp.float64(0.25))
@@ -120,8 +120,8 @@ def vertex_field(
 ):
     """Compute -∇Θ at vertices: the angle-weighted mean of the gradients of the triangles around, tangent to the sphere.
 
-    Weighting by angle rather than area keeps a large triangle from speaking for a small one: the area error left by the
-    flow is a third of what area weights leave on scanned shapes.
+    With angle weights a large triangle does not dominate a small one: the area error after the flow is a third of that
+    with area weights on scanned shapes.
     """
     thread, _compiled_once = wp.tid()
     v = first + thread
@@ -179,7 +179,7 @@ def integrate_particles(
     count = int(0)
     while s < final and count < MAX_STEPS:
         k1, size, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu, excess, sizes)
-        # What is left of the motion falls as e^-s, and the error of a step goes as its fourth power.
+        # The remaining motion falls as e^-s, and the error of a step as its fourth power.
         longest = wp.min(largest_step * wp.sqrt(wp.sqrt(grown)), LONGEST_STEP)
         step = wp.min(longest, courant * size / wp.max(wp.length(k1), TINY))
         step = wp.min(wp.max(step, SHORTEST_STEP), final - s)

@@ -14,8 +14,8 @@ from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.solvers.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
 from omtwarp.triangle_newton.newton import REGULARISATION, factorise_stiffened
 
-# Of the energy's norm, the one in which steps count. Refinement ends where a step gains a thousandth; this leaves the
-# path of its steps as it is.
+# Relative, in the energy's norm. Refinement ends where a step gains a thousandth; with this tolerance its steps do not
+# change.
 TOLERANCE = 1e-9
 
 
@@ -39,11 +39,11 @@ class DeviceNewtonMatrix:
         self._factor: MeshFactor | None = None
 
     def assemble(self, points: wp.array, hessian: Callable[[], wp.array]) -> None:
-        """Take the values at a map.
+        """Assemble the matrix at a map.
 
         Args:
             points: the map, vec3d, shape [V].
-            hessian: makes the Hessians of triangles, shape [F, 21]; they are let go of before the levels are made.
+            hessian: makes the Hessians of triangles, shape [F, 21]; they are freed before the levels are made.
         """
         surface, device, count = self._surface, self._device, self._surface.vertex_count
         if self._solver is None:

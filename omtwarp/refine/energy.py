@@ -54,13 +54,14 @@ class Terms:
 Pressures = tuple[wp.float64, wp.float64, wp.float64]
 
 
-# Of the weights of angle and area together. The barrier is zero but on triangles that stand steeply on the sphere
-# (omtwarp.refine.kernels.STEEP_COSINE); it tends to infinity as they flip, so that its weight moves minima little.
+# Relative to the weights of angle and area together. The barrier is zero except on triangles that stand steeply on the
+# sphere (omtwarp.refine.kernels.STEEP_COSINE) and tends to infinity as they flip, so that its weight moves minima
+# little.
 NEEDLE_SHARE = 0.1
 
 
 def needle_weight(weight: float) -> float:
-    """Return the weight of the needle barrier beside angle + λ area."""
+    """Return the weight of the needle barrier in the energy angle + λ area."""
     return NEEDLE_SHARE * (1.0 + weight)
 
 

@@ -23,7 +23,7 @@ STEEP_COSINE = wp.constant(wp.float64(0.5))
 
 @wp.func
 def needle(cosine: wp.float64) -> wp.float64:
-    """Return a barrier against flips that flat areas do not see, 0 above ``STEEP_COSINE``.
+    """Return a barrier against flips that flat areas do not detect, 0 above ``STEEP_COSINE``.
 
     The flat triangle of a needle whose height is far below the sagitta of its long edge stands nearly upright: its
     volume can vanish while its flat area does not.
@@ -135,7 +135,7 @@ def gather_tangent(
     # Data out:
     gradient: wp.array[wp.vec3d],
 ):
-    """Sum at every vertex, from a first one on, what its corners hold, keep the tangent part, and divide it."""
+    """Sum the values at the corners around every vertex, from a first one on, keep the tangent part, and divide it."""
     i = first + wp.tid()
     total = wp.vec3d(ZERO, ZERO, ZERO)
     for k in range(offsets[i], offsets[i + 1]):
@@ -251,7 +251,7 @@ def newton_decrements(
     # Data out:
     decrement: wp.array[wp.float64],
 ):
-    """Compute gᵀ B⁻¹ g of every vertex, with B its own block, at a place among all blocks: twice what it gains alone.
+    """Compute gᵀ B⁻¹ g of every vertex, with B its own block: twice what it gains alone.
 
     0 where the block has no inverse.
     """
@@ -277,7 +277,7 @@ def take_vectors(
     # Data out:
     taken: wp.array[wp.vec3d],
 ):
-    """Compute the vectors at some places."""
+    """Gather the vectors at some indices."""
     i = wp.tid()
     taken[i] = vectors[places[i]]
 
@@ -289,6 +289,6 @@ def put_vectors(
     # Data out:
     whole: wp.array[wp.vec3d],
 ):
-    """Compute the other way round: vectors to their places, of which none is named twice."""
+    """Scatter vectors to their indices, of which none occurs twice."""
     i = wp.tid()
     whole[places[i]] = vectors[i]

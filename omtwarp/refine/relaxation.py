@@ -1,7 +1,8 @@
 """Newton steps of the few vertices that hold back the whole map.
 
-On scans most of what is left to gain soon lies with a few hundredths of the vertices: thin limbs, and what a step of
-the whole map bent too far. Their own matrix is small, so that several steps of theirs cost less than one of all.
+On scans most of the remaining gain soon comes from a few hundredths of the vertices: on thin limbs, and where a step of
+the whole map went too far. Their own matrix is small, so that several steps of theirs cost less than one of all
+vertices.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from omtwarp.triangle_newton.newton import NewtonMatrix
 
 # A vertex is relaxed if it alone gains this many times what a step of all vertices gains on average for each.
 MIN_GAIN_RATIO = 3.0
-# No vertex counts for more than this share of the whole gain: more would need a step that leaves its tangent plane.
+# No vertex counts for more than this share of the whole gain: a larger one would need a step beyond its tangent plane.
 MAX_GAIN_SHARE = 0.01
 FREED_RINGS = 2  # rings of vertices that move with each vertex chosen
 MAX_CHOSEN_SHARE, MAX_FREED_SHARE = 0.15, 0.6  # of all vertices: beyond it a step of all costs no more
@@ -72,7 +73,7 @@ class Relaxation:
         self._device, self._patches, self._curvature_share = device, patches, curvature_share
         self._whole, self._vertices = points, self._sent(patches.vertices, wp.int32)
         self._points = self._taken(points, self._vertices)
-        # Of the whole map's area patches are a small part: its scale is taken to stay.
+        # Patches are a small part of the map's area: its scale is taken as constant.
         self._pressures = energy.pressures(terms, weight)
         self._areas = surface.face_areas[patches.triangles]
         freed = surface.scaled_vertices[patches.vertices[: patches.free]]

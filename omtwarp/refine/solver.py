@@ -2,8 +2,8 @@
 
 A projected Newton method. The Hessian of every triangle is made positive semidefinite in closed form, the sparse system
 is factorised, and between factorisations limited-memory BFGS corrects the last one (:mod:`omtwarp.refine.steps`). The
-few triangles that a step flips are untangled where they have moved to, so that the whole map keeps its step; where that
-fails, the corners of the triangles in trouble are held back, and last of all the step is shortened.
+few triangles that a step flips are untangled after the step, so that the whole map keeps its step; where that fails,
+the corners of these triangles are held back, and finally the step is shortened.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ MIN_CURVATURE_SHARE = 0.03  # of the curvature of D, see omtwarp.refine.kernels.
 MAX_TRUSTED_REPAIRS = 0.01  # of the vertices: a step after which fewer are repaired counts as a full step
 MIN_GAIN_SHARE = 0.15  # of the gain of the last new matrix: where a corrected step gains less, the matrix is renewed
 
-# With a small weight of area, angle + λ area of a nearly conformal map is a few hundredths above its least value, of
-# which an absolute tolerance would leave a tenth. Above an energy of 0.2, where all named weights are, it decides.
+# With a small weight of area, the energy of a nearly conformal map is a few hundredths above its least value, and an
+# absolute tolerance would leave a tenth of that. Above an energy of 0.2, where all named weights are, the absolute
+# tolerance decides.
 RELATIVE_TOLERANCE = 0.01
 
 
@@ -78,7 +79,7 @@ class _Step:
 
 
 class _MatrixPolicy:
-    """Decides when the matrix is factorised again, and which share of the curvature of D it has.
+    """Decides when the matrix is factorised again, and which share of the curvature of D it keeps.
 
     Attributes:
         curvature_share: of the curvature of D that is in the next matrix, MIN_CURVATURE_SHARE to 1.
@@ -106,7 +107,7 @@ class _MatrixPolicy:
         return False
 
     def judge(self, step: _Step, gain: float, decrement: float, relaxed: int) -> None:
-        """Choose the next matrix by what a step has gained of the half decrement that its quadratic model promised."""
+        """Choose the next matrix by the gain of a step relative to the quadratic model's, half the decrement."""
         fresh, trust = self.renew, 2.0 * gain / decrement
         if fresh:
             if step.length == 1.0 and step.mended <= self._trusted_repairs and 0.75 < trust:
@@ -135,7 +136,7 @@ class Refiner:
 
     @property
     def budget(self) -> RepairBudget:
-        """How much more may be untangled after steps."""
+        """The remaining budget for untangling after steps."""
         return self._flip_free.budget
 
     @blas_threads(1)

@@ -57,7 +57,7 @@ class Steps(Protocol):
         """Compute the Newton matrix of a map, and drop all pairs."""
 
     def factorise(self) -> None:
-        """Make ready for directions with the matrix assembled last."""
+        """Factorise the matrix assembled last, or prepare its levels."""
 
     def decrements(self, gradient: wp.array) -> NDArray[np.float64]:
         """Return twice the expected gain of every vertex alone, by the matrix assembled last, shape [V]."""

@@ -1,7 +1,7 @@
 """Direct factorisations of matrices whose pattern is the edges of a mesh: SciPy's, or the built-in one.
 
-Both are made by the functions at the end, which ask :mod:`omtwarp.device.policy` for the choice. SciPy's is the plain
-way: it takes the same blocks, makes an ordinary sparse matrix of them and passes it to SuperLU.
+The functions at the end make one of them, chosen by :mod:`omtwarp.device.policy`. SciPy's takes the same blocks, makes
+an ordinary sparse matrix of them and passes it to SuperLU.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def mesh_factor(
     block: int = 1,
     workspace: Workspace | None = None,
 ) -> MeshFactor:
-    """Make the factorisation that is asked for, of matrices on the edges of a mesh.
+    """Create the chosen factorisation of matrices on the edges of a mesh.
 
     Args:
         count: number of vertices V.
@@ -189,7 +189,7 @@ def surface_factor(surface: Surface, block: int = 1, workspace: Workspace | None
 
 
 def surface_saddle_factor(surface: Surface) -> SaddlePointFactor:
-    """Make the factorisation that is asked for, of saddle-point matrices on a surface."""
+    """Create the chosen factorisation of saddle-point matrices on a surface."""
     if solves_with_scipy():
         i, j = surface.edges.T
         return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])
@@ -198,10 +198,10 @@ def surface_saddle_factor(surface: Surface) -> SaddlePointFactor:
 
 
 def saddle_factor(points: NDArray[np.float64], edges: NDArray[np.int32]) -> SaddlePointFactor:
-    """Make the factorisation that is asked for, of saddle-point matrices on the edges of any mesh.
+    """Create the chosen factorisation of saddle-point matrices on the edges of any mesh.
 
     Args:
-        points: positions of the vertices, shape [V, 3]; they only say which are near one another.
+        points: positions of the vertices, shape [V, 3]; used only for which are near one another.
         edges: every edge (i, j) once, shape [E, 2].
     """
     if solves_with_scipy():
@@ -211,17 +211,17 @@ def saddle_factor(points: NDArray[np.float64], edges: NDArray[np.int32]) -> Sadd
 
 
 def cell_saddle_factor(surface: Surface, cells: NDArray[np.int32]) -> SaddlePointFactor:
-    """Solve with a multiplier for every cell, a group of vertices; shape [N, K]."""
+    """Create the chosen factorisation with a multiplier for every cell, a group of vertices; shape [N, K]."""
     return saddle_factor_of_cells(surface.scaled_vertices, surface.edges, cells)
 
 
 def saddle_factor_of_cells(
     points: NDArray[np.float64], edges: NDArray[np.int32], cells: NDArray[np.int32]
 ) -> SaddlePointFactor:
-    """Make the factorisation that is asked for, of saddle-point matrices on the edges and cells of any mesh.
+    """Create the chosen factorisation of saddle-point matrices on the edges and cells of any mesh.
 
     Args:
-        points: positions of the vertices, shape [V, 3]; they only say which are near one another.
+        points: positions of the vertices, shape [V, 3]; used only for which are near one another.
         edges: every edge (i, j) once, shape [E, 2].
         cells: the vertices of every cell, shape [N, K].
     """

@@ -88,9 +88,9 @@ class LaplacianSolver:
 class SurfaceLaplacianSolver:
     """Solves L u = b for the cotangent Laplacian of a surface at its own or other positions of its vertices.
 
-    The same as :class:`LaplacianSolver` of :func:`omtwarp.geometry.cotangent_laplacian` to round-off. On the host the
-    order of elimination belongs to the surface: it is worked out once for all positions, and the factorisation is
-    several times faster than SuperLU's. See :func:`on_device` for when it is not the host.
+    Equal to :class:`LaplacianSolver` of :func:`omtwarp.geometry.cotangent_laplacian` to round-off. On the host the
+    order of elimination is computed once for a surface and all positions, and the factorisation is several times faster
+    than SuperLU's. :func:`on_device` says when it is done on the device.
 
     Args:
         surface: a closed surface, V vertices.
@@ -148,7 +148,7 @@ class SurfaceLaplacianSolver:
 def solve_arrays(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp.array]:
     """Solve for right-hand sides that are Warp arrays, float64, shape [V], with any solver.
 
-    They leave the device where the solver is on the host, and only there; solutions are on the device again.
+    They are copied to the host only where the solver is there; solutions are on the device.
     """
     if isinstance(solver, SurfaceLaplacianSolver):
         return solver.solve_arrays(rights)
@@ -184,7 +184,7 @@ class EdgeLaplacianSolver:
         edges = surface.edges
         count = surface.vertex_count
         diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)
-        # The pinned vertex keeps its place, joined to nothing: its unknown is its right-hand side, zero.
+        # The pinned vertex stays in the matrix without couplings: its unknown is its right-hand side, zero.
         joined = (edges[:, 0] != pinned) & (edges[:, 1] != pinned)
         self._pinned = pinned
         self._fallback: LaplacianSolver | None = None

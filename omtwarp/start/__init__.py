@@ -1,1 +1,1 @@
-"""A map to start from, also where the conformal map does not exist in float64."""
+"""The start of the pipeline, also where the conformal map cannot be represented in float64."""

@@ -1,4 +1,4 @@
-"""The map that transport starts from: conformal where float64 can hold it, another bijection where it cannot."""
+"""Choice of the start: the conformal map where float64 can represent it, another bijection elsewhere."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from omtwarp.start.tube import tube_map
 from omtwarp.untangling.untangle import untangle
 
 # Unit vectors in float64 are known to about 1e-16, and so are triple products of them: below this area, in steradians,
-# a triangle's orientation is a matter of rounding.
+# a triangle's orientation depends on rounding.
 SMALLEST_AREA = 1e-15
-# More flips than this part of the faces are no local defect, and repairing them remakes the map: other starts go first.
+# More flips than this share of the faces are no local defect, and their repair changes the whole map: other starts are
+# tried first.
 REPAIRABLE = 0.02
 # Above this area distortion a coarse-to-fine map is compared with the conformal map repaired all over. Of fifteen
 # shapes whose conformal maps flip 2 to 50 % of the triangles, prisms with caps of long triangles were at 9.1 to 10.1
 # coarse to fine and at 2.1 to 2.5 repaired, and a thin disc at 2.9 and 3.1; all others were below 2.2 coarse to fine.
 COARSE_AREA = 2.5
-# A tube map without flips is taken where its area distortion is below this. Of seventeen shapes that the conformal map
-# cannot hold, the four smooth tubes and needles were at 2.02, against 2.08 to 2.47 coarse to fine; of the others one
-# had no flip, at 3.99.
+# A tube map without flips is taken where its area distortion is below this. Of seventeen shapes whose conformal map
+# float64 cannot represent, the four smooth tubes and needles were at 2.02, against 2.08 to 2.47 coarse to fine; of the
+# others one had no flip, at 3.99.
 TUBE_AREA = 2.1
 
 

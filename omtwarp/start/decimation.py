@@ -30,9 +30,9 @@ from omtwarp.start.decimation_kernels import (
 _CHEAPER_PART = 0.6
 # Below this many vertices one goes at a time: independent removals of tiny meshes can produce the same face twice.
 _ONE_AT_A_TIME = 8
-# Part of a star's mass that its fan shares evenly, whatever the areas in space.
+# Share of a star's mass that is divided evenly over its fan, independent of areas in space.
 _EVEN_SHARE = 0.2
-# No face starts with less than this part of the mean mass: a sliver's own mass would be no barrier against its flip.
+# Least mass of a face, relative to the mean: the mass of a sliver would be no barrier against its flip.
 _MASS_FLOOR = 1e-3
 
 
@@ -252,7 +252,7 @@ def _refan(
     fan_masses: NDArray[np.float64],
     count: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Return the faces and masses after the stars of the removed vertices have given way to fans."""
+    """Return the faces and masses after fans have replaced the stars of the removed vertices."""
     gone = np.zeros(count, dtype=bool)
     gone[removal.vertices] = True
     kept = ~gone[faces].any(axis=1)

@@ -1,4 +1,4 @@
-"""Kernels of one round of simplification: which vertices may go, what their going costs, which go together.
+"""Kernels of one round of simplification: which vertices can be removed, at which cost, and which at the same time.
 
 A mesh is given by its half-edges sorted by (tail, head): row ``v`` of ``offsets`` holds the half-edges that leave
 ``v``, with ``heads`` their other end and ``thirds`` the vertex opposite in their face (v, head, third), which is also
@@ -10,8 +10,8 @@ from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# Vertices of higher degree wait until their neighbours have gone. A closed triangulation of the sphere always has a
-# vertex of degree at most 5, and one of degree at most 5 can always be removed, so waiting never ends in a deadlock.
+# Vertices of higher degree wait until neighbours have been removed. A closed triangulation of the sphere always has a
+# vertex of degree at most 5, and one of degree at most 5 can always be removed, so that waiting ends.
 MAX_VALENCE = 12
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
 Ring = wp.types.vector(length=MAX_VALENCE, dtype=wp.int32)
@@ -19,7 +19,7 @@ Ring = wp.types.vector(length=MAX_VALENCE, dtype=wp.int32)
 FORBIDDEN_COST = wp.constant(wp.float64(1.0e300))  # of a removal that would break the mesh: more than any other
 NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))  # the largest int64, after every key
 _FOUR_ROOT_THREE = wp.constant(wp.float64(6.928203230275509))  # Σ of squared sides over area, if equilateral
-_WORST_SHAPE = wp.constant(wp.float64(20.0))  # chosen: needles beyond are equally bad, or one would outweigh its ring
+_WORST_SHAPE = wp.constant(wp.float64(20.0))  # chosen: needles beyond count equally, or one would outweigh its ring
 _MAX_FREE_VALENCE = wp.constant(wp.int32(8))  # degrees up to which a vertex is not crowded; twelve fit the arrays
 
 
@@ -136,7 +136,7 @@ def propose_collapses(
                         q = points[ring[(apex + k) % valence]]
                         r = points[ring[(apex + k + 1) % valence]]
                         shape += shape_penalty(points[w], q, r, star_normal)
-                    # Kept valences stay low, so that rings fit the fixed-size arrays and their kernels stay wide.
+                    # Valences stay low, so that rings fit the arrays of fixed size and their kernels stay large.
                     crowd = wp.float64(wp.max(0, offsets[w + 1] - offsets[w] + valence - 4 - _MAX_FREE_VALENCE))
                     total = mass * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
                     if total < best:

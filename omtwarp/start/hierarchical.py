@@ -3,8 +3,8 @@
 Praun and Hoppe, "Spherical parametrization and remeshing" (2003); Hu, Fu and Liu, "Advanced hierarchical spherical
 parameterizations" (2017). A vertex returns inside the kernel of its ring's spherical polygon, never empty where
 the coarser map has no flip, and moves only where all triangles around it stay positive: so no triangle flips at any
-level, whatever the shape. Coarse triangles carry the area of the surface they stand for, so that a long limb keeps its
-share of the sphere where a conformal map would shrink it exponentially.
+level, whatever the shape. Coarse triangles have the area of the part of the surface that they replace, so that a long
+limb keeps its share of the sphere where a conformal map would shrink it exponentially.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from omtwarp.start.decimation import Level, Removal, integers, simplify
 from omtwarp.start.decimation_kernels import MAX_VALENCE
 from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices, triangle_coefficients
 
-# Coarse triangles' areas are exact, their shapes are guesses at the surface between their corners: on a level of n
-# vertices, a quarter of all or fewer, area weighs at least this number over n. Long tubes' areas come out nearer to
-# their own (distortion 5.6 instead of 7.1 at 30 girths), compact shapes the same.
+# The areas of coarse triangles are exact, their shapes only approximate: on a level of n vertices, a quarter of all or
+# fewer, the weight of area is at least this number over n. This lowers the area distortion of long tubes (5.6 instead
+# of 7.1 at 30 girths) and does not change that of compact shapes.
 _COARSE_AREA_WEIGHT = 1e4
 # Part of an equilateral triangle mixed into each coarse triangle's metric.
 _ROUNDING = 0.001
-# Levels with fewer vertices than this cost nothing and carry the global layout: they are relaxed well.
+# Levels with fewer vertices than this are cheap and determine the global layout: they get more sweeps.
 _SMALL_LEVEL = 1000
 _SMALL_SWEEPS = 30
 _SWEEPS = 8
@@ -136,7 +136,7 @@ class _Embedding:
         self.enter(level)
 
     def insert(self, removal: Removal) -> None:
-        """Put removed vertices back; where a kernel is too thin for float64, relax the coarser map and try again."""
+        """Insert removed vertices; where a kernel is too thin for float64, relax the coarser map and try again."""
         size = len(removal.vertices)
         vertices, rings, valences = (
             integers(x, self.device) for x in (removal.vertices, removal.rings, removal.valences)
@@ -161,7 +161,7 @@ class _Embedding:
         )
 
     def enter(self, level: Level) -> None:
-        """Take up a level whose vertices all have their places."""
+        """Begin a level whose vertices are all placed."""
         self.level = level
         self.vertices, self.offsets, self.heads, self.thirds = (
             integers(x, self.device) for x in (level.vertices, level.offsets, level.heads, level.thirds)

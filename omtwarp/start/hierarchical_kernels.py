@@ -1,4 +1,4 @@
-"""Kernels of the coarse-to-fine embedding: a place for a new vertex, and moves that cannot flip a triangle."""
+"""Kernels of the coarse-to-fine embedding: insertion of vertices, and moves that cannot flip a triangle."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY
@@ -39,7 +39,7 @@ def insert_vertices(
 
     The kernel of a spherical polygon is where all its edges' great circles are on the left. Its largest cap is centred
     where the smallest cap around the edges' unit normals is: a point that two or three of the normals determine. All of
-    these are tried, so that rounding in a nearly degenerate one cannot mislead.
+    these are tried, so that rounding in a nearly degenerate one does no harm.
     """
     i, _compiled_once = wp.tid()
     v = removed[i]
@@ -98,7 +98,7 @@ def triangle_coefficients(
     """Compute cotangents at vertex, head and third of the triangle in space, and its target area, for every half-edge.
 
     Adding one number to all three squared lengths adds an equilateral triangle's metric: slivers, and the flattened
-    limbs of coarse levels, become triangles whose shape can be asked for.
+    limbs of coarse levels, get a shape that can be reached.
     """
     i, _compiled_once = wp.tid()
     p = points[vertices[i]]

@@ -1,4 +1,4 @@
-"""Whether a motion still preserves area: the check that a falling cost is real."""
+"""The area error of a moving map, which shows whether a falling cost is real."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ LARGEST_ERROR = 0.1
 class AreaMonitor:
     """Measures the area error of a moving map on the device.
 
-    Where a mesh is too coarse for a motion, its vertices can shorten their way by giving up area, and the cost falls
-    below what any mass-preserving map can reach. A cost that falls proves nothing unless this stays where it was.
+    Where a mesh is too coarse for a motion, its vertices can shorten their paths by losing area, and the cost falls
+    below that of any mass-preserving map. A falling cost is meaningful only if the area error does not grow.
     """
 
     def __init__(self, surface: Surface, device: wp.Device):

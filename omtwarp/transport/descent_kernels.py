@@ -1,4 +1,4 @@
-"""Kernels of a descent that decides on the device: inner products, directions, and what to make of a step."""
+"""Kernels of a descent that decides on the device: inner products, directions, and acceptance of steps."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sum_kernels import GROUP, LANES, column_sum, first_row
@@ -6,7 +6,7 @@ from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))  # share of what the slope promises that a step has to gain (Armijo)
+SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))  # share of the gain by the slope that a step has to reach (Armijo)
 AREA_HALVINGS = wp.constant(3)  # of a step that loses too much area, at most
 STEP_TRIALS = wp.constant(30)  # lengths of a step, at most: halved so often, it is below 1e-9 of the first
 TENTH = wp.constant(wp.float64(0.1))
@@ -23,20 +23,20 @@ ITERATIONS = wp.constant(5)
 
 @wp.struct
 class FlowState:
-    """Where a descent stands, and what it goes by; one of them, on the device."""
+    """The state and the parameters of a descent; a single one, on the device."""
 
     # Set at the start:
     most: wp.int32  # iterations
     conjugate: wp.int32  # 0 for steepest descent
     tolerance: wp.float64  # of the relative curl
-    cost_tolerance: wp.float64  # three steps that lower the cost by less than this part of it in all are the end
-    negligible: wp.float64  # part of the cost that a step has to promise
+    cost_tolerance: wp.float64  # three steps that together lower the cost by less than this share of it end the descent
+    negligible: wp.float64  # share of the cost that a step has to be expected to gain
     scale: wp.float64  # of the preconditioned gradient: the second derivative of the cost along it
     longest: wp.float64
     first_cost: wp.float64
-    largest_error: wp.float64  # of the areas, as long as nothing is gained
-    area_price: wp.float64  # what it may grow by, for the whole of the cost
-    # Moves on:
+    largest_error: wp.float64  # bound on the area error, without any gain
+    area_price: wp.float64  # how much that bound grows for a gain of the whole cost
+    # Changes during the descent:
     cost: wp.float64
     area_error: wp.float64
     last_gain: wp.float64  # of cost, by the step before
@@ -51,7 +51,7 @@ class FlowState:
     shortened: wp.int32  # trials refused for their areas
     accepted: wp.int32
     finished: wp.int32
-    ended: wp.int32  # why, one of the numbers below
+    ended: wp.int32  # one of the numbers below, which say why
 
 
 @wp.kernel
@@ -99,7 +99,7 @@ def begin_iteration(
     running: wp.array[wp.int32],
     searching: wp.array[wp.int32],
 ):
-    """Write the record, see whether this is the end, and choose the direction.
+    """Write the record, test for the end, and choose the direction.
 
     Polak and Ribière's conjugate directions, restarted when they stop pointing downhill.
     """
@@ -170,10 +170,10 @@ def judge_step(
     running: wp.array[wp.int32],
     searching: wp.array[wp.int32],
 ):
-    """Accept a step, or say how long the next one is to be tried, or give up."""
+    """Accept a step, or choose the length of the next trial, or give up."""
     s = state[0]
     cost = column_sum(measured, 0)
-    # The parabola through the cost, its slope and the trial says where along this direction to stop.
+    # The minimum of the parabola through the cost, its slope and the trial is the next length.
     bend = (cost - s.cost - s.slope * s.step) / (s.step * s.step)
     best = TWO * s.step
     if bend > ZERO:
@@ -188,7 +188,7 @@ def judge_step(
         elif s.shortened == AREA_HALVINGS:
             over = 1
         else:
-            # What a step costs in area grows with its square, what it gains with its length.
+            # The area error of a step grows with the square of its length, the gain with the length.
             s.shortened = s.shortened + 1
             s.step = HALF * s.step
     else:
@@ -207,7 +207,7 @@ def judge_step(
             s.cost = cost
             s.step = wp.min(wp.min(wp.max(best, HALF * s.step), TWO * s.step), s.longest)
         else:
-            # Either area will not have it, or no step along the best direction lowers the cost.
+            # Either the area error is too large, or no step along the best direction lowers the cost.
             s.finished = 1
             running[0] = 0
             s.ended = AREAS

@@ -51,7 +51,7 @@ from omtwarp.wavelets.filter import WaveletFilter
 MAXIMUM_ITERATIONS = {"default": 60, "plain": 1000}
 
 # A wavelet is used in full where it spans several mesh edges, and faded out where it does not: vertices cannot follow
-# a motion finer than they are, and a cost that falls by aliasing is no progress.
+# a motion finer than the mesh, and a cost that falls by aliasing is no progress.
 RESOLVED_EDGES = 3.0
 FADING = 3
 
@@ -59,10 +59,10 @@ FADING = 3
 # relative to the displacement, or when three steps together no longer lower the cost by a noticeable part.
 CURL_TOLERANCE = 2e-3
 COST_TOLERANCE = {"default": 1e-4, "plain": 3e-7}  # plain steps are short: small ones are not the last
-# A step that promises less than this part of the cost is not worth looking for.
+# No step is searched for whose expected gain is below this share of the cost.
 NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
-# The flow ends when the area error has grown by more than AREA_LOSS of what it was and AREA_PRICE times the part of the
-# cost that this bought: from there on the cost would fall at the expense of area.
+# The flow ends when the area error has grown by more than AREA_LOSS of its first value plus AREA_PRICE times the share
+# of the cost that was gained: beyond that the cost falls at the expense of area.
 AREA_LOSS = 0.1
 AREA_PRICE = 0.02
 LONGEST_STEP = 4.0
@@ -81,11 +81,11 @@ ENDINGS = (
     "most iterations made",
 )
 SETTLED_ENDINGS = ENDINGS[1:4]
-# Relative curl, of the whole displacement, up to which a map counts as optimal: what its cost is above the least goes
-# with the square. The flow's own curl leaves out what is too fine for the mesh where it is badly stretched, and is zero
-# where no wavelet is resolved.
+# Relative curl of the whole displacement up to which a map counts as optimal: the excess of its cost grows with the
+# square. The curl that the flow itself uses omits what is too fine for a badly stretched mesh, and is zero where no
+# wavelet is resolved.
 OPTIMAL_CURL = 0.025
-# What an iteration leaves behind, in the order of the kernels.
+# The numbers that an iteration records, in the order of the kernels.
 RECORD = ("cost", "curl", "step", "held", "area_error")
 
 
@@ -387,7 +387,7 @@ class _Flow:
         self.launch(keep_accepted, self.count, [self.trial, self.state], [self.points])
 
     def search(self, velocity: wp.array) -> None:
-        """Try a step."""
+        """Try a step along the direction."""
 
         def arguments(part: slice) -> Arguments:
             return [self.points[part], self.state, *self.grid.triangles, velocity], [self.hints[part], self.trial[part]]
@@ -430,7 +430,7 @@ class _Flow:
         self.state.assign(state)
 
     def iterations(self, record: bool | None = None) -> Graph:
-        """Return a graph of ITERATIONS_AT_ONCE iterations, which holds the flow alive, not the reverse."""
+        """Return a graph of ITERATIONS_AT_ONCE iterations; the graph keeps the flow alive, not the reverse."""
         graph = Graph(lambda: wp.capture_while(self.running, self.iterate), self.device, record)
         at_once = ITERATIONS_AT_ONCE if graph.recorded else 1
         self.records = wp.empty((at_once, len(RECORD)), dtype=wp.float64, device=self.device)
@@ -443,7 +443,7 @@ class _Flow:
         tolerance: float,
         progress: Progress | None = None,
     ) -> str:
-        """Iterate until the end, and say in words which it was."""
+        """Iterate until the end, and return its reason in words."""
         self.prepare(most, tolerance)
         while True:
             self.running.fill_(1)
@@ -467,8 +467,8 @@ def resolution_damping(
     ``squares`` holds the square of the longest edge of each of the image's triangles, shape [F], and ``places`` the
     triangle of the hierarchy's finest level that its centre is in.
 
-    A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (3 e / h)^2)^-3: all of it where it
-    spans many edges, next to nothing where it spans one. Nodes far from every vertex (inside a large triangle) get 0.
+    A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (3 e / h)^2)^-3: close to 1 where
+    it spans many edges, close to 0 where it spans one. Nodes far from every vertex (inside a large triangle) get 0.
     """
     longest = np.full(hierarchy.node_count, -np.inf)
     nodes = hierarchy.faces[places]

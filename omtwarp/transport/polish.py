@@ -1,14 +1,15 @@
-"""The last of the curl, removed on the image mesh itself.
+"""Removal of the remaining curl on the image mesh itself.
 
-The flow on the subdivided solid leaves what its wavelets cannot show. Here the stream function lives on the vertices of
-the image: one Poisson problem takes the curl out of log_y(x) (section 2.3, with Angenent, Haker and Tannenbaum's (2003)
-projection in place of steepest descent), and another, with the same factorised matrix, restores the areas, as one step
-of Moser's flow would (section 4.2). A few rounds leave a map that is closer to optimal and to area preserving at once.
+The flow on the subdivided icosahedron leaves the curl that its wavelets cannot represent. Here the stream function
+lives on the vertices of the image: one Poisson problem takes the curl out of log_y(x) (section 2.3, with Angenent,
+Haker and Tannenbaum's (2003) projection in place of steepest descent), and another, with the same factorised matrix,
+restores the areas, as one step of Moser's flow would (section 4.2). A few rounds leave a map that is closer to optimal
+and to area preserving at once.
 
-A vertex takes the mean velocity of the triangles around it, weighted by one over their areas. Beside a fan of triangles
-hundreds of times larger than the rest (the flat base of a scanned bust) vertices then move as the fine mesh does, and
-the fan, which hardly notices, follows. Weighted by angle or by area the fan pulls its rim through the small triangles
-next to it: on Max Planck the gap then stuck at 0.6 % of the cost, or fell at the expense of area.
+A vertex takes the mean velocity of the triangles around it, weighted by one over their areas. At the rim of a fan of
+triangles hundreds of times larger than the others (the flat base of a scanned bust) vertices then move with the fine
+mesh, and the fan hardly changes. Weighted by angle or by area, the fan pulls its rim through the small triangles next
+to it: on Max Planck the gap then stayed at 0.6 % of the cost, or fell at the expense of area.
 """
 
 from __future__ import annotations
@@ -38,17 +39,17 @@ from omtwarp.transport.polish_kernels import (
 )
 
 MAX_ROUNDS = 18  # at most; it ends sooner where a round gains too little
-# The part of the way that a round goes: where the map contracts strongly a full step overshoots. A round that does not
-# lower the curl, or is paid for with area, is taken back and tried again at half of it; the area is restored with twice
-# the step.
+# Share of the full step that a round takes: where the map contracts strongly a full step overshoots. A round that does
+# not lower the curl, or loses area, is undone and tried again at half the share; areas are restored with twice the
+# step.
 STEP = 0.7
 SHORTEST_STEP = 0.1
-# A round has to take at least this part off the curl to be worth another.
+# A round has to lower the curl by at least this share for another to follow.
 MIN_CURL_REDUCTION = 0.03
 NEGLIGIBLE_CURL = 1e-3
-# The area error has to stay where it was, both with triangles counting at most 0.1 each, which says how the bulk of the
-# map fares, and with up to 10 each, which says how the worst of it fare; but for so little that no measure shows it,
-# and the share of what is gained in cost that the flow allows itself too.
+# The area error must not grow, neither with triangles counting at most 0.1 each, which measures most of the map, nor
+# with up to 10 each, which measures the worst triangles, except by a negligible amount and by the share of the gain in
+# cost that the flow allows too.
 MAX_COUNTED_ERROR = 10.0
 AREA_SLACK = 1e-4
 

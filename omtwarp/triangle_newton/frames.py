@@ -1,4 +1,4 @@
-"""Frames of the triangles of a surface laid flat, what every energy of a map is measured against."""
+"""Frames of a surface's flattened triangles, the reference of every energy of a map."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from omtwarp.mesh.surface import Surface
 
-FLATTEST = 1e-14  # height over length that no triangle is below: its inverse is finite
+FLATTEST = 1e-14  # least height over length of a triangle, so that its inverse is finite
 EQUILATERAL_HEIGHT = np.sqrt(3.0) / 2.0  # over an edge
 
 
@@ -19,8 +19,8 @@ def triangle_frames(
     Args:
         surface: the surface; its area is taken as 4π. With another measure than area, every triangle is scaled to the
             area that it is to have.
-        thinnest: triangles thinner than this, as height over length, are made this thick, so that their shape asks for
-            something within reach; 0 keeps every triangle as it is.
+        thinnest: triangles thinner than this, as height over length, are made this thick, so that their shape can be
+            reached; 0 keeps every triangle as it is.
         triangles: indices of the triangles, shape [T]; all of the surface by default.
 
     Returns:
@@ -50,14 +50,14 @@ def _thickened(
     """Widen thin triangles across their length, whichever corner comes first.
 
     A triangle is the image of an equilateral one under a linear map; of its singular values the smaller one is raised.
-    What this does is the same for every order of the corners, and changes little where the triangle changes little.
+    The result does not depend on the order of the corners, and is continuous in the triangle.
 
     Args:
         base, foot, height: the first edge, and place and height of the third corner over it, shape [T].
         thinnest: the least height over length.
 
     Returns:
-        The same of the triangles after it.
+        Base, foot and height of the widened triangles.
     """
     across, up = (foot - 0.5 * base) / EQUILATERAL_HEIGHT, height / EQUILATERAL_HEIGHT
     determinant, square = base * up, base**2 + across**2 + up**2

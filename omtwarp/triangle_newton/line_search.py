@@ -1,4 +1,4 @@
-"""How far to go along a direction: until the energy falls as its slope promises (Armijo's condition)."""
+"""Line search by halving until the energy falls as predicted by its slope (Armijo's condition)."""
 
 from __future__ import annotations
 

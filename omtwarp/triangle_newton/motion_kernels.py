@@ -1,4 +1,4 @@
-"""Kernels that move a map along tangent vectors, and find the triangles that a step must not leave as they are."""
+"""Kernels that move a map along tangent vectors, and find the triangles that a step flips or nearly flattens."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.geometry.spherical import oriented_volume

@@ -32,7 +32,7 @@ class NewtonMatrix:
         edges: every edge between unknown vertices once, vec2i, shape [E].
         edge_corners: the two corners opposite to every edge, vec2i, shape [E].
         vertex_corners: corners around every unknown vertex as compressed rows, int32.
-        factor: what factorises it.
+        factor: the factorisation to use.
         shift: what is added to the diagonal, relative to its mean.
         growth: what is added to the diagonal, relative to its mean at each vertex.
     """
@@ -113,7 +113,7 @@ class NewtonMatrix:
         return self._diagonal.numpy().reshape(-1, 2, 2), self._off_diagonal.numpy().reshape(-1, 2, 2)
 
     def factorise(self, blocks: NDArray[np.float64] | None = None) -> None:
-        """Factorise, what blocks of triangles make or else what was assembled last.
+        """Factorise the matrix of the given blocks of triangles, or else the one assembled last.
 
         Raises:
             OmtwarpError: the blocks are not finite, or far from semidefinite.
@@ -153,7 +153,7 @@ def factorise_stiffened(
     """Factorise a matrix whose diagonal grows, in place, by as little as makes it definite.
 
     Args:
-        factor: what is made.
+        factor: the factorisation to compute.
         diagonal: blocks of the vertices, shape [V, 2, 2].
         off_diagonal: blocks of the edges, shape [E, 2, 2].
         shift, growth: what is added to the diagonal in any case, relative to its mean and to that of each vertex, which

@@ -1,4 +1,4 @@
-"""Gathers the Hessians of triangles into blocks of a sparse matrix; the kernels are of the host's factorisation."""
+"""Kernels that gather the Hessians of triangles into blocks of the sparse matrix that the host factorises."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 

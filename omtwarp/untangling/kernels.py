@@ -68,8 +68,8 @@ def solid_angles(
     solid[t] = TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
 
 
-# Beside triangle_hessian of refinement, which is built from eigenvectors: the area ratio is signed here and the barrier
-# a function of it, so that the two share the columns of the Jacobian and the tangent bases alone.
+# Unlike in triangle_hessian of refinement, which is built from eigenvectors, the area ratio is signed and the barrier a
+# function of it: the two share only the columns of the Jacobian and the tangent bases.
 @wp.kernel
 def untangle_newton(
     sphere: wp.array[wp.vec3d],

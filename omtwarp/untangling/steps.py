@@ -1,4 +1,4 @@
-"""Steps of a whole map that flip no triangle: what a step flips is untangled where it has moved to, or held back."""
+"""Steps of a whole map that flip no triangle: triangles that a step flips are untangled after it, or held back."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from omtwarp.triangle_newton.motion_kernels import hold_back, retract_to_sphere,
 from omtwarp.untangling.untangle import RepairBudget, Schedule, untangle_patches
 
 HOLDS = 30  # halvings of the shares of corners of triangles in trouble
-MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is at fault
+MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is too long
 REPAIRS = (
     Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
     Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02, largest=0.5),
@@ -41,7 +41,7 @@ class FlipFreeSteps:
     ) -> tuple[wp.array, int] | None:
         """Move points by the whole step, and untangle the patches around triangles that it flips.
 
-        Holding a few vertices back while all around them move on would tangle them more.
+        Holding a few vertices back while those around them move would tangle them more.
 
         Args:
             points: a map without flips, vec3d, shape [V].
@@ -94,7 +94,7 @@ class FlipFreeSteps:
         return None
 
     def _admitted(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the map nearby of the kind that these steps lead to, shape [V, 3]; here every map is."""
+        """Return the nearest map of the kind that these steps lead to, shape [V, 3]; here the map itself."""
         return sphere
 
     def _counted(self, faces: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -111,7 +111,7 @@ class FlipFreeSteps:
         return moved
 
     def _trouble(self, moved: wp.array, volume: wp.array) -> NDArray[np.bool_] | None:
-        """Return the triangles that a step must not leave as they are, shape [F]; None where there are none."""
+        """Return the triangles that a step flips or nearly flattens, shape [F]; None where there are none."""
         faces = self._surface.face_count
         trouble = wp.empty(faces, dtype=wp.int32, device=self._device)
         count = wp.zeros(1, dtype=wp.int32, device=self._device)

@@ -45,7 +45,7 @@ class Schedule:
         thinnest: see :func:`omtwarp.triangle_newton.frames.triangle_frames`.
         weight: λ, how much area counts against angle.
         largest: the first ε; the larger, the freer are triangles to pass through one another.
-        most: flipped triangles of a patch, at most; patches with more are left to the attempts after it.
+        most: flipped triangles of a patch, at most; patches with more are left to later attempts.
     """
 
     rings: int
@@ -66,16 +66,16 @@ SCHEDULES = (
     Schedule(rings=17, factor=0.7, steps=8, thinnest=0.3),
     Schedule(rings=10**9, factor=0.7, steps=10, thinnest=0.3),
 )
-SMALLEST_EPSILON = 1e-4  # of the area ratio D: where ε is this small the energy is a barrier, and a flip left stays
-# A Newton step takes as long as one over so many more vertices, however few it moves.
+SMALLEST_EPSILON = 1e-4  # of the area ratio D: with an ε this small the energy is a barrier, and remaining flips stay
+# A Newton step of few vertices takes as long as one over this many more: its fixed cost.
 STEP_WORK = 1000
 # Repairs of thirteen scans and made shapes took up to 16 steps over all vertices; long caps, sharp boxes and tangled
 # limbs took 60 to 1,900, up to a minute for a thousand triangles, for areas better by 0.25 at most.
 WORK_PER_VERTEX = 120.0
-# Of the sphere: a patch whose triangles cover nothing in sum is not taken for one that covers everything.
+# Of the sphere: a patch whose triangles cover nothing in sum is not mistaken for one that covers everything.
 SHARE_ROUND_OFF = 1e-9
-# What the diagonal of the semidefinite Hessian grows by. With 1e-9 of it steps along what the Hessian hardly holds make
-# a change of 1e-12 in a map into one of 5e-4 (a scan with 230 flips), with 1e-5 into 8e-6, with 1e-3 into 1e-8.
+# Relative growth of the diagonal of the semidefinite Hessian. With 1e-9, steps along directions of little curvature
+# turn a change of 1e-12 in a map into one of 5e-4 (a scan with 230 flips), with 1e-5 into 8e-6, with 1e-3 into 1e-8.
 DAMPING = 1e-3
 MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
 SETTLED_GAIN = 0.01  # of a patch's energy: where a step is expected to gain less than half of it, ε is lowered
@@ -83,11 +83,11 @@ MAX_ACTIVE_SHARE = 0.7  # of the triangles: where fewer are in tangled patches, 
 
 
 class RepairBudget:
-    """How much untangling may take, counted in vertices times Newton steps, so that the same is done on every machine.
+    """The work that untangling may take, in vertices times Newton steps, which is the same on every machine.
 
     Args:
-        surface: the surface; larger ones are granted more.
-        share: of what a whole repair is granted.
+        surface: the surface; larger ones get a larger budget.
+        share: of the budget of a whole repair.
     """
 
     def __init__(self, surface: Surface, share: float = 1.0):
@@ -96,7 +96,7 @@ class RepairBudget:
 
     @property
     def exhausted(self) -> bool:
-        """Whether nothing is left."""
+        """Whether the budget is used up."""
         return self.spent > self.granted
 
     def spend(self, vertices: int) -> None:
@@ -114,7 +114,7 @@ class UntangleResult:
         flips_after: the same in ``sphere``.
         bijective: whether ``sphere`` is one to one: no triangle is flipped, and every ring turns once.
         rounds: rounds of minimisation over all attempts.
-        vertices_moved: vertices that are not where they were.
+        vertices_moved: how many vertices moved.
         history: one record per attempt: rings, vertices freed, patches, rounds, flips left.
     """
 
@@ -147,11 +147,11 @@ def untangle(
     Args:
         surface: the original surface in any form that :func:`omtwarp.map_to_sphere` takes, V vertices and F faces.
         sphere: images of its vertices, unit vectors, shape [V, 3]; triangles may be flipped or of area zero.
-        schedules: attempts, each from what the one before it left, until one leaves a bijection.
-        budget: what it may take; as much as the surface is granted where left out.
+        schedules: attempts, each from the result of the one before, until one gives a bijection.
+        budget: the work that it may take; by default that of the surface.
         device: where the kernels run; the sparse systems are solved on the host.
         progress: called as ``progress("untangle", attempt, attempts, details)`` before every attempt; ``tangled`` of
-            the details is how many triangles are left.
+            the details is the number of triangles to repair.
 
     Returns:
         The map and what was done. ``bijective`` is True unless every attempt failed.
@@ -216,9 +216,9 @@ def untangle_patches(
         surface: the original surface, V vertices and F faces.
         sphere: unit vectors, shape [V, 3].
         seeds: the triangles to free, shape [F].
-        schedule: how.
+        schedule: the parameters of the attempt.
         device: a Warp device.
-        budget: what it may take; as much as the surface is granted where left out.
+        budget: the work that it may take; by default that of the surface.
 
     Returns:
         The map, shape [V, 3], and the number of vertices freed.
@@ -229,7 +229,7 @@ def untangle_patches(
 
 
 def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], schedule: Schedule) -> NDArray[np.bool_]:
-    """Return the flipped triangles of those patches that have no more of them than the schedule takes on, shape [F]."""
+    """Return the flipped triangles of those patches that have no more of them than the schedule allows, shape [F]."""
     if schedule.most >= flipped.sum():
         return flipped
     seed = np.zeros(int(faces.max()) + 1, dtype=bool)
@@ -256,13 +256,14 @@ class _Untangling:
         self.frames = triangle_frames(surface, schedule.thinnest, self.whole.triangles)
         self._take(self.whole)
         covered = self._covered(vectors(sphere[self.whole.vertices], device), self.whole)
-        # What lies around a patch says which part of the sphere it is to cover, up to whole spheres; all of it is one.
+        # The surroundings of a patch determine the area that it has to cover, up to whole spheres; the whole map covers
+        # one.
         alone = self.whole.free == len(self.whole.vertices)
         self.share = np.ones(1) if alone else covered - np.floor(covered + SHARE_ROUND_OFF)
         self.whole_share, self.surplus = self.share, np.rint(covered - self.share)
 
     def _take(self, patches: Patches) -> None:
-        """Make the matrix, the gradient's index and the arrays on the device for these patches."""
+        """Create the matrix, the gradient's index and the arrays on the device for these patches."""
         self.patches = patches
         points = self.surface.scaled_vertices[patches.vertices[: patches.free]]
         self.matrix = NewtonMatrix.of_patches(patches, points, growth=DAMPING)
@@ -295,7 +296,7 @@ class _Untangling:
         self.result[self.patches.vertices[:free]] = points[:free]
 
     def solve(self, budget: RepairBudget) -> tuple[NDArray[np.float64], int]:
-        """Lower ε until no patch has a flipped triangle, or it is at its smallest; the map and the number of rounds."""
+        """Lower ε to its smallest, or until no patch has a flip; return the map and the number of rounds."""
         points = wp.array(self.sphere[self.patches.vertices], dtype=wp.vec3d, device=self.device)
         epsilon = np.full(self.whole.count, self.schedule.largest)
         active = np.ones(self.whole.count, dtype=bool)
@@ -322,11 +323,12 @@ class _Untangling:
         return self.result, rounds
 
     def _take_back(self) -> None:
-        """Leave patches as they were that ended with no fewer flips: the next attempt frees more around them.
+        """Restore patches that ended with no fewer flips; the next attempt frees more around them.
 
         A patch too small for its triangles can end with more flips than it began with. Patches that cover their part of
-        the sphere too often are taken back too: flipped triangles show the next attempt where a patch is tangled, which
-        vertices with rings that turn twice do not.
+        the sphere more than once are restored too: the next attempt finds tangled patches by their flipped triangles,
+            not
+        by vertices whose rings turn twice.
         """
         whole = self.whole
         faces = self.surface.faces[whole.triangles]
@@ -340,7 +342,7 @@ class _Untangling:
         self.result[back] = self.sphere[back]
 
     def _newton_step(self, points, epsilon, active) -> tuple[wp.array, bool]:
-        """Return the points after a step of the active patches, and whether none of these had much left to gain."""
+        """Take a step of the active patches; return the points, and whether all expected gains are small."""
         patches = self.patches
         face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device)
         energy = self._energy(points, face_epsilon)
@@ -365,7 +367,7 @@ class _Untangling:
                 direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
         slope = patches.sum_of_vertices((direction * gradient).sum(axis=1))
         settled = bool((-slope <= SETTLED_GAIN * energy)[active].all())
-        # No vertex moves farther than a radian: beyond that its tangent plane says nothing about the sphere.
+        # No vertex moves farther than a radian: beyond that its tangent plane does not approximate the sphere.
         longest = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)
         moved, _ = search_patches(
             lambda length: self._moved(points, direction * length[patches.vertex_patch][:, None]),
@@ -378,7 +380,7 @@ class _Untangling:
         return moved, settled
 
     def _moved(self, points, step: NDArray[np.float64]):
-        """Return the points after the freed ones have gone by coordinates [free, 2] in their tangent planes."""
+        """Move the freed points by coordinates [free, 2] in their tangent planes."""
         moved = wp.clone(points)
         inputs = [points, wp.array(step, dtype=wp.float64, device=self.device)]
         wp.launch(move_in_tangent, dim=self.patches.free, inputs=inputs, outputs=[moved], device=self.device)
@@ -394,10 +396,7 @@ class _Untangling:
         return energy
 
     def _covered(self, points: wp.array, patches: Patches) -> NDArray[np.float64]:
-        """Return how much of the sphere every patch covers, with signs and as often as it does, shape [count].
-
-        1 is all.
-        """
+        """Return the signed area that every patch covers, with multiplicity, over that of the sphere, shape [count]."""
         faces = triangles(patches.faces, self.device)
         solid = wp.empty(len(faces), dtype=wp.float64, device=self.device)
         wp.launch(solid_angles, dim=len(faces), inputs=[points, faces], outputs=[solid], device=self.device)

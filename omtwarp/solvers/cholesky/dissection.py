@@ -1,7 +1,7 @@
 """Nested dissection of a surface mesh, and the fronts of the elimination that follows from it.
 
-The vertices are halved again and again across the direction in which a part is longest, or another where too many edges
-would cross, at the place near the middle that the fewest edges cross; the ends of those edges on one side separate the
+Parts are halved repeatedly across their longest direction, or another where too many edges would cross, at the position
+near the middle that the fewest edges cross; the ends of those edges on one side separate the
 two halves and are eliminated after them (George, "Nested dissection of a regular finite element mesh", 1973). All parts
 of a depth are cut together, so that the work is a few sorts of all vertices for every depth.
 """
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from omtwarp.mesh.surface import Surface
 
-MAX_LEAF_VERTICES = 24  # vertices of a part that is cut no further: from here on dense elimination is as cheap
+MAX_LEAF_VERTICES = 24  # vertices of a part that is cut no further: dense elimination is then as fast
 CUT_WINDOW = 0.2  # how far from the middle of a part it may be cut
 # Other directions are tried where a cut crosses more edges than this times √(vertices of the part); scans have 2 to 4.
 MAX_CUT_RATIO = 5.0
@@ -112,7 +112,7 @@ def dissect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int = M
     """Order the vertices of a mesh for elimination.
 
     Args:
-        points: positions, shape [V, 3]; they only say which vertices are near one another.
+        points: positions, shape [V, 3]; used only for which vertices are near one another.
         edges: every edge once, shape [E, 2]; the pattern of the matrices to come.
         leaf: parts of at most so many vertices are not cut further.
     """
@@ -214,7 +214,7 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
         stays = ~separates[alive]
         going = alive[stays & (sizes > leaf)[part]]
         node[going] = 2 * node[going] + side[going]
-        # Parts that are small enough are done: nothing of them takes part any more.
+        # Parts that are small enough are done.
         alive = going
         if not len(alive):
             break
@@ -323,7 +323,7 @@ def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np
 def surface_dissection(surface: Surface) -> Dissection:
     """Return the order in which sparse matrices on a surface's edges are eliminated.
 
-    Worked out once and kept with it.
+    Computed once and cached with the surface.
     """
     return surface.kept("dissection", lambda: dissect(surface.scaled_vertices, surface.edges))
 

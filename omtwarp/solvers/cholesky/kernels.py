@@ -1,6 +1,6 @@
 """Kernels of the factorisation, front by front, and of the triangular solves.
 
-They run on the CPU, beside LAPACK. Fronts are stored by columns, of which only the lower triangle is used.
+They run on the CPU and call LAPACK. Fronts are stored by columns, and only their lower triangles are used.
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
@@ -8,10 +8,9 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 wp.set_module_options(KERNEL_OPTIONS)
 
 
-# Raw pointers, because the compiler turns loops over them into vector instructions and loops over Warp's arrays not:
-# three times as fast. Left alone it unrolls them besides, which is no faster and takes about half of the time to
-# compile this file: hence the pragmas. LAPACK and BLAS are called by address (see lapack.py), so that no front passes
-# through Python.
+# Raw pointers, because the compiler vectorises loops over them but not over Warp's arrays: three times as fast. The
+# pragmas prevent unrolling, which is no faster and takes about half of the time to compile this file. LAPACK and BLAS
+# are called by address (see lapack.py), so that no front passes through Python.
 ASSEMBLE = """
     const int rows_count = starts.data[f + 1] - starts.data[f];
     const int size = block * rows_count, width = block * block;
@@ -167,12 +166,12 @@ def factorise_fronts(
     factor: wp.array[wp.float64],
     failed: wp.array[wp.int32],
 ):
-    """Put fronts together, each from the matrix and its children, and eliminate them, one after another.
+    """Assemble fronts, each from the matrix and its children, and eliminate them in order.
 
-    One thread does all of them, since a front may follow from the one before; ``failed`` is the first whose pivots have
+    One thread does all of them, since a front may depend on the one before; ``failed`` is the first whose pivots have
     the wrong sign, or -1. The last ``negative`` own columns of a front have negative pivots: with L the columns as they
-    are kept, the matrix is L S Lᵀ, S diagonal with entries 1 and -1. Where ``eliminate`` is 0 fronts are only put
-    together.
+    are kept, the matrix is L S Lᵀ, S diagonal with entries 1 and -1. Where ``eliminate`` is 0 fronts are only
+    assembled.
     """
     failed[0] = wp.int32(-1)
     for k in range(fronts.shape[0]):
@@ -190,8 +189,8 @@ def factorise_fronts(
                 return
 
 
-# A front's own rows are consecutive in x. What its columns take from the rows above goes from child to parent, as in
-# the factorisation: branches can be done side by side, and every sum has the same order whoever does them.
+# A front's own rows are consecutive in x. Contributions to the rows above go from child to parent, as in the
+# factorisation: branches can run in parallel, and the order of every sum does not depend on the threads.
 DOWN = """
     for (int k = 0; k < fronts.shape[0]; ++k) {
         const int f = fronts.data[k];

@@ -13,7 +13,7 @@ from scipy.linalg import cython_blas, cython_lapack
 from omtwarp.device.threads import run_all
 
 PANEL = 192  # columns eliminated at once where threads share a front
-STRIP = 256  # columns of what is left that one of them updates at a time
+STRIP = 256  # columns of the remaining matrix that one of them updates at a time
 
 LETTERS = np.frombuffer(b"LRTN", dtype=np.uint8).copy()
 ONES = np.array([1.0, -1.0])  # the factors that routines of BLAS take by address
@@ -89,7 +89,7 @@ def eliminate_together(own: int, size: int, corner: int, negative: int = 0) -> b
             below = size - columns.stop
             kept, (n_columns, n_inner, n_below, n_lead) = numbers(len(columns), last - first, below)
             panel, own_block = at(columns.start, first), at(columns.start, columns.start)
-            # Columns eliminated later among those with negative pivots have had their sign turned already.
+            # Later columns with negative pivots have had their sign changed already.
             factor = minus if positive or columns.start < own else one
             syrk(lower, plain, n_columns, n_inner, factor, panel, n_lead, one, own_block, n_lead)
             if below:

@@ -1,7 +1,7 @@
 """Sparse Cholesky factors by dense eliminations in a tree of fronts (Duff and Reid 1983; Liu 1992).
 
-SuperLU, which SciPy brings, treats a symmetric matrix as a general one, orders it anew for every factorisation and
-works with small dense blocks. Here the order comes from the mesh, once, the work is dense Cholesky of LAPACK, and
+SuperLU, which SciPy brings, treats a symmetric matrix as a general one, orders it for every factorisation and works
+with small dense blocks. Here the order is computed once for a mesh, dense Cholesky of LAPACK does the work, and
 independent fronts run on as many threads as there are cores.
 """
 
@@ -21,7 +21,7 @@ from omtwarp.solvers.cholesky.dissection import Dissection
 from omtwarp.solvers.cholesky.kernels import factorise_fronts, solve_triangular
 from omtwarp.solvers.cholesky.lapack import eliminate_together, routine
 
-# Below so many operations in all a second thread costs more than it saves.
+# Total operations below which a second thread costs more than it saves.
 MIN_PARALLEL_OPERATIONS = 1e7
 # Operations per thread from which on threads share a front, where there are fewer fronts than threads.
 MIN_SHARED_OPERATIONS = 5e7
@@ -111,9 +111,9 @@ class MultifrontalCholesky:
     def _places(self) -> tuple[NDArray[np.int64], int]:
         """Compute where fronts begin in the workspace, and how large it is.
 
-        A job does branch after branch in postorder, so that little is there at a time and most of it in cache. Its
-        fronts lie on two stacks, one for even depths and one for odd: on top of the one are a front's children when it
-        is put together on the other. The few fronts of the trunk have places of their own.
+        A job does branch after branch in postorder, so that few fronts exist at a time, mostly in cache. They lie on
+        two stacks, one for even depths and one for odd: a front is assembled on one from its children on top of the
+        other. The few fronts of the trunk have memory of their own.
         """
         d = self.dissection
         squares = self._sizes**2
@@ -198,7 +198,7 @@ class MultifrontalCholesky:
             wp.launch(factorise_fronts, dim=1, inputs=[*inputs, failed], device="cpu")
             return int(failed.numpy()[0])
 
-        # Small matrices are done before a library has been told how many threads to use.
+        # Small matrices take less time than setting a library's number of threads.
         with blas_threads(1) if self._operations > MIN_SHARED_OPERATIONS else contextlib.nullcontext():
             failed = max(run_all(run, self._jobs))
             for fronts in self._trunk:
@@ -212,7 +212,7 @@ class MultifrontalCholesky:
             raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
 
     def _share(self, front: int, run: Callable[..., int], workspace: NDArray[np.float64]) -> int:
-        """Eliminate one front on all threads and keep its columns; itself if that fails, or -1."""
+        """Eliminate one front on all threads and keep its columns; return the front if that fails, or -1."""
         run(np.array([front], dtype=np.int32), eliminate=0)
         own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
         if not eliminate_together(own, size, workspace.ctypes.data + 8 * begin, int(self._negative[front])):

@@ -16,8 +16,8 @@ def aggregate_nodes(
 ):
     """Compute the aggregates of Vaněk, Mandel and Brezina (1996), in the order of the nodes.
 
-    A node with no neighbour in an aggregate founds one with all of them; what is left joins the founded aggregate that
-    it is bound to most strongly; what no neighbour of has been founded makes aggregates with its like.
+    A node without a neighbour in an aggregate founds one with all its neighbours. The remaining nodes join the founded
+    aggregate that they are most strongly connected to; those without one form aggregates with one another.
     """
     size = aggregates.shape[0]
     total = int(0)

@@ -1,4 +1,4 @@
-"""Conjugate gradients with a multigrid cycle before them, all on the device.
+"""Conjugate gradients preconditioned by a multigrid cycle, all on the device.
 
 Step lengths, sums and the decision to stop stay on the device. On CUDA the whole loop is one graph with a conditional
 node, recorded when it first runs and replayed for every right-hand side after that, of this or later values of the
@@ -77,7 +77,7 @@ class MultigridSolver:
         self._loop = Graph(self._run, device, record)
 
     def refresh(self, diagonal: wp.array, off_diagonal: wp.array, tentative: wp.array | None = None) -> None:
-        """Take the values of a matrix.
+        """Set the values of the matrix.
 
         Args:
             diagonal: the blocks of the vertices, flat float64 on the device, shape [V b b].
@@ -134,7 +134,8 @@ class MultigridSolver:
         """Run one cycle for the residual."""
         self._cycle.apply(self._residual, out)
         if self._total is not None:
-            # Constants cost nothing and grow from cycle to cycle, until the rest of a direction is lost beside them.
+            # Constants have no energy and grow from cycle to cycle, until the other parts of a direction are lost in
+            # round-off.
             self._sum.remove_mean(out, self._total)
 
     def _iterate(self) -> None:

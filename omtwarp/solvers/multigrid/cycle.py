@@ -36,7 +36,7 @@ class LevelMatrix:
         self._rows = [level.pattern.offsets, level.pattern.columns, self.values]
 
     def fill(self, source: wp.array, diagonal: wp.array, off_diagonal: wp.array) -> None:
-        """Take the values from blocks of vertices, [V b b], and edges, [E b b], both flat."""
+        """Set the values from blocks of vertices, [V b b], and edges, [E b b], both flat."""
         inputs = [source, self.block, diagonal, off_diagonal]
         wp.launch(kernels.fill_rows, dim=self.values.size, inputs=inputs, outputs=[self.values], device=self.device)
 
@@ -69,7 +69,7 @@ def coarsen(matrix: LevelMatrix, coarse: LevelMatrix, tentative: wp.array, dampi
     Args:
         matrix: of a level, its diagonal inverted.
         coarse: of the next level; its values are overwritten.
-        tentative: what a coarse node's unknowns mean to the nodes of its aggregate, blocks b by c, flat.
+        tentative: the tentative prolongation: blocks b by c from a coarse node to the nodes of its aggregate, flat.
         damping: of the step.
     """
     level, b, c, device = matrix.level, matrix.block, coarse.block, matrix.device
@@ -142,7 +142,7 @@ class VCycle:
         self._scale = wp.empty(sizes[-1], dtype=wp.float64, device=device)
 
     def refresh(self, tentative: wp.array) -> None:
-        """Make the coarse levels anew after the finest matrix has changed.
+        """Recompute the coarse levels after the finest matrix has changed.
 
         Args:
             tentative: see :func:`coarsen`, for the finest level.

@@ -1,4 +1,4 @@
-"""The levels of a multigrid method on a mesh's edges: which nodes go together, and where every product takes its terms.
+"""The levels of a multigrid method on a mesh's edges: aggregates of nodes, and the patterns of all products.
 
 Smoothed aggregation (Vaněk, Mandel and Brezina, "Algebraic multigrid by smoothed aggregation", 1996). The levels are
 made once from the weights of one matrix; the matrices of all levels then follow the values of any matrix on the same
@@ -16,10 +16,10 @@ from omtwarp.solvers.multigrid.aggregation_kernels import aggregate_nodes, colou
 from omtwarp.solvers.multigrid.cycle import LevelMatrix, coarsen
 from omtwarp.solvers.multigrid.levels import Level, Rows, on_device_indices
 
-# Nodes are bound strongly where the entry between them is this part of the geometric mean of their diagonals; halved
-# from level to level, as the stencils of coarse levels grow. A larger part makes smaller groups: fewer iterations with
-# larger matrices. With blocks memory decides: 0.08 in place of 0.15 takes 250 bytes per vertex less, and a sixth more
-# iterations.
+# Nodes are strongly connected where the entry between them is this share of the geometric mean of their diagonals;
+# halved from level to level, as the stencils of coarse levels grow. A larger part makes smaller groups: fewer
+# iterations with larger matrices. With blocks memory is the limit: 0.08 in place of 0.15 takes 250 bytes per vertex
+# less, and a sixth more iterations.
 STRONG = 0.15
 STRONG_BLOCKS = 0.08
 # Levels end where the rest is solved by a dense matrix.
@@ -33,10 +33,10 @@ class MeshHierarchy:
     Args:
         count: number of vertices V.
         edges: every edge once, shape [E, 2].
-        diagonal: of the matrix that decides which vertices go together, shape [V].
+        diagonal: of the matrix that determines the aggregates, shape [V].
         off_diagonal: its entries at the edges, shape [E].
         device: where the levels live.
-        strong: what part binds vertices strongly.
+        strong: the threshold of a strong connection.
 
     Attributes:
         levels: from the mesh to the coarsest.
@@ -134,7 +134,7 @@ def colour(matrix: sparse.csr_matrix) -> list[NDArray[np.int32]]:
 
 
 def _first_half(matrix: sparse.csr_matrix, device: wp.Device) -> Level:
-    """Return a level as far as it stands alone."""
+    """Return a level without its transfer to the next."""
     rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     own = np.flatnonzero(rows == matrix.indices)
     colours = [on_device_indices(nodes, device) for nodes in colour(matrix)]
@@ -144,7 +144,7 @@ def _first_half(matrix: sparse.csr_matrix, device: wp.Device) -> Level:
 def _second_half(
     level: Level, matrix: sparse.csr_matrix, groups: NDArray[np.int32], number: int, device: wp.Device
 ) -> tuple[Level, sparse.csr_matrix]:
-    """Return the level with what joins it to the next one, and the pattern of that one's matrix."""
+    """Return the level with its transfer to the next one, and the pattern of the next one's matrix."""
     size = level.size
     # Counts of paths: positive sums, so that no entry of a pattern can cancel.
     tentative = _ones(groups, np.arange(size + 1), (size, number))
@@ -176,7 +176,7 @@ def _ones(indices: NDArray, offsets: NDArray, shape: tuple[int, int]) -> sparse.
 
 
 def _pattern(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Return the ones where a matrix has entries, columns ascending."""
+    """Return a matrix of ones where a matrix has entries, columns ascending."""
     matrix.sort_indices()
     return _ones(matrix.indices, matrix.indptr, matrix.shape)
 

@@ -24,7 +24,7 @@ def cg_start(
     scalars: wp.array[wp.float64],
     counters: wp.array[wp.int32],
 ):
-    """Take r · z of the start, and stop at once where it is nothing."""
+    """Store r · z of the start, and stop at once where it is zero."""
     energy = column_sum(products, 0)
     scalars[ENERGY] = energy
     scalars[TARGET] = tolerance[0] * tolerance[0] * energy
@@ -80,10 +80,7 @@ def cg_beta(
     scalars: wp.array[wp.float64],
     counters: wp.array[wp.int32],
 ):
-    """Compute how much of the last direction the next one keeps, from the new r · z.
-
-    And whether there is a next one.
-    """
+    """Compute the share of the last direction in the next one from the new r · z, and whether there is a next one."""
     energy = column_sum(products, 0)
     scalars[BETA] = ZERO
     if counters[ACTIVE] > 0:

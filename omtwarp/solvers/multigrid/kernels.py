@@ -9,9 +9,9 @@ from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# Blocks of coarse levels lose rank where an aggregate has too few vertices to turn: this part of the trace holds them.
+# Blocks of coarse levels lose rank where an aggregate has too few vertices to rotate: this share of the trace is added.
 RANK_FLOOR = wp.constant(wp.float64(1e-12))
-# A pivot this small against its diagonal is rounding, carried down the levels: its unknown is held at zero.
+# A pivot this small against its diagonal is rounding error from finer levels: its unknown is held at zero.
 SMALLEST_PIVOT = wp.constant(wp.float64(1e-9))
 
 
@@ -233,7 +233,7 @@ def multiply_rows(
     # Data out:
     product: wp.array[wp.float64],
 ):
-    """Compute a x, one thread per unknown."""
+    """Compute A x, one thread per unknown."""
     at = wp.tid()
     product[at] = row_product(at, offsets, columns, values, b, c, x)
 
@@ -347,7 +347,7 @@ def multiply_by_prolongation(
     # Data out:
     product: wp.array[wp.float64],
 ):
-    """Compute a P, one thread per number."""
+    """Compute A P, one thread per number."""
     at, _compiled_once = wp.tid()
     e, u, v = block_entry(at, b, c)
     i = rows[e]
@@ -400,9 +400,9 @@ def scatter_dense(
     dense: wp.array2d[wp.float64],
     scale: wp.array[wp.float64],
 ):
-    """Compute the compressed rows of c by c blocks in a dense matrix, and its diagonal beside it.
+    """Scatter compressed rows of c by c blocks to a dense matrix, and its diagonal to an array.
 
-    Every place is written once.
+    Every entry is written once.
     """
     at = wp.tid()
     e, u, v = block_entry(at, c, c)
@@ -444,7 +444,7 @@ def multiply_dense(
     # Data out:
     x: wp.array[wp.float64],
 ):
-    """Compute the product with a symmetric matrix of which the lower triangle counts, so that no rounding tilts it."""
+    """Compute the product with a symmetric matrix, given by its lower triangle so that rounding keeps it symmetric."""
     i = wp.tid()
     total = wp.float64(0.0)
     for j in range(right.shape[0]):

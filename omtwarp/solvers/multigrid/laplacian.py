@@ -1,4 +1,4 @@
-"""The cotangent Laplacian of a surface, made and solved on the device."""
+"""The cotangent Laplacian of a surface, assembled and solved on the device."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from omtwarp.solvers.multigrid.hierarchy import STRONG, MeshHierarchy
 # Of the energy's norm: two digits above rounding. Harmonic functions are nearly constant on limbs, where what matters
 # are the differences.
 TOLERANCE = 1e-13
-# Levels by the surface's own triangles suit its images too, unless those are stretched much differently. Then levels
-# of their own, which cost as much as several solves, take a half to nine tenths of the iterations away.
+# Levels of the surface also suit its images, unless these are stretched very differently. Then levels of the image,
+# which cost as much as several solves, save a half to nine tenths of the iterations.
 MANY_ITERATIONS = 60
 
 
 def surface_hierarchy(surface: Surface, device: wp.Device) -> MeshHierarchy:
     """Return the levels of a surface on a device, by its own cotangent Laplacian.
 
-    Made once and kept with the surface.
+    Computed once and cached with the surface.
     """
     return surface.kept(_name(device), lambda: positioned_hierarchy(surface, surface.scaled_vertices, device))
 
 
 def release_hierarchy(surface: Surface, device: wp.Device) -> None:
-    """Let go of the kept levels of a surface; they are made again, the same, when they are asked for."""
+    """Free the cached levels of a surface; they are recomputed identically when needed."""
     surface.let_go(_name(device))
 
 

@@ -41,7 +41,7 @@ class Level:
     Attributes:
         size: number of nodes N.
         pattern: of the level's matrix.
-        diagonal: where a row's own entry stands, int32, shape [N].
+        diagonal: position of every row's diagonal entry, int32, shape [N].
         colours: nodes of one colour each, int32; no two of a colour are neighbours.
         aggregates: the coarse node of every node, int32, shape [N]; None on the coarsest level.
         prolongation: pattern of P.
