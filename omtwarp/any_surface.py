@@ -35,15 +35,15 @@ from omtwarp.topology.kind import Part, described, options_for, parts_of
 from omtwarp.torus.mapping import map_to_torus
 from omtwarp.torus.torus_map import TorusMap
 
-# Of the surface's area, all fillings together, where they are to be small. With a tenth of that, triangles on both
-# sides of the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.
+# Share of the surface's area that all small fillings together take. With a tenth of that, triangles on both sides of
+# the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.
 SMALL_FILLING = 1e-2
 # Where a coarse mesh has a large hole, its filling takes more, so that the sides around it have at least this share of
-# the mean side on the sphere. With a hundredth all the same, halves of icospheres of 720 and of 2,880 triangles do not
+# the mean side on the sphere. With a hundredth in all cases, halves of icospheres of 720 and of 2,880 triangles do not
 # converge.
 LEAST_SIDE = 0.25
 
-SLITS = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open: loops around handles keep clear of it
+SLITS = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open; loops around handles avoid it
 # Where sides of large triangles reach from one cap into another, caps are made smaller, at most so many times.
 # Share of the sphere up to which a cap is untangled in its gnomonic projection, which half a sphere lacks.
 GNOMONIC_SHARE = 0.45
@@ -167,10 +167,7 @@ def _certify(maps: list[SurfaceMap]) -> None:
 
 
 def _slit(part: Part) -> Part:
-    """Return a part with a boundary.
-
-    a closed one is slit open along a path, as long as leaves room to cut its handles.
-    """
+    """Slit a closed part open along a path, as long as its handles can still be cut; return others unchanged."""
     if part.loops:
         return part
     for share in SLITS:
@@ -239,7 +236,7 @@ def _placed(each: SurfaceMap, centre: Floats, share: float) -> SurfaceMap:
 
 
 def _reach(each: SurfaceMap, centre: Floats) -> float:
-    """Return the largest angle from a cap's centre to a point of its triangles: sides of those at the rim may bulge."""
+    """Return the largest angle from a cap's centre to a point of its triangles, whose sides at the rim are curved."""
     points, faces = _whole(each)
     rim = points[boundary_half_edges(faces, len(points))]
     middle = rim.sum(axis=1)
@@ -248,7 +245,7 @@ def _reach(each: SurfaceMap, centre: Floats) -> float:
 
 
 def _on_torus(part: Part, progress: Progress | None, options: MapKeywords) -> TorusMap:
-    """Return the map to a flat torus.
+    """Map a part of genus 1 to a flat torus.
 
     Raises:
         OmtwarpError: options that only maps to the sphere have.
@@ -287,7 +284,7 @@ class _Opened:
         vertex_origin, face_origin: where they come from in the part, see :class:`SurfaceMap`.
         split_edges: see :class:`SurfaceMap`.
         loops: those that are filled.
-        small: the first of them whose filling is to be small; all that follow are too.
+        small: index of the first loop with a small filling; those of all later ones are small too.
         pairs: the two sides of each cut.
         filled: the surface with its loops filled.
     """
@@ -339,7 +336,7 @@ def _map_part(
 
 
 def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:
-    """Cut the triangles of what was opened into four as those of an exact map are, and put the map in its order.
+    """Quarter the triangles of a prepared part like those of an exact map, and reorder the map.
 
     Args:
         opened: the surface prepared for mapping.
@@ -446,8 +443,8 @@ def _opened(part: Part, fill_area: str, to_rim: bool) -> _Opened:
 def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     """Return filled surface, its own areas times the weights of the part's faces, the area of the filling as asked for.
 
-    An inside need not be where the faces say that it is. A map depends on lengths only, and seen in a mirror clockwise
-    faces are counter-clockwise.
+    The faces may be oriented inwards: a map depends on lengths only, and clockwise faces are counter-clockwise in a
+    mirror image.
     """
     filled = opened.filled
     corners = unit_coordinates(filled.vertices)[filled.faces]

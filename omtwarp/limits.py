@@ -1,6 +1,6 @@
-"""How large inputs and outputs may be: limits that real work does not meet, checked before any work is done.
+"""Limits on the size of inputs and outputs, above those of real work and checked before any work is done.
 
-They keep a damaged or hostile file, or a slip of the finger, from filling memory or running for ever.
+They keep a damaged or hostile file, or a typing error, from filling memory or running for ever.
 """
 
 LARGEST_MESH_FILE = 4 * 2**30  # bytes: 80 million triangles as binary PLY, 30 million as OBJ

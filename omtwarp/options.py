@@ -1,7 +1,6 @@
-"""Every option of a map: its name, its values, its default, and the one message for a value that it does not have.
+"""Every option of a map: its name, values and default, and the message for an unknown value.
 
-The command line and Python read options here alone. Nothing heavy is imported, so that ``omtwarp --help`` answers at
-once.
+The command line and Python take their options from here. Nothing heavy is imported, so that ``omtwarp --help`` is fast.
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ class Interpolation(StrEnum):
 
 
 class Domain(StrEnum):
-    """Where a surface goes; ``auto`` is the sphere for a closed one and the hemisphere for one with a single hole."""
+    """The domain of a map; ``auto`` is the sphere for a closed surface and the hemisphere for one with a single hole."""
 
     AUTO = "auto"
     SPHERE = "sphere"
@@ -91,7 +90,7 @@ class FillArea(StrEnum):
 
 
 class Solver(StrEnum):
-    """How sparse systems are solved: SciPy is the plain way, the others are faster; ``auto`` takes what pays."""
+    """How sparse systems are solved: by SciPy, or faster by a built-in solver; ``auto`` takes the fastest."""
 
     AUTO = "auto"
     SCIPY = "scipy"
@@ -152,7 +151,7 @@ def _shown(value: object) -> str:
 
 @dataclass(frozen=True)
 class AreaMatch:
-    """A refinement to a mean area distortion, at least 2, whatever weight that takes."""
+    """A refinement to a given mean area distortion, at least 2, by the weight that leads to it."""
 
     area: float
 
@@ -211,7 +210,7 @@ class ChosenOptions(TypedDict):
 
 
 class MapChoices(TypedDict, total=False):
-    """The options of :func:`omtwarp.map_to_sphere` by name, for functions that hand them on, without the device."""
+    """The options of :func:`omtwarp.map_to_sphere` by name, for functions that pass them on, without the device."""
 
     method: str
     until: str
@@ -225,13 +224,13 @@ class MapChoices(TypedDict, total=False):
 
 
 class MapKeywords(MapChoices, total=False):
-    """The options of :func:`omtwarp.map_to_sphere` by name, for functions that hand them on."""
+    """The options of :func:`omtwarp.map_to_sphere` by name, for functions that pass them on."""
 
     device: str | None
 
 
 class SurfaceKeywords(TypedDict, total=False):
-    """The options that :func:`omtwarp.map_surface` has beside those of a map to the sphere."""
+    """The options of :func:`omtwarp.map_surface` in addition to those of a map to the sphere."""
 
     domain: str
     fill_area: str
@@ -242,7 +241,7 @@ class SurfaceKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class MapOptions:
-    """The options of :func:`omtwarp.map_to_sphere`, parsed; the defaults are here and nowhere else.
+    """The options of :func:`omtwarp.map_to_sphere`, parsed; this class defines the defaults.
 
     Attributes:
         method: the pipeline, or a system that it is compared with.
@@ -255,7 +254,7 @@ class MapOptions:
         optimality: whether the map's distance from the optimum is bounded too.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         solver: how sparse systems are solved.
-        strict: whether what a map would be warned of is an error.
+        strict: whether warnings about a map are errors.
     """
 
     method: Method = Method.OMT

@@ -1,4 +1,4 @@
-"""From a mesh to its map: the stages of section 4 in order, each measured, each handing on a map without flips."""
+"""From a mesh to its map: the stages of section 4 in order, each measured and each returning a map without flips."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ from omtwarp.verdict import judge, refusal
 from omtwarp.version import package_version
 
 # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended, about
-# halves it; a third no longer pays.
+# halves it; a third gains little.
 MOSER_PASSES = 2
 # With a target density the area that a triangle is to have depends on where it is: refinement is repeated with the
 # areas of where the last round left the triangles. One, two and three rounds leave a mean mass distortion of 2.025,
@@ -65,18 +65,18 @@ TARGET_ROUNDS = 3
 # On a smooth density of contrast 20 the curl falls from 0.049 after one pass to 0.006 after four and 0.0015 after
 # eight, on a picture with edges from 0.066 to 0.020 and 0.013.
 TARGET_POLISHES = 8
-# Of the bound on the cost in every report: each costs as much as the bound itself, and where the map is nearly optimal,
-# which is where the bound matters, they gain little.
+# Ascent steps of the bound on the cost in every report: each costs as much as the bound itself and gains little where
+# the map is nearly optimal, where the bound matters.
 ASCENT_STEPS = 0
 MINIMUM_COST = 1e-300  # keeps quotients of costs finite
 # What the measurement after the last stage is called in progress and in the records of stages.
 OPTIMALITY = "optimality"
 # What the map of the quartered mesh is called there.
 EXACT = "exact"
-# Moser's map is freed of slivers before transport is optimised: angle distortion beside this weight of area distortion,
-# to this tolerance. On scans that takes two or three factorisations and saves several larger ones.
+# Slivers are removed from Moser's map before transport is optimised, by minimising angle distortion and area distortion
+# with this weight to this tolerance. On scans that takes two or three factorisations and saves several larger ones.
 SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 20
-# The shape term that keeps a map smooth takes it away from the optimum. Its first weight is at most SHAPE_WEIGHT and
+# The shape term that keeps a map smooth moves it away from the optimum. Its first weight is at most SHAPE_WEIGHT and
 # this times the root mean squared distance; while gap or relative curl are above these the weight is lowered, to a
 # share between these two, so many times at most, and as long as that lowers their excess to MIN_GAP_SHARE of it: below
 # some weight only the error of the mesh is left.
@@ -88,7 +88,7 @@ MAX_GAP_SHRUNKEN = 9e-3
 SHAPE_DECAY = (0.1, 0.4)
 SHAPE_ROUNDS = 4
 MIN_GAP_SHARE = 0.87
-# What area distortion counts in the shape term where the conformal map shrinks limbs to points: cost hardly holds
+# What area distortion counts in the shape term where the conformal map shrinks limbs to points: cost hardly determines
 # triangles there. With the usual 10 their mean area distortion is 2.055 and 2.071 on two scans of that kind, with 20 it
 # is 2.039 and 2.040, with 40 it is 2.031 and 2.022 at 3 % more angle distortion and a gap of up to 0.6 %.
 SHRUNKEN_AREA_WEIGHT = 20.0
@@ -138,8 +138,8 @@ def map_to_sphere(
             vectors [N, 3], an equirectangular picture, or ``(sphere, faces, values)``; see
             :func:`omtwarp.texturing.density.as_target`.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
-        solver: how sparse systems are solved: ``scipy``, the plain way; ``cholesky`` on the host or ``multigrid`` on
-            the device, built in; ``auto`` takes the built-in one that pays. The maps are the same to round-off.
+        solver: how sparse systems are solved: ``scipy``; ``cholesky`` on the host or ``multigrid`` on the device,
+            both built in; ``auto`` takes the faster built-in one. The maps are the same to round-off.
         strict: raise an error for a map that would come with a warning.
         progress: called as ``progress(stage, done, total, details)``.
 
@@ -216,14 +216,15 @@ def map_double(
 
 
 class _Run:
-    """One map in the making: the maps reached so far, the last one first in line, and the record of how.
+    """The computation of one map: the maps of the stages so far, and their records.
 
-    A stage is a method of no arguments: it reads ``sphere``, the map that it is handed, and ends with :meth:`finish`.
+    A stage is a method of no arguments: it reads ``sphere``, the map of the previous stage, and ends with
+        :meth:`finish`.
     :meth:`result` runs them in the order of :attr:`MapOptions.stages`.
 
     Args:
         surface: what is mapped.
-        options: how.
+        options: of the map.
         device: name of the device that kernels run on.
         progress: called at the begin and end of every stage, and during long ones.
         target: the density on the sphere that is to be reached; None for the uniform one.
@@ -248,7 +249,7 @@ class _Run:
         self.records: list[StageRecord] = []
         self.maps: dict[str, NDArray[np.float64]] = {}
         self.history: list[Record] = []
-        self.given_up = ""  # what the stage at work could not do
+        self.given_up = ""  # what the current stage could not do
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
         self.origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where the mesh was quartered
         self.first: wp.array | None = None
@@ -310,7 +311,7 @@ class _Run:
         self.stage_begun = time.perf_counter()
 
     def result(self) -> MapResult:
-        """Run the stages asked for, and put together what they made."""
+        """Run the chosen stages, and assemble the result."""
         options = self.options
         if options.method in (Method.TUTTE, Method.MEAN_VALUE):
             self.barycentric()
@@ -366,7 +367,7 @@ class _Run:
         start = bijective_start(self.surface, device=self.device, progress=self.progress)
         self.origin = {"route": start.route, "reason": start.reason}
         sphere, repaired = start.sphere, start.repaired_flips
-        # The cost asks only where points lie under the conformal map, not that no triangle flips there.
+        # The cost depends only on where points lie under the conformal map; triangles may be flipped there.
         if start.conformal is not None and np.isfinite(start.conformal.sphere).all():
             self.source = start.conformal.sphere
             if not start.route.startswith("conformal"):
@@ -389,7 +390,7 @@ class _Run:
         turned = _normalised(sphere @ rotation.T)
         faces = self.surface.faces
         if not is_bijective(turned, faces) and is_bijective(sphere, faces):
-            # Triangles as small as rounding do not bear a turn.
+            # Triangles of the size of rounding errors can flip when they are rotated.
             turned = untangle(self.surface, turned, device=self.device).sphere
             if not is_bijective(turned, faces):
                 return sphere
@@ -405,7 +406,7 @@ class _Run:
         return self.symmetric(sphere @ frame)
 
     def symmetric(self, sphere: NDArray[np.float64], repair: bool = False) -> NDArray[np.float64]:
-        """Return the map of a double made symmetric, where that flips nothing; the map as it is where it does."""
+        """Return the map of a double made symmetric, where that flips nothing, or else unchanged."""
         if self.mirror is None:
             return sphere
         found = symmetric_map(self.mirror, self.surface, sphere, repair=repair, device=self.device)
@@ -458,7 +459,7 @@ class _Run:
         sphere, repaired = self.untangle(initial, moved.sphere)
         self.history = moved.history
         if self.options.scheme is Scheme.DEFAULT and self.options.cost is Cost.SQUARED:
-            # With a target the areas asked for depend on where triangles are: few rounds at a time, and areas anew.
+            # With a target the prescribed areas depend on where triangles are: few rounds at a time, then new areas.
             passes, rounds = (1, POLISH_ROUNDS) if self.target is None else (TARGET_POLISHES, 2)
             for _ in range(passes):
                 polished = polish_transport(
@@ -511,7 +512,7 @@ class _Run:
         sphere: NDArray[np.float64],
         weight: float,
     ) -> tuple[OptimalMap, float]:
-        """Solve with less and less weight of the shape term, until gap and curl are small or fall no more.
+        """Solve with decreasing weight of the shape term, until gap and curl are small or stop falling.
 
         Args:
             solve: called with a map, the weight, and multipliers of a map nearby if there is one.
@@ -568,13 +569,13 @@ class _Run:
         )
 
     def shape_excess(self, sphere: NDArray[np.float64]) -> float:
-        """Return how far gap and curl of a map are above what the shape term may cost; at most 1 where they are not."""
+        """Return gap and curl of a map over the limits for the shape term; at most 1 where both are within them."""
         assert self.source is not None
         self.measured = None
         curl = relative_curl(self.surface, sphere, start=self.source, device=self.device)
         curled = (curl / MAX_CURL) ** 2
         small = self.surface.vertex_count <= GAP_ASCENT_VERTICES
-        if curled > 1.0 and not small:  # the shape term has to give way whatever the gap is, which takes long to bound
+        if curled > 1.0 and not small:  # the weight is lowered whatever the gap, which takes long to bound
             return float(curled)
         self.measured = self.bounded(sphere)
         return float(max(self.measured.gap / self.largest_gap, curled))
@@ -593,7 +594,7 @@ class _Run:
         return MAX_GAP * (1.0 if self.surface.vertex_count <= GAP_ASCENT_VERTICES else UNIMPROVED)
 
     def bounded(self, sphere: NDArray[np.float64], improve: bool = True) -> Optimality:
-        """Measure how far a map is from optimal, and improve the bound where it leaves a gap that is too large."""
+        """Measure how far a map is from optimal, and improve the bound where the gap is too large."""
         assert self.source is not None
         few = GAP_ASCENT_STEPS[0 if self.surface.vertex_count <= GAP_ASCENT_VERTICES else 1]
         return optimality(
@@ -624,7 +625,7 @@ class _Run:
         }
         self.source = source = quartered.on_sphere(self.source)
         self.first = vectors(source, resolve_device(self.device))
-        # Great circles cut what is one to one into what is one to one, but for rounding.
+        # Cutting along great circles keeps a map one to one, except for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.untangle(self.sphere, self.sphere)
         on_cells = exact_map
@@ -689,8 +690,9 @@ class _Run:
     def least_distorted(self, weight: float) -> NDArray[np.float64]:
         """Return the map made so far with the least angle + weight * area distortion, which is what refinement lowers.
 
-        With a small weight that may be the first: from the last one refinement would have to find back to it along the
-        Möbius transformations, which its energy hardly tells apart.
+        With a small weight that may be the first map: from the last one refinement would have to return to it along
+            Möbius
+        transformations, which hardly change its energy.
         """
         if self.target is not None:
             return self.sphere
@@ -706,7 +708,7 @@ class _Run:
         if measured is None or self.records[-1].name not in (Stage.OMT, EXACT):
             measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
         found: dict[str, float | int | None] = measured.to_dict()
-        if self.target is not None:  # the uniform sphere is not where this map goes
+        if self.target is not None:  # the image does not have uniform density
             found = {name: value for name, value in found.items() if not name.startswith("uniform")}
         transported = self.record_of(Stage.OMT)
         if transported is not None and self.sphere is not self.maps[Stage.OMT]:
@@ -736,9 +738,9 @@ class _Run:
         self.finish(method, sphere, solved.iterations, converged=solved.converged)
 
     def untangle(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-        """Repair what keeps a stage's map from being one to one, or hold it back towards the map before it.
+        """Make a stage's map one to one by repair, or by holding it back towards the map before it.
 
-        Repair may end with all triangles positive and the sphere covered twice: such maps are not taken either.
+        Repair may end with all triangles positive and the sphere covered twice: such maps are rejected too.
 
         Returns:
             A bijection, and how many flips the stage's map had.
@@ -790,7 +792,7 @@ class _Run:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what a result depends on."""
+    """Return the versions of the packages that a result depends on."""
     return {
         "omtwarp": package_version(),
         "python": platform.python_version(),

@@ -44,13 +44,13 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "face_origin": (np.int64, ("F",)),
     "vertex_of_file": (np.int64, ("N",)),
 }
-# A point's distance from the sphere: what single precision leaves, many times over.
+# Largest distance of a point from the sphere: many times the rounding of single precision.
 UNIT_LENGTH = 1e-5
 STAGES = ("sphere", "conformal", "moser", "transported")
 
 
 class StageReport(TypedDict, total=False):
-    """A stage in a report: a :class:`StageRecord` as plain values, and what else the stage says of itself."""
+    """A stage in a report: a :class:`StageRecord` as plain values, and the stage's details."""
 
     name: str
     seconds: float
@@ -93,7 +93,7 @@ class MeshReport(TypedDict, total=False):
 
 
 class SurfaceReport(TypedDict, total=False):
-    """Changes to a surface that is no sphere before it was mapped."""
+    """Changes to a surface of another topology before it was mapped."""
 
     domain: str
     boundary_loops: int
@@ -175,7 +175,7 @@ class StageRecord:
     details: Mapping[str, str | float | None] = field(default_factory=dict)
 
     def to_dict(self) -> StageReport:
-        """Return the record as plain values, ready for JSON; the details stand beside the rest."""
+        """Return the record as plain values, ready for JSON; details included."""
         plain = {name: value for name, value in vars(self).items() if name != "details"}
         whole = plain | {"area": dict(self.area), "angle": dict(self.angle)} | dict(self.details)
         return cast(StageReport, whole)
@@ -205,7 +205,7 @@ class MapResult(Shown):
         vertex_of_file: the vertex that each vertex of the file was, where the file held copies along the seams of a
             texture and the command line joined them; int64, shape [N].
         history: one record per iteration of the transport flow: ``iteration``, ``cost``, ``curl``, ...
-        report: everything worth knowing about how the map was made, ready for JSON.
+        report: how the map was made, ready for JSON.
 
     Example:
         >>> import numpy as np, omtwarp
@@ -274,7 +274,7 @@ class MapResult(Shown):
         target = as_path(path)
         arrays = {name: getattr(self, name) for name in LAYOUT if getattr(self, name) is not None}
         arrays["report"] = np.array(json.dumps(self.report | {"history": self.history}))
-        # Given a name, NumPy would add a suffix to it.
+        # With a name in place of a file NumPy would add a suffix.
         with staged(target) as file, open(file, "wb") as stream:
             np.savez(stream, **arrays)
 
@@ -292,7 +292,7 @@ class MapResult(Shown):
             result = cls(**_fitting(arrays), history=history, report=report)
         except OmtwarpError as error:
             raise OmtwarpError(f"'{source}' is not a map: {error}") from None
-        # What a file says of its map proves nothing.
+        # The certificate is computed anew: a file's statements are not trusted.
         report["certificate"] = result.certificate.to_dict()
         return result
 
@@ -326,7 +326,7 @@ def _fitting(arrays: Mapping[str, object]) -> _Arrays:
 
 
 def require_unit_length(points: ArrayLike, name: str) -> None:
-    """Make sure that points of a map lie on the unit sphere, as far as single precision tells.
+    """Make sure that points of a map lie on the unit sphere, to single precision.
 
     Raises:
         OmtwarpError: some do not; how many, and the first.
@@ -342,7 +342,7 @@ def require_unit_length(points: ArrayLike, name: str) -> None:
 
 
 def _read_report(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[MapReport, list[Record]]:
-    """Return the report and the history; empty where they are missing or are not what they should be."""
+    """Return the report and the history; empty where they are missing or malformed."""
     try:
         report = json.loads(str(arrays["report"])) if "report" in arrays else {}
     except (ValueError, RecursionError):

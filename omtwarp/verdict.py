@@ -34,7 +34,7 @@ LONG_TRIANGLE, LONG_SHARE = 5.0, 0.2
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that a map or a mesh is warned of.
+    """A warning about a map or a mesh.
 
     Attributes:
         kind: a short, stable name: ``area-distortion``, ``vertex-areas`` or ``not-converged`` of a map; ``large-face``,
@@ -58,7 +58,7 @@ class Finding:
 
 
 def foretell(surface: Surface) -> list[Finding]:
-    """List what may keep the map of a valid mesh from keeping areas, before it is made."""
+    """List properties of a valid mesh that may keep its map from keeping areas."""
     found = []
     share = surface.own_areas / SPHERE_AREA
     worst = int(np.argmax(share))
@@ -102,7 +102,7 @@ def judge(
     *,
     uniform: bool = True,
 ) -> list[Finding]:
-    """List what a map is to be warned of; nothing of areas where the options do not ask for a map that keeps them.
+    """List the warnings about a map; those about areas only where the options ask for a map that keeps them.
 
     One function, as each warning is a few lines, in the order in which they are given.
 
@@ -136,7 +136,7 @@ def judge(
 
 
 def refusal(found: Sequence[Finding]) -> OmtwarpError:
-    """Return the error that stands for warnings where they are not accepted: the first in full, and the other kinds."""
+    """Return the error for warnings that are not accepted: the first in full, and the kinds of the others."""
     others = ", ".join(finding.kind for finding in found[1:])
     return OmtwarpError(f"not accepted with --strict: {found[0]}" + (f" (also: {others})" if others else ""))
 

@@ -1,4 +1,4 @@
-"""How many cores there are to use; apart from what loads Warp."""
+"""The number of usable cores, in a module that does not load Warp."""
 
 from __future__ import annotations
 

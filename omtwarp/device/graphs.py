@@ -1,6 +1,6 @@
-"""Loops that stay on the device: recorded once as a CUDA graph and replayed, or called as they are on the CPU.
+"""Loops that stay on the device: recorded once as a CUDA graph and replayed, or run directly on the CPU.
 
-Work that is to be recorded launches kernels, copies and clears arrays, and decides with ``wp.capture_while`` and
+Recorded work launches kernels, copies and clears arrays, and branches with ``wp.capture_while`` and
 ``wp.capture_if``, whose conditions are arrays on the device. It must not read anything back, nor allocate inside of a
 loop. Not recorded, the same work runs step by step: the conditions are then read by the host, which on the CPU is free,
 and large launches can be cut into parts for its cores.
@@ -41,7 +41,7 @@ class Graph:
         self._graph: wp.Graph | None = None
 
     def __call__(self) -> None:
-        """Do the work; if another graph is being recorded, add it to that graph."""
+        """Run the work; if another graph is being recorded, add it to that graph."""
         if not self.recorded or not _recording or self._device.is_capturing:
             self._work()
             return

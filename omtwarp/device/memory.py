@@ -1,4 +1,4 @@
-"""Memory on the host: a workspace that steps of a computation share, and the return of what is no longer used."""
+"""Memory on the host: a workspace that steps of a computation share, and the return of freed memory to the system."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 
 class Workspace:
-    """An array that steps of a computation take in turn; it grows to the largest number of elements asked for.
+    """An array that steps of a computation use in turn; it grows to the largest number of elements requested.
 
-    What one step writes there holds until the next one takes it.
+    Its contents are valid until the next step uses it.
     """
 
     def __init__(self) -> None:

@@ -11,10 +11,10 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import Solver, choose, parse_device
 
-# An iteration on the device is a hundred launches or more, whatever the size of the mesh: below so many vertices they
-# have next to nothing to do, and the host has factorised a Laplacian in 0.03 s.
+# An iteration on the device is a hundred launches or more, whatever the size of the mesh: below this many vertices
+# they have little work, and the host factorises a Laplacian in 0.03 s.
 DEVICE_VERTICES = 30_000
-# Launches of fewer threads are left whole on the CPU: they are done sooner than another of its cores is woken.
+# Launches of fewer threads are not divided on the CPU: they take less time than waking another core.
 SMALLEST_SHARED_LAUNCH = 4096
 # Lists of a length that only the device knows are shared between so many threads on CUDA, and left to one on the CPU.
 CUDA_LIST_THREADS = 16384
@@ -49,7 +49,7 @@ _wanted: ContextVar[Solver] = ContextVar("solver", default=Solver.AUTO)
 
 @contextlib.contextmanager
 def solving_with(solver: Solver) -> Iterator[None]:
-    """Solve the sparse systems of a computation in one way; ``auto`` leaves the choice as it is."""
+    """Select the solver of sparse systems for a computation; ``auto`` does not change the selection."""
     token = _wanted.set(wanted_solver() if solver is Solver.AUTO else solver)
     try:
         yield
@@ -82,10 +82,7 @@ def solves_with_scipy() -> bool:
 
 
 def adds_on_device(device: wp.Device, vertices: int) -> bool:
-    """Return whether sums for systems on a surface are taken by kernels.
-
-    Where they are solved there, and always on CUDA.
-    """
+    """Return whether kernels compute sums for a surface: where its systems are solved on the device, and on CUDA."""
     return bool(device.is_cuda) or on_device(device, vertices)
 
 

@@ -36,7 +36,7 @@ def prewarm(device: str = "cpu") -> int:
     names = kernel_modules()
     for name in names:
         importlib.import_module(name)
-    # Every thread makes a header of its own, which is a tenth of the work: one core alone does best without.
+    # Every thread compiles a header of its own, a tenth of the work: a single core is fastest without threads.
     cores = core_count()
     wp.force_load(target, [wp.get_module(name) for name in names], max_workers=cores if cores > 1 else 0)
     return len(names)

@@ -1,6 +1,6 @@
 """Warp, started once and quietly; every module that defines or launches kernels imports ``wp`` from here.
 
-Keeping the start in one place means that ``import omtwarp`` does not pay for it.
+``import omtwarp`` alone does not import it, and so does not take its time.
 """
 
 import contextlib
@@ -26,10 +26,10 @@ def _has_cuda_driver() -> bool:
 
 @contextlib.contextmanager
 def _without_driver_message() -> Iterator[None]:
-    """Keep one line off standard error: that there is no CUDA driver, which is no fault on a machine without a GPU.
+    """Suppress one line on standard error, that there is no CUDA driver, which is normal on a machine without a GPU.
 
-    Warp's native code writes it past Python and past ``log_level``, so that only the file descriptor can be turned
-    elsewhere. Whatever else arrives there in the meantime, from this thread or another, is passed on afterwards.
+    Warp's native code writes it past Python and ``log_level``, so that the file descriptor has to be redirected. Any
+    other output in the meantime, from this thread or another, is passed on afterwards.
     """
     try:
         # First of all, since a file opened while standard error is closed would take its number.
@@ -39,7 +39,7 @@ def _without_driver_message() -> Iterator[None]:
         return
     try:
         aside = tempfile.TemporaryFile()
-    except OSError:  # no place for it: better a line too many
+    except OSError:  # no temporary file: the line is not suppressed
         os.close(kept)
         yield
         return
@@ -57,7 +57,7 @@ def _without_driver_message() -> Iterator[None]:
             while rest:
                 try:
                     rest = rest[os.write(2, rest) :]
-                except OSError:  # nobody reads any more
+                except OSError:  # standard error has no reader any more
                     break
 
 
@@ -67,18 +67,18 @@ def _flush_stderr() -> None:
 
 
 if wp.config.log_level < wp.LOG_WARNING:
-    wp.config.log_level = wp.LOG_WARNING  # no banner in a library; a caller who asked for less noise keeps it
+    wp.config.log_level = wp.LOG_WARNING  # no banner in a library; a stricter level set by the caller is kept
 with contextlib.nullcontext() if _has_cuda_driver() else _without_driver_message():
     wp.init()
 
 # Options of every file of kernels. None is differentiated; the compiler unrolls loops, not the text it is
-# given. One header goes before all files, compiled anew by every process that compiles anything, once for every choice
-# of flags: hence the same ones everywhere. Without the code for bfloat16 it takes two fifths less, and what is
-# instantiated in it once is not instantiated again in each file. Inlining is left at the compiler's own limit, which
-# Warp raises forty times; functions that need it ask for it. None of this changes a bit of the results.
+# given. One header precedes all files and is compiled by every process that compiles kernels, once for every set of
+# flags: hence the same flags everywhere. Without the code for bfloat16 it takes two fifths less time, and templates
+# instantiated in it are not instantiated again in each file. The limit of inlining is the compiler's own, which Warp
+# raises forty times; functions that need inlining request it. None of this changes the results.
 #
 # Kernels of one index over arrays of one dimension are compiled twice, with and without the assumption that arrays are
-# contiguous. That makes short kernels faster. A long one asks for two indices, `i, _compiled_once = wp.tid()`, of which
+# contiguous. That makes short kernels faster. A long one takes two indices, `i, _compiled_once = wp.tid()`, of which
 # the second is always 0, and is compiled once. (wp.tid() cannot be called in a function, which could hide this.)
 KERNEL_OPTIONS = {
     "enable_backward": False,

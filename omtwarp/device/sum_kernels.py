@@ -4,8 +4,8 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# A thread sums GROUP rows, LANES apart: threads side by side read side by side on CUDA, and what the next thread of a
-# CPU reads is still in its cache.
+# A thread sums GROUP rows, LANES apart: neighbouring threads read neighbouring memory on CUDA, and on a CPU the next
+# thread reads from cache.
 GROUP = wp.constant(64)
 LANES = wp.constant(32)
 

@@ -83,7 +83,7 @@ class DeviceSum:
 
 
 class HostSum:
-    """Sums by NumPy, in its order, for arrays that the host can read."""
+    """Sums by NumPy, in its order of summation, for arrays that the host can read."""
 
     def dot(self, a: wp.array, b: wp.array, out: wp.array) -> None:
         """Write a · b to the first element of ``out``."""

@@ -35,19 +35,19 @@ def pool() -> ThreadPoolExecutor:
 
 
 def run_all(work: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
-    """Return ``work`` of every job, side by side; not to be used inside of such work."""
+    """Run ``work`` for every job in parallel, and return the results; not to be called from within such work."""
     if len(jobs) < 2 or core_count() < 2:
         return [work(job) for job in jobs]
     return list(pool().map(work, jobs))
 
 
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
-    """Load a kernel here, compiled where it never was, before several threads launch it.
+    """Load a kernel, compiled if necessary, before several threads launch it.
 
-    Each of them would compile it for itself, and the header before it once more.
+    Otherwise each of them would compile it, with its header.
     """
     if (kernel, str(device)) not in _loaded:
-        # Not by the module's own method, which takes the blocks of CUDA and compiles what no launch here runs.
+        # Not by the module's own method, which uses CUDA's block sizes and compiles kernels that are not launched here.
         wp.load_module(kernel.module, device=device, max_workers=0)
         _loaded.add((kernel, str(device)))
 
@@ -68,7 +68,7 @@ def launch_parts(
         count: number of threads.
         arguments: inputs and outputs of a launch over a slice: arrays with an element per thread cut to that slice.
         device: a Warp device; on CUDA there is one launch.
-        least: launches with fewer threads are left whole.
+        least: launches with fewer threads are not divided.
     """
 
     def launch(part: slice) -> None:
@@ -86,10 +86,10 @@ def launch_parts(
 
 @contextlib.contextmanager
 def blas_threads(count: int) -> Iterator[None]:
-    """Let the linear algebra of NumPy and SciPy use so many threads for a while; also a decorator.
+    """Limit the linear algebra of NumPy and SciPy to a number of threads, as a context or a decorator.
 
-    OpenBLAS's threads wait for one another by spinning: beside threads of ours, or other programs, a product of two
-    vectors can take a hundred times as long as alone. And sums of one thread have the same bits on every machine.
+    OpenBLAS's threads wait for one another by spinning: with other threads or programs running, a product of two
+    vectors can take a hundred times as long. Sums on one thread also have the same bits on every machine.
     """
     with _controller().limit(limits=count, user_api="blas"):
         yield

@@ -1,6 +1,6 @@
-"""How a map to the sphere is turned: by the surface's own axes, so that it depends on the shape alone.
+"""Rotation of a map by the surface's own axes, so that it depends on the shape alone.
 
-A map is unique up to a rotation of the sphere, which numbers such as the order of faces must not decide. The principal
+A map is unique up to a rotation of the sphere, which must not depend on the order of faces. The principal
 axes of the surface's area make a frame of its own; the sphere is turned so that points lie, in the least squares, in
 the directions that they have from the surface's centre in that frame.
 """
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from omtwarp.mesh.surface import Surface
 
-# Second moments of an axis, relative to the largest, that differ by less leave the axis to rounding; so do third
-# moments, relative to the spread along the axis cubed, that are smaller.
+# Where second moments, relative to the largest, differ by less than this, rounding decides the axes; where third
+# moments, relative to the cubed spread along the axis, are smaller, it decides the directions.
 SMALLEST_DIFFERENCE = 1e-6
 
 
@@ -26,7 +26,7 @@ class Axes:
 
     Attributes:
         frame: unit vectors as rows, float64, shape [3, 3], right-handed: the direction of the largest extent first.
-        note: empty where the shape determines the axes, else what was taken instead.
+        note: empty where the shape determines the axes, else what replaces them.
     """
 
     frame: NDArray[np.float64]
@@ -66,8 +66,8 @@ def principal_axes(surface: Surface) -> Axes:
     spread = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", frame, second / 12.0, frame), 0.0))
     lopsided = np.abs(third) > SMALLEST_DIFFERENCE * np.maximum(spread, np.finfo(float).tiny) ** 3
     if note:
-        lopsided &= np.abs(frame @ lone) > 0.5  # along axes that are not the shape's own third moments mean nothing
-    # Two directions make the third; those that the shape does not tell point the way of a coordinate.
+        lopsided &= np.abs(frame @ lone) > 0.5  # third moments count only along axes that the shape determines
+    # Two directions determine the third; directions that the shape leaves open follow a coordinate.
     known = next((pair for pair in combinations(range(3), 2) if lopsided[list(pair)].all()), None)
     if known is None:
         known = (int(np.argmax(lopsided)), 1 if lopsided[0] or not lopsided.any() else 0)

@@ -1,4 +1,4 @@
-"""Cotangent weights of a surface's edges, without a matrix around them."""
+"""Cotangent weights of a surface's edges as an array."""
 
 from __future__ import annotations
 

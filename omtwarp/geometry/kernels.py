@@ -24,11 +24,9 @@ def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
 def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     """Return the sum of (dual length) x (unit edge) over the two edges leaving ``a``.
 
-    Dotted with a field, the outflow at ``a``.
-
-    With l_c = (c / 2) cot(gamma) and l_b = (b / 2) cot(beta), the sum l_c c^ + l_b b^ of equation (23) is the
-    edge ``bc`` turned by -90 degrees and halved. It is evaluated in that form: the cotangents of a sliver are huge and
-    cancel, the turned edge is not.
+    Its product with a field is the outflow at ``a``. With l_c = (c / 2) cot(gamma) and l_b = (b / 2) cot(beta), the sum
+    l_c c^ + l_b b^ of equation (23) is the edge ``bc`` turned by -90 degrees and halved. It is evaluated in that form:
+    the cotangents of a sliver are huge and cancel, the turned edge is not.
     """
     return HALF * wp.cross(c - b, unit_normal(a, b, c))
 

@@ -48,8 +48,8 @@ def vertices_needed(share: float, face_count: int) -> float:
 def rings(surface: Surface) -> Iterator[Ring]:
     """Find the rings at even distances from an end of the surface, along its edges.
 
-    What lies farther than a distance falls into pieces, one for every limb, each with one ring around it. The edges
-    that cross the ring are as many as there are vertices on both its sides together.
+    The vertices farther than a distance form pieces, one for every limb, each with one ring around it. As many edges
+    cross the ring as there are vertices on both of its sides together.
     """
     start, end = surface.edges.astype(np.int64).T
     count = surface.vertex_count

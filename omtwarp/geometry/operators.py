@@ -40,7 +40,7 @@ def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArra
 def face_normals(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Return the unit normal of every triangle, shape [F, 3], outward where faces run counter-clockwise.
 
-    Zero without area.
+    It is zero for a triangle without area.
     """
     _, _, (a, b, c) = _corner_points(vertices, faces)
     n = np.cross(b - a, c - a)
@@ -71,12 +71,10 @@ def dual_edge_lengths(vertices: ArrayLike, faces: ArrayLike) -> Array:
 def voronoi_areas(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Return the circumcentric (Voronoi) cell area A_i of every vertex, shape [V] (appendix A.2).
 
-    The sum is the surface's area.
-
-    Each triangle gives (|e_ij|^2 cot(k) + |e_ik|^2 cot(j)) / 8. Departure: areas are signed. In an obtuse triangle the
-    circumcentre is outside and the cells at its acute corners get negative shares, so a vertex of a badly shaped mesh
-    can have an area that is zero or negative; the sum, and the identities, stay exact. Divide by
-    :attr:`Surface.vertex_areas` (thirds) where a positive area is needed.
+    The sum is the surface's area. Each triangle gives (|e_ij|^2 cot(k) + |e_ik|^2 cot(j)) / 8. Departure: areas are
+    signed. In an obtuse triangle the circumcentre is outside and the cells at its acute corners get negative shares, so
+    a vertex of a badly shaped mesh can have an area that is zero or negative; the sum, and the identities, stay exact.
+    Divide by :attr:`Surface.vertex_areas` (thirds) where a positive area is needed.
     """
     points, triangles, p = _corner_points(vertices, faces)
     cotangents = corner_cotangents(vertices, faces)
@@ -103,7 +101,7 @@ def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Array:
 def circumcentres(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Return the circumcentre of every triangle, in its plane, shape [F, 3].
 
-    The vertices of the dual mesh (section 4.3).
+    They are the vertices of the dual mesh (section 4.3).
     """
     _, _, p = _corner_points(vertices, faces)
     weights = circumcentric_coordinates(vertices, faces)

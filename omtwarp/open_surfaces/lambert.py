@@ -16,9 +16,7 @@ Floats = NDArray[np.float64]
 
 
 def hemisphere_to_disk(points: Floats) -> Floats:
-    """Return the points of the upper unit hemisphere, shape [V, 3], in the unit disk, shape [V, 2].
-
-    The equator is its circle.
+    """Project the upper unit hemisphere, shape [V, 3], to the unit disk, shape [V, 2], the equator to its circle.
 
     The distance from the middle is sqrt(1 - z): a zone of the sphere has the area of its ring, up to the factor 2.
 
@@ -48,7 +46,7 @@ def to_gnomonic(cap: Floats, share: float) -> Floats:
 
     Args:
         cap: unit vectors around the north pole, shape [V, 3].
-        share: of the sphere's area; the rim comes to the unit circle.
+        share: of the sphere's area; the rim goes to the unit circle.
 
     Returns:
         Shape [V, 2].

@@ -1,4 +1,4 @@
-"""Disjoint spherical caps with areas in given proportions, as large as room was found for.
+"""Disjoint spherical caps with areas in given proportions, as large as an arrangement was found for.
 
 Caps of radii r_i lie apart where the angles between their centres are at least r_i + r_j. From random centres on,
 what overlaps is pushed apart by least squares (L-BFGS), and the share of the sphere that all caps cover is bisected.
@@ -14,11 +14,11 @@ from scipy.optimize import minimize
 Floats = NDArray[np.float64]
 
 GAP = 0.02  # radians between caps
-TRIES, FEW = 4, 50  # random arrangements at every share; of more caps than that one, which is about as good
+TRIES, FEW = 4, 50  # random arrangements at every share; for more than FEW caps one suffices
 BISECTIONS = 7  # of the share that is covered, which is then known to 1 %
 SEED = 1943  # chosen: fixed, so that results are the same bits
-MOST_COVERED, LEAST_COVERED = 0.98, 0.02  # shares of the sphere between which bisection looks
-SETTLED = 1e-9  # of the squared overlaps, radians², that count as none; GAP takes them up
+MOST_COVERED, LEAST_COVERED = 0.98, 0.02  # shares of the sphere between which bisection searches
+SETTLED = 1e-9  # sum of squared overlaps, radians², that counts as none; GAP absorbs them
 
 
 def pack_caps(shares: Floats) -> tuple[Floats, float]:
@@ -65,7 +65,7 @@ def cap_radius(share: Floats) -> Floats:
 
 
 def _apart(start: Floats, shares: Floats, covered: float) -> Floats | None:
-    """Return the centres of caps that lie apart, found from others; None where some overlap in the end."""
+    """Return centres of disjoint caps found from a start; None where some still overlap."""
     radius = cap_radius(covered * shares)
     i, j = np.triu_indices(len(shares), 1)
     least = radius[i] + radius[j] + GAP

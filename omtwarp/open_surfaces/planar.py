@@ -11,11 +11,11 @@ from scipy.sparse.linalg import splu
 from omtwarp.flips.predicates import flipped_faces
 
 Floats = NDArray[np.float64]
-# Of repair on the sphere: sweeps over the corners of flipped triangles, which take in one more ring of vertices after
-# so many of them, while there are at most so many to move. Surfaces of 250 to 9,700 faces took one or two.
+# Repair on the sphere: sweeps over the corners of flipped triangles; one more ring of vertices is added after a number
+# of sweeps, while there are at most so many vertices to move. Surfaces of 250 to 9,700 faces took one or two.
 SWEEPS, SWEEPS_PER_RING, MOST_MOVED = 24, 4, 400
-LEAST_MARGIN = 1e-9  # of a place that flips nothing
-SOLVES = 3  # of the convex combinations: the first leaves no flips, but for rounding
+LEAST_MARGIN = 1e-9  # from a flip, of an accepted position
+SOLVES = 3  # of the convex combinations: the first leaves no flips except by rounding
 
 
 def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
@@ -31,12 +31,12 @@ def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
 
 
 def untangle_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> tuple[Floats, int]:
-    """Turn flipped triangles of a map to the unit disk back, with the boundary left where it is.
+    """Untangle flipped triangles of a map to the unit disk with the boundary fixed.
 
-    A disk has more room than the polygon between its boundary's vertices: what lies outside is drawn inside first. If
-    triangles are flipped still, every vertex becomes a convex combination of its neighbours, with the mean value
-    coordinates that it has among them, equal ones at flipped triangles: then none is flipped, since the polygon is
-    convex [1]_, and where none was before hardly anything moves.
+    A disk is larger than the polygon of its boundary's vertices: points outside of the polygon are moved inside first.
+    If triangles are still flipped, every vertex becomes a convex combination of its neighbours with its mean value
+    coordinates, or with equal ones at flipped triangles. Then none is flipped, since the polygon is convex [1]_, and
+    vertices away from the flips hardly move.
 
     Args:
         points: a map to the unit disk with few flips, shape [V, 2].
@@ -44,7 +44,7 @@ def untangle_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -
         held: vertices of the boundary, which lie on the circle, shape [V].
 
     Returns:
-        The map, and the number of flips that are left, which is 0 but for rounding.
+        The map, and the number of remaining flips, 0 except for rounding.
 
     .. [1] M. S. Floater, "Mean value coordinates", Computer Aided Geometric Design 20 (2003).
     """
@@ -61,11 +61,11 @@ def untangle_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -
 
 
 def untangle_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> Floats:
-    """Turn flipped triangles of a map to a part of the sphere back, by moving their corners one after the other.
+    """Untangle flipped triangles of a map to a part of the sphere by moving their corners one after the other.
 
     A corner goes to the point from which its triangles are as far as possible from being flipped: the largest t with
-    det[y, p_k, p_k+1] >= t |p_k x p_k+1| for all of them, a linear program. Where every place of it leaves a flip, it
-    goes to the middle of its neighbours.
+    det[y, p_k, p_k+1] >= t |p_k x p_k+1| for all of them, a linear program. Where every position leaves a flip, it
+    goes to the mean of its neighbours.
 
     Args:
         points: unit vectors with few flips, shape [V, 3].
@@ -110,7 +110,7 @@ def _unflipped(after: Floats, before: Floats) -> Floats:
 
 
 def _drawn_inside(points: Floats, held: NDArray[np.bool_]) -> Floats:
-    """Return disk drawn into the polygon of the vertices on its circle, near the circle alone where they are many."""
+    """Move the disk into the polygon of the vertices on its circle; only points near the circle where they are many."""
     angles = np.sort(np.arctan2(points[held, 1], points[held, 0]))
     around = np.concatenate([angles, [angles[0] + 2.0 * np.pi]])
     own = np.arctan2(points[:, 1], points[:, 0])

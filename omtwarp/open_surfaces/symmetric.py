@@ -32,9 +32,7 @@ ACROSS = np.array([1.0, 1.0, -1.0])  # what the reflection about the equator doe
 
 
 def folded(double: Double, vectors_: Floats) -> Floats:
-    """Return the points or tangent vectors made symmetric.
-
-    The copy gets mirror images of the surface's, the boundary z = 0.
+    """Symmetrise points or tangent vectors: the copy gets mirror images of the surface's, the boundary z = 0.
 
     Args:
         double: the surface and its copy, W vertices.
@@ -47,7 +45,7 @@ def folded(double: Double, vectors_: Floats) -> Floats:
 
 
 def folded_map(double: Double, sphere: Floats) -> Floats:
-    """Return a map made symmetric, shape [W, 3]: see :func:`folded`; the boundary is put back on its circle."""
+    """Symmetrise a map, shape [W, 3], by :func:`folded`, and normalise the boundary to its circle."""
     out = folded(double, sphere)
     rim = np.flatnonzero(double.on_boundary & (sphere[:, 2] != 0.0))
     out[rim] /= np.linalg.norm(out[rim], axis=1)[:, None]
@@ -235,7 +233,7 @@ class MirrorFactor:
         return saddle_factor(places, self._edges)
 
     def at(self, points: wp.array) -> None:
-        """Take the tangent bases of a symmetric map, vec3d, shape [W], for the matrices to come."""
+        """Set the tangent bases to those of a symmetric map, vec3d, shape [W], for the following matrices."""
         self._points = points
         up = np.zeros((len(points), 3))
         up[self._half[self._rim], 2] = 1.0
@@ -260,7 +258,7 @@ class MirrorFactor:
     def _halved(self, diagonal: Floats, off_diagonal: Floats) -> tuple[Floats, Floats]:
         """Return the blocks of the half's vertices and edges from those of the double.
 
-        Across the boundary nothing moves: what would is projected out, and given a pivot of its own.
+        No motion crosses the boundary: its component is projected out and gets a pivot of its own.
         """
         rim, normal = self._rim, self._normals[self._rim]
         outer = normal[:, :, None] * normal[:, None, :]
@@ -283,7 +281,7 @@ class MirrorFactor:
         return self._mirrored(u), q[self._number[self._original]]
 
     def _tangential(self, first: Floats) -> Floats:
-        """Return the right-hand sides of the half's coordinates, without what points across the boundary."""
+        """Return the right-hand sides of the half's coordinates, without the component across the boundary."""
         right = first[self._half] * self._share[:, None]
         return right - self._normals * np.einsum("va,va->v", self._normals, right)[:, None]
 
@@ -336,7 +334,7 @@ class MirrorCellFactor(MirrorFactor):
 
 
 class SymmetricSteps(FlipFreeSteps):
-    """Moves symmetric maps of a double; only the surface's own triangles are looked at, the others are their images.
+    """Moves symmetric maps of a double; only the surface's own triangles are examined, not their mirror images.
 
     Args:
         double: the surface and its copy.

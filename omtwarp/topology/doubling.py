@@ -2,7 +2,7 @@
 
 The double of a disk is a closed surface of genus 0 with a mirror symmetry that fixes exactly the boundary. For it to be
 a triangle mesh, no edge inside the surface may have both ends on the boundary: its two copies would be one edge of four
-triangles. Such edges are split at their midpoints first, which leaves the surface where it is.
+triangles. Such edges are split at their midpoints first, which does not change the surface.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _subdivided(
     parts, origins = [faces[whole]], [np.flatnonzero(whole)]
     for split_count in (1, 2, 3):
         for first in range(3):
-            # Turned so that the split edges come first; an edge that stays whole is the last of two, or of three.
+            # Rotated so that the split edges come first; an edge that stays whole is the last of two, or of three.
             turned = np.roll(faces, -first, axis=1)
             middle = np.roll(midpoint, -first, axis=1)
             pattern = (middle >= 0) == (np.arange(3) < split_count)

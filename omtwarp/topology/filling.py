@@ -22,7 +22,7 @@ from omtwarp.geometry.operators import corner_cotangents
 
 COARSENING = 0.8  # a ring has at least so many times the vertices of the ring around it
 FAN = 7  # a ring of so few vertices is closed by one vertex in the middle
-RENEWALS = 5  # of the membrane's weights; the area has settled to under a per cent by then
+RENEWALS = 5  # of the membrane's weights; the area then changes by less than a per cent
 LEAST_WEIGHT = 1e-3  # of an edge: positive, so that a vertex lies among its neighbours
 
 

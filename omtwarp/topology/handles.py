@@ -2,8 +2,8 @@
 
 A spanning tree of the edges and a spanning tree of the dual graph that avoids it leave 2g edges of a surface of genus
 g [1]_. Each of these and the dual tree close a loop of triangles, and a closed curve of edges separates the surface
-exactly if it crosses each of these 2g loops an even number of times. What is left of the tree and the 2g edges once
-dead ends are removed cuts the surface open to a disk, so that every curve that does not separate passes through one of
+exactly if it crosses each of these 2g loops an even number of times. The tree and the 2g edges,
+without dead ends, cut the surface open to a disk, so that every curve that does not separate passes through one of
 its vertices. The shortest such curve is hence the least, over these vertices, of the shortest ones through a vertex;
 and the shortest one through a vertex follows two shortest paths from it and one edge [2]_.
 
@@ -24,9 +24,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.topology.boundary import boundary_loops
 
 FAR_SWEEPS = 3  # from the farthest vertex to the one farthest from it
-ROOTS = 6  # vertices that a short loop is sought through where it need not be the shortest one
-CHUNK = 4_000_000  # edges times roots at once: what bounds the memory
-SHORTER = 1.0 - 1e-12  # of a length, that rounding does not explain
+ROOTS = 6  # vertices through which a short loop is sought where it need not be the shortest
+CHUNK = 4_000_000  # edges times roots at once, which bounds the memory
+SHORTER = 1.0 - 1e-12  # of a length: a difference above rounding
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ class _LoopGraph:
         return np.searchsorted(self._keys, self._key(tail, head))
 
     def _tree_and_cotree(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Find shortest paths, a tree of the dual that avoids their edges, and what is left.
+        """Find shortest paths, a tree of the dual that avoids their edges, and the other edges.
 
         Returns:
             The vertex before each on its path, negative at the root, shape [V]; the edges that the dual tree crosses;

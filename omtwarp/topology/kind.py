@@ -75,7 +75,7 @@ def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part
 
 
 def connected_components(faces: NDArray, vertex_count: int) -> tuple[int, NDArray[np.int32]]:
-    """Return the number of pieces that hang together through edges, and the piece of every face, shape [F]."""
+    """Return the number of pieces connected through edges, and the piece of every face, shape [F]."""
     return Topology(np.asarray(faces, dtype=np.int64), vertex_count).components
 
 
@@ -86,7 +86,7 @@ def described(part: Part) -> str:
 
 
 def options_for(parts: list[Part]) -> list[str]:
-    """List the options of ``omtwarp map`` that a mesh needs, with one line on what each would do."""
+    """List the options of ``omtwarp map`` that a mesh needs, with one line on what each does."""
     if len(parts) == 1 and parts[0].is_sphere:
         return []
     lines = []

@@ -1,7 +1,7 @@
 """The optimal map of a quartered mesh to a flat torus, in which every triangle of the mesh keeps its area.
 
-As :mod:`omtwarp.optimal.cells` on the sphere: the cells whose areas are kept are the triangles of the mesh, hexagons in
-the image, each the sum of four parts; their masses lie on their six vertices.
+The method is that of :mod:`omtwarp.optimal.cells` on the sphere: the cells whose areas are kept are the triangles of
+the mesh, hexagons in the image, each the sum of four parts; their masses lie on their six vertices.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SHARES = np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3)
 def quartered_torus(
     quartered: QuarteredSurface, faces: NDArray[np.integer], wraps: NDArray[np.int64], *maps: Floats
 ) -> tuple[NDArray[np.int64], list[Floats]]:
-    """Carry maps to a torus over to the quartered mesh, new vertices in the middle of the edges' images.
+    """Extend maps to a torus to the quartered mesh, with new vertices at the midpoints of the edges' images.
 
     Args:
         quartered: the mesh's triangles in four parts each.
@@ -89,7 +89,7 @@ class TorusCellEnergy(TorusEnergy):
         return terms.square[self._cells] @ _SHARES
 
     def masses(self, terms: PlaneTerms) -> Floats:
-        """Return the share of the torus that every vertex stands for, times 4π, shape [V]."""
+        """Return every vertex' share of the torus, times 4π, shape [V]."""
         shares = terms.cells[:, None] * _SHARES
         return np.bincount(self._cells.ravel(), shares.ravel(), self.surface.vertex_count).astype(np.float64)
 

@@ -3,7 +3,7 @@
 The problem is that of :mod:`omtwarp.optimal.energy` in the plane, with y_v - x_v in the universal cover in place of a
 geodesic: minimise C(y) + β S(y) over the maps whose areas around vertices are those of the surface, the cost written as
 C' = Σ a_v |y_v - x_v|² / 12π. A map of least cost is the gradient of a convex function |x|²/2 + φ with φ periodic, so
-that none of its points moves farther than to the nearest of the torus's copies of its image (D. Cordero-Erausquin,
+that each point is moved to the nearest copy of its image on the torus (D. Cordero-Erausquin,
 "Sur le transport de mesures périodiques", Comptes Rendus 329, 1999).
 """
 
@@ -53,7 +53,7 @@ class TorusEnergy:
         start: x in the plane, shape [V, 2].
         shape_weight: β.
         cost_weight: factor of the cost; 0 leaves the shape alone.
-        area_weight: λ of the shape, what area distortion counts beside angle distortion.
+        area_weight: λ of the shape, the weight of area distortion against angle distortion.
 
     Attributes:
         wanted: the areas that constraints ask for, three times the masses, shape [V].
@@ -123,7 +123,7 @@ class TorusEnergy:
         return cost + float(multipliers @ self.missing(terms)) + self.shape(terms)
 
     def means(self, terms: PlaneTerms) -> Floats:
-        """Return the squared distance that a cell counts with, shape [V]."""
+        """Return the squared distance in every cell's term of the cost, shape [V]."""
         return terms.square
 
     def potential(self, terms: PlaneTerms, multipliers: Floats) -> Floats:
@@ -131,7 +131,7 @@ class TorusEnergy:
         return multipliers + self.cost_weight / self.wanted.sum() * self.means(terms)
 
     def masses(self, terms: PlaneTerms) -> Floats:
-        """Return the share of the torus that every vertex stands for, times 4π, shape [V]."""
+        """Return every vertex' share of the torus, times 4π, shape [V]."""
         return terms.cells / 3.0
 
     def gradient(self, points: Floats, terms: PlaneTerms, multipliers: Floats) -> Floats:

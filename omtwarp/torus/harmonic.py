@@ -33,12 +33,12 @@ Floats = NDArray[np.float64]
 
 # Coordinates are whole multiples of 2^-40, so that adding whole numbers to them is exact.
 QUANTUM = 2.0**-40
-LEAST_WEIGHT, MOST_WEIGHT = 0.05, 20.0  # of edges of the mesh itself, so that slivers neither let go nor clamp
-STIFFER = (0.0, 1e-14, 1e-12, 1e-10)  # what the diagonal grows by where rounding leaves a pivot of the wrong sign
+LEAST_WEIGHT, MOST_WEIGHT = 0.05, 20.0  # of edges of the mesh itself, so that slivers are neither loose nor rigid
+STIFFER = (0.0, 1e-14, 1e-12, 1e-10)  # added to the diagonal where rounding leaves a pivot of the wrong sign
 RELAXATIONS = 60  # of weights towards equal areas
-RELAXATION = 0.8  # what of a vertex's wrong area, as a logarithm, its weights change by in a step
-PATIENCE = 10  # steps in a row that bring no evener areas, after which there are none to come
-EVEN_AREAS = 0.02  # logarithms of areas around vertices, rms: near enough to begin with
+RELAXATION = 0.8  # share of a vertex's area error, as a logarithm, by which its weights change in a step
+PATIENCE = 10  # steps without more even areas after which the iteration ends
+EVEN_AREAS = 0.02  # logarithms of areas around vertices, rms: sufficient for a start
 MOST_SOFTNESS = 200.0  # logarithms of weights; long limbs need 60
 
 
@@ -92,16 +92,16 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
     """Map the triangles of a surface without flips, where the conformal map may turn some over.
 
     Every vertex lies at the mean of its neighbours under positive weights, which gives an embedding [1]_. Weights
-    begin with the cotangents, kept away from zero, and fall where areas are too small, as long as that brings areas
-    nearer to those of the surface (S. Yoshizawa, A. Belyaev, H.-P. Seidel, "A fast and simple stretch-minimizing mesh
-    parameterization", Shape Modeling International (2004)).
+    are the cotangents at first, bounded away from zero, and are lowered where areas are too small, as long as areas
+    come nearer to those of the surface (S. Yoshizawa, A. Belyaev, H.-P. Seidel, "A fast and simple stretch-minimizing
+    mesh parameterization", Shape Modeling International (2004)).
 
     Args:
         surface: closed, connected, of genus 1.
         torus: its conformal map; the wraps and the lattice are taken from it.
 
     Raises:
-        OmtwarpError: in floating point numbers, triangles are turned over all the same.
+        OmtwarpError: triangles are turned over, by floating point.
     """
     edges = _mesh_edges(surface, torus.wraps)
     masses = surface.vertex_areas
@@ -170,7 +170,7 @@ def _solved(factor: MeshFactor, ends: NDArray[np.int64], weights: Floats, steps:
     right = np.stack([np.bincount(i, flow[:, k], count) - np.bincount(j, flow[:, k], count) for k in (0, 1)], axis=1)
     for stiffer in STIFFER:
         held = diagonal * (1.0 + stiffer) + stiffer * diagonal.mean()
-        held[0] *= 2.0  # one vertex is tied to its place; what pulls at all of them adds up to nothing
+        held[0] *= 2.0  # one vertex is fixed: the sum of all right-hand sides is zero
         try:
             factor.factorise(held, -weights)
         except NotPositiveDefinite:

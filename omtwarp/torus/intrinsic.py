@@ -1,7 +1,7 @@
 """The intrinsic Delaunay triangulation of a surface: its cotangent weights are never negative.
 
 Edges are geodesics inside the surface, known by their lengths alone; an edge whose opposite angles add up to more than
-π is flipped inside the two triangles beside it, laid flat. The surface stays as it is. Of all its triangulations with
+π is flipped inside its two triangles, laid flat. The surface does not change. Of all its triangulations with
 these vertices this one gives functions that are linear on triangles the least Dirichlet energy [1]_.
 
 .. [1] A. Bobenko, B. Springborn, "A discrete Laplace-Beltrami operator for simplicial surfaces", Discrete and

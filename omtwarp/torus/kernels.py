@@ -49,7 +49,7 @@ def plane_triangles(
     d = one[0] * two[1] - one[1] * two[0]
     areas[f] = HALF * (b[0] * c[1] - b[1] * c[0])
     if d > ZERO:
-        # What a triangle has above 2, without cancellation where it has next to nothing.
+        # The distortion above 2, without cancellation where it is close to 0.
         sheer = one - wp.vec2d(two[1], -two[0])
         angle[f] = wp.dot(sheer, sheer) / d
         area[f] = (d - ONE) * (d - ONE) / d
@@ -157,7 +157,7 @@ def sum_at_vertices(
     # Data out:
     sums: wp.array[wp.vec2d],
 ):
-    """Compute the sum of what the corners around every vertex have."""
+    """Sum the values of the corners around every vertex."""
     v = wp.tid()
     total = wp.vec2d()
     for k in range(offsets[v], offsets[v + 1]):

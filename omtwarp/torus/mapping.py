@@ -21,7 +21,7 @@ from omtwarp.torus.transport import Report, TorusTransport, exact_on_torus, refi
 
 Floats = NDArray[np.float64]
 
-WRONG_AREA = 1e-4  # largest relative error of an area around a vertex that goes without a warning
+WRONG_AREA = 1e-4  # largest relative error of an area around a vertex without a warning
 
 
 def map_to_torus(
@@ -118,7 +118,7 @@ class _Run:
         self.take("refine", found, {"weight": used})
 
     def take(self, name: str, found: TorusTransport, details: StageReport) -> None:
-        """Go on with a map that was found."""
+        """Continue with a map that was found."""
         known = len(self.history)
         self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
         lattice = self.conformal.lattice

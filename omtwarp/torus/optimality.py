@@ -1,10 +1,11 @@
-"""How far a map to a flat torus is from optimal: the curl left over, and a lower bound on the cost.
+"""How far a map to a flat torus is from optimal: the remaining curl, and a lower bound on the cost.
 
-As :mod:`omtwarp.metrics.optimality` on the sphere. The displacement y - x of an optimal map is a gradient in the image.
-For any periodic function ψ, with φ(x) = min over z of |x - z|²/2 - ψ(z), every plan that takes {x_i, m_i} to {y_i, m_i}
-costs at least 2 Σ m_i (φ(x_i) + ψ(y_i)). ψ is fitted to the displacements along edges and improved by steps that raise
-the bound; on each image triangle it is quadratic, and z runs over all of them: in a plane the least value on a triangle
-is found exactly, and a branch of triangles is left out only where it is proven to hold none that matters.
+The method is that of :mod:`omtwarp.metrics.optimality` on the sphere. The displacement y - x of an optimal map is a
+gradient in the image. For any periodic function ψ, with φ(x) = min over z of |x - z|²/2 - ψ(z), every plan that takes
+{x_i, m_i} to {y_i, m_i} costs at least 2 Σ m_i (φ(x_i) + ψ(y_i)). ψ is fitted to the displacements along edges and
+improved by steps that raise the bound; on each image triangle it is quadratic, and z runs over all of them: in a plane
+the least value on a triangle is found exactly, and a branch of triangles is skipped only where it is proven not to
+contain it.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class TorusOptimality:
     Attributes:
         relative_curl: norm of the part of y - x that is no gradient, over the norm of y - x; 0 for an optimal map.
         cost: Σ m |y - x|², with masses 4π and a torus of area 4π.
-        lower_bound: what no rearrangement can go below, same unit.
+        lower_bound: a lower bound on the cost of every rearrangement, same unit.
         gap: cost / lower_bound - 1.
         wrapped: vertices that a copy of their image is nearer to; none for an optimal map.
         ascent_steps: improvements of the potential that were made.
@@ -121,7 +122,7 @@ def _edge_ends(surface: Surface, shift: Floats) -> tuple[NDArray[np.int64], NDAr
 
 
 def _factorise(factor: MeshFactor, diagonal: Floats, off_diagonal: Floats) -> None:
-    """Factorise a graph Laplacian, one vertex tied to its place."""
+    """Factorise a graph Laplacian with one vertex fixed."""
     held = diagonal * (1.0 + 1e-12)
     held[0] *= 2.0
     factor.factorise(held, off_diagonal)
@@ -129,7 +130,7 @@ def _factorise(factor: MeshFactor, diagonal: Floats, off_diagonal: Floats) -> No
 
 @dataclass(frozen=True)
 class _Bound:
-    """A potential at the images, and what the best image of every point leaves of the cost.
+    """A potential at the images, and the best image of every point under it.
 
     Attributes:
         potential: ψ at the y_i, shape [V].
@@ -202,7 +203,8 @@ class _Dual:
     def ascent_direction(self, current: _Bound) -> tuple[Floats, float]:
         """Return a change of ψ that raises the bound, and the bound's slope along it.
 
-        The slope in ψ is a vertex's own mass less what the best images put there; the matrix is that of the fit.
+        The slope in ψ is a vertex's mass less that of the points whose best image is there; the matrix is that of the
+        fit.
         """
         gone = current.leaf >= 0
         mass = self.mass[gone]
@@ -228,8 +230,8 @@ def _on_host(values: Floats, dtype: type) -> wp.array:
 class _EdgeFit:
     """The least-squares problem for ψ, whose matrix also stands for the second derivative of the bound.
 
-    On each edge ψ's difference is to lie in the middle of what no swap of partners allows; what it may deviate by, the
-    width of the interval, is the reciprocal of the weight.
+    On each edge the target of ψ's difference is the middle of the interval in which swapping partners gains nothing;
+    the weight is one over the width of that interval.
     """
 
     def __init__(self, surface: Surface, x: Floats, y: Floats, shift: Floats):

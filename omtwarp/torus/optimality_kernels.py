@@ -98,9 +98,9 @@ def best_images(
 ):
     """Compute φ(x), the least |x - z|²/2 - ψ(z) over the copies of all triangles.
 
-    A branch is left out where its bound proves that it holds nothing lower than the best value so far less the
-    tolerance. ``proven`` is the lower of the least value found and of all bounds that were relied upon. ``leaf`` is -1
-    where nothing lower than the seed was found.
+    A branch is skipped where its bound proves that it has no value below the best so far less the tolerance. ``proven``
+    is the lower of the least value found and of all bounds that were relied upon. ``leaf`` is -1 where nothing lower
+    than the seed was found.
     """
     i = wp.tid()
     best = seeds[i] + ZERO

@@ -64,10 +64,10 @@ HOLDS = 30  # halvings of the shares of single vertices
 LEAST_AREA = 0.1  # of a triangle's area, that a step has to leave
 MOST_HELD = 0.002  # of the vertices: with so few held back the matrix still serves
 RESTORATIONS, EXACT_RESTORATIONS = 10, 30  # most steps that make areas right after a minimum was found
-STIFFNESS = 1e7  # of the areas beside cost and shape there, which only choose among the steps
-REFINED = 1e-4  # what a step of a refinement is expected to gain at least
-REFINEMENTS = 100  # its most steps
-NO_PENALTY = 1e-9  # in place of none: the matrix keeps its form
+STIFFNESS = 1e7  # of the areas relative to cost and shape, which only choose among the steps
+REFINED = 1e-4  # least expected gain of a step of a refinement
+REFINEMENTS = 100  # most steps of a refinement
+NO_PENALTY = 1e-9  # in place of zero, so that the matrix keeps its form
 EXACT = 1e-6  # largest relative error of the areas, with which they count as right
 
 
@@ -191,7 +191,7 @@ def refine_on_torus(
 
 
 def _with_right_areas(energy: TorusEnergy, found: TorusTransport, rounds: int) -> TorusTransport:
-    """Return a minimum with its areas made right, as one more record of its history."""
+    """Restore the areas of a minimum exactly, as one more record of its history."""
     points, terms = restore_areas(energy, found.points, rounds)
     rms, largest = energy.area_errors(terms)
     last = found.history[-1] | {"cost": energy.cost(terms), "ring_rms": rms, "ring_largest": largest}
@@ -242,7 +242,7 @@ class _Newton:
         self.damping = LEAST_DAMPING
 
     def run(self, points: Floats, iterations: int, progress: Report | None) -> TorusTransport:
-        """Take steps until the map is as good as asked for.
+        """Take steps until the map reaches the tolerances.
 
         One function, as every decision on how to go on rests on the same matrix, step and map.
         """
