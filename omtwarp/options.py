@@ -72,7 +72,7 @@ class Interpolation(StrEnum):
 
 
 class Domain(StrEnum):
-    """The domain of a map; ``auto`` is the sphere for a closed surface and the hemisphere for one with a single hole."""
+    """The domain of a map; ``auto`` is the sphere for closed surfaces and the hemisphere for those with one hole."""
 
     AUTO = "auto"
     SPHERE = "sphere"
