@@ -129,7 +129,7 @@ def _check_directory(source: BinaryIO) -> None:
         size = int.from_bytes(end[place + 12 : place + 16], "little")
     if place >= 76 and end[place - 20 : place - 16] == b"PK\6\7":  # a locator: the record of a large archive before it
         if end[place - 76 : place - 72] != b"PK\6\6":
-            raise OmtwarpError("damaged: its list of arrays is not where it belongs")
+            raise OmtwarpError("damaged: its list of arrays is not where it should be")
         size = max(size, int.from_bytes(end[place - 36 : place - 28], "little"))
     if size > LARGEST_DIRECTORY:
         raise OmtwarpError(f"its list of arrays has {amount(size)}, and {amount(LARGEST_DIRECTORY)} is the most")

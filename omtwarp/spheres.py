@@ -166,7 +166,7 @@ def mesh_grid(points: ArrayLike, faces: ArrayLike, name: str = "the sphere") -> 
     a, b, c = (unit[corners[:, k]] for k in range(3))
     cover = float(triangle_solid_angles(a, b, c).sum() / (4.0 * np.pi))
     if round(cover) == -1 and abs(cover + 1.0) < 1e-6:
-        raise OmtwarpError(f"{name}: the triangles are clockwise seen from outside; turn them round")
+        raise OmtwarpError(f"{name}: the triangles are clockwise seen from outside; reverse them")
     if abs(cover - 1.0) > 1e-6:
         raise OmtwarpError(f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times")
     return SphereGrid(name, unit, corners, (len(unit),))

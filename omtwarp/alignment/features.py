@@ -81,7 +81,7 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
     for name, values in features.items():
         deviation = spread(values, weights)
         if not deviation > 1e-9 * np.abs(values).max():
-            raise OmtwarpError(f"feature '{name}' is constant: it says nothing about rotations")
+            raise OmtwarpError(f"feature '{name}' is constant and determines no rotation: leave it out")
         columns.append(weights * (values - weights @ values / weights.sum()) / deviation)
     weighted = np.stack(columns, axis=1)
     total = np.zeros(((degree + 1) ** 2, len(columns)))

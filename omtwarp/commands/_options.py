@@ -76,7 +76,7 @@ MapOption = Annotated[
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the facts as JSON on standard output.")]
-VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Say what every stage did.")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what every stage did.")]
 MethodOption = Annotated[Method, named(Method, "How to map; all but omt are there for comparison.")]
 UntilOption = Annotated[Stage, named(Stage, "Stop after this stage.")]
 CostOption = Annotated[Cost, named(Cost, "What the transport minimises: squared geodesic distance, or distance.")]
@@ -86,17 +86,17 @@ RefineOption = Annotated[
     typer.Option(
         metavar="none|area|balanced|angle|NUMBER|match:AREA",
         callback=refine_weight,
-        help="Go on from the optimal map towards less distortion: how much area counts against angle.",
+        help="Refine the optimal map towards less distortion: a weight of area against angle.",
     ),
 ]
 SolverOption = Annotated[Solver, named(Solver, "How sparse systems are solved; scipy is the plain way.")]
-DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda:N", help="Where to compute.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no summary.")]
+DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda:N", help="Device to compute on.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]
 RepairOption = Annotated[
     bool,
     typer.Option(
         "--repair",
-        help="Mend the mesh first: equal vertices, orientation, small holes, the largest component; says what it did.",
+        help="Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.",
     ),
 ]
 StrictOption = Annotated[
@@ -112,10 +112,11 @@ HemisphereOption = Annotated[
     bool, typer.Option("--hemisphere", help="Map a surface with a hole to the hemisphere, the boundary on the equator.")
 ]
 DiskOption = Annotated[
-    bool, typer.Option("--disk", help="The same, laid flat by Lambert's equal-area projection: the unit disk.")
+    bool, typer.Option("--disk", help="Map a surface with a hole to the unit disk, by Lambert's equal-area projection.")
 ]
 CapOption = Annotated[
-    bool, typer.Option("--cap", help="The same on a spherical cap of the area that the filled hole leaves.")
+    bool,
+    typer.Option("--cap", help="Map a surface with a hole to a spherical cap of the area that the filled hole leaves."),
 ]
 FillAreaOption = Annotated[
     FillArea | None,
@@ -126,13 +127,13 @@ ComponentsOption = Annotated[
 ]
 TogetherOption = Annotated[
     bool,
-    typer.Option(
-        "--together", help="All parts side by side on one sphere, each on a cap, in proportion to their areas."
-    ),
+    typer.Option("--together", help="Map all parts to disjoint caps of one sphere, in proportion to their areas."),
 ]
 CutOption = Annotated[
     bool,
-    typer.Option("--cut", help="Cut handles open along shortest loops and map to the sphere; a texture breaks there."),
+    typer.Option(
+        "--cut", help="Cut handles open along shortest loops and map to the sphere; textures have seams there."
+    ),
 ]
 TorusOption = Annotated[bool, typer.Option("--torus", help="Map a closed surface of genus 1 to a flat torus.")]
 SizeOption = Annotated[

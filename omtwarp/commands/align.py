@@ -44,27 +44,28 @@ def align_map(
         ),
     ] = "axes",
     surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface that MAP is a sphere of, where it is no .npz.")
+        Path | None, typer.Option(metavar="MESH", help="The surface of MAP, where MAP is a sphere without one.")
     ] = None,
     to_surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The same of the other sphere, where it is no .npz.")
+        Path | None, typer.Option(metavar="MESH", help="The surface of the other sphere, where that is no .npz.")
     ] = None,
     feature: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="Align by these data at MAP's vertices; again for more features."),
+        typer.Option(metavar="FILE", help="Align by these data at MAP's vertices; repeat for more features."),
     ] = None,
     to_feature: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="The same data at the other's vertices, in this order.")
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="The same data at the other sphere's vertices, in this order."),
     ] = None,
     by: Annotated[
         str,
         typer.Option(
             metavar="auto|features|vertices",
-            help="vertices needs equal faces; auto takes that where both are maps of one surface.",
+            help="What to compare; vertices needs equal faces, and auto takes it for two maps of one surface.",
         ),
     ] = "auto",
     mirror: Annotated[
-        bool, typer.Option("--mirror", help="Try the mirror image too, and take it where it fits better.")
+        bool, typer.Option("--mirror", help="Also try the mirror image, and take it if it fits better.")
     ] = False,
     degree: Annotated[int, typer.Option(min=1, max=64, help="Highest degree of the spherical harmonics.")] = 16,
     radius: Annotated[
@@ -93,7 +94,7 @@ def align_map(
 
     check_output(output, (".npz", *SUFFIXES), source, surface)
     if output.suffix.lower() == ".npz" and source.suffix.lower() != ".npz":
-        raise OmtwarpError(f"cannot write '{output}': a whole map needs a map (.npz) to begin with")
+        raise OmtwarpError(f"cannot write '{output}': a whole map needs a map (.npz) as input")
     other = None if to == "axes" or is_named(to) else Path(to)
     for ours in (source, surface):
         for theirs in (other, to_surface):

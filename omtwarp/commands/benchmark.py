@@ -41,25 +41,37 @@ def parse_sizes(text: str) -> tuple[int, ...]:
 
 def benchmark(
     meshes: Annotated[
-        list[Path] | None, typer.Argument(metavar="[MESH]...", help="Mesh files to measure besides made shapes.")
+        list[Path] | None,
+        typer.Argument(metavar="[MESH]...", help="Mesh files to measure in addition to generated shapes."),
     ] = None,
     sizes: Annotated[
         str,
-        typer.Option(metavar="N,N,...", callback=face_counts, help="Faces of made shapes, 5k to 2M; none for none."),
+        typer.Option(
+            metavar="N,N,...",
+            callback=face_counts,
+            help="Numbers of faces of generated shapes, 5k to 2M; none for no shapes.",
+        ),
     ] = "5k,20k,80k",
     shapes: Annotated[
-        str, typer.Option("--shape", metavar="NAME,...", help="Made shapes: blob, creature, sphere.")
+        str, typer.Option("--shape", metavar="NAME,...", help="Generated shapes: blob, creature, sphere.")
     ] = "blob",
     subdivisions: Annotated[
-        int, typer.Option("--subdivide", metavar="TIMES", min=0, max=6, help="Also subdivide given meshes.")
+        int,
+        typer.Option("--subdivide", metavar="TIMES", min=0, max=6, help="How often to subdivide the given meshes too."),
     ] = 0,
     devices: Annotated[
-        str, typer.Option("--device", metavar="cpu,cuda:0", help="Where to map; auto is all there is.")
+        str, typer.Option("--device", metavar="cpu,cuda:0", help="Devices to map on; auto is every device there is.")
     ] = "auto",
-    repeats: Annotated[int, typer.Option(min=1, max=MOST_REPEATS, help="Maps of which the median counts.")] = 3,
+    repeats: Annotated[
+        int, typer.Option(min=1, max=MOST_REPEATS, help="Number of maps, of which the median is taken.")
+    ] = 3,
     refine: RefineOption = "none",
-    kernels: Annotated[bool, typer.Option("--kernels", help="Also every kernel beside the memory it moves.")] = False,
-    cold: Annotated[bool, typer.Option("--cold", help="Also compilation into an empty cache, and starts.")] = False,
+    kernels: Annotated[
+        bool, typer.Option("--kernels", help="Also measure every kernel, and the memory it moves.")
+    ] = False,
+    cold: Annotated[
+        bool, typer.Option("--cold", help="Also measure compilation into an empty cache, and starts.")
+    ] = False,
     json_output: Annotated[
         Path | None,
         typer.Option(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def check_mesh(
     meshes: MeshArguments,
-    repair: Annotated[bool, typer.Option("--repair", help="Repair the mesh; list what that does.")] = False,
+    repair: Annotated[bool, typer.Option("--repair", help="Repair the mesh, and list what was done.")] = False,
     output: Annotated[
         Path | None,
         typer.Option(

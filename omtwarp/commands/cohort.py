@@ -58,21 +58,24 @@ def cohort(
         str,
         typer.Option(
             metavar="local|dask|dask:ADDRESS|slurm|submitit-local",
-            help="Where to compute: processes here, or a cluster.",
+            help="Engine that runs the work: processes of this machine, or a cluster.",
         ),
     ] = "local",
     workers: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Items at once; one for each core by default.")
+        int | None,
+        typer.Option(metavar="N", min=1, help="Number of items at the same time; one for each core by default."),
     ] = None,
-    shard: Annotated[str, typer.Option(metavar="I/N", help="Work on every N-th item, the I-th first.")] = "1/1",
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="Compute every N-th item only, beginning with the I-th.")
+    ] = "1/1",
     time_limit: Annotated[
-        float, typer.Option(metavar="SECONDS", help="An item that takes longer has failed.")
+        float, typer.Option(metavar="SECONDS", help="Seconds after which an item counts as failed.")
     ] = 3600.0,
     memory_limit: Annotated[
-        float, typer.Option(metavar="GIB", help="Memory that an item may allocate; 0 for no limit. On Linux.")
+        float, typer.Option(metavar="GIB", help="GiB of memory that an item may allocate, on Linux; 0 for no limit.")
     ] = 0.0,
-    retry: Annotated[bool, typer.Option("--retry", help="Work again on items that failed.")] = False,
-    collect: Annotated[bool, typer.Option("--collect", help="Only write the table and the page.")] = False,
+    retry: Annotated[bool, typer.Option("--retry", help="Compute failed items again.")] = False,
+    collect: Annotated[bool, typer.Option("--collect", help="Compute nothing; write the table and the page.")] = False,
     optimality: Annotated[
         bool, typer.Option(help="Also bound the cost from below (column gap).")
     ] = MapOptions.optimality,
@@ -84,7 +87,7 @@ def cohort(
     repair: RepairOption = False,
     device: DeviceOption = MapOptions.device,
     solver: SolverOption = MapOptions.solver,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what became of the cohort as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results of the run as JSON.")] = False,
     quiet: QuietOption = False,
 ) -> None:
     """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun goes on.

@@ -18,7 +18,7 @@ UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)
 
 
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIRECTORY", help="Where the results go.")] = Path(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIRECTORY", help="Folder of the results.")] = Path(
         "out"
     ),
     faces: Annotated[
@@ -96,4 +96,4 @@ def _refuse_other_files(files: list[Path]) -> None:
     if not written_by_omtwarp(files[0]):
         for file in files:
             if file.exists():
-                raise OmtwarpError(f"'{file}' is there and not from an earlier demo: choose another directory with -o")
+                raise OmtwarpError(f"'{file}' exists and is not from an earlier demo: choose another directory with -o")

@@ -13,9 +13,11 @@ from omtwarp.commands._streams import input_file
 
 def distance(
     first: Annotated[Path, typer.Argument(metavar="A", callback=input_file, help="A map (.npz); - is standard input.")],
-    second: Annotated[Path, typer.Argument(metavar="B", callback=input_file, help="Another.")],
+    second: Annotated[Path, typer.Argument(metavar="B", callback=input_file, help="Another map (.npz).")],
     degree: Annotated[int, typer.Option(metavar="L", min=1, max=64, help="Highest degree of the harmonics.")] = 12,
-    scale: Annotated[bool, typer.Option("--scale", help="Compare coefficients at the same size.")] = False,
+    scale: Annotated[
+        bool, typer.Option("--scale", help="Scale both shapes to the same size before coefficients are compared.")
+    ] = False,
     device: DeviceOption = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print the distances as JSON.")] = False,
     quiet: QuietOption = False,

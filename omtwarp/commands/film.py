@@ -47,18 +47,22 @@ def film_map(
     ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
-    image: Annotated[Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture.")] = None,
-    pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead; circles by default.")] = None,
+    image: Annotated[
+        Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to carry along.")
+    ] = None,
+    pattern: Annotated[
+        PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")
+    ] = None,
     size: Annotated[
         str | None,
         typer.Option(
             metavar="WIDTHxHEIGHT",
             callback=film_size,
-            help="In pixels; 1920x1080 by default, 640x360 of .gif and .webp.",
+            help="Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.",
         ),
     ] = None,
     view: Annotated[
-        str, typer.Option(metavar="NAME|AZIMUTH,ELEVATION", help="Where the camera stands, as for preview.")
+        str, typer.Option(metavar="NAME|AZIMUTH,ELEVATION", help="Direction of view, as for preview.")
     ] = "three-quarter",
     up: Annotated[
         str | None,
@@ -68,10 +72,12 @@ def film_map(
         str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
     ] = None,
     background: Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")] = "white",
-    seconds: Annotated[float | None, typer.Option(help="How long; by default as long as smooth motion takes.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames per second; 30 by default, 20 of .gif and .webp.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Length in seconds; by default as long as smooth motion needs.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames per second; 30 by default, 20 for .gif and .webp.")] = None,
     captions: Annotated[bool, typer.Option(help="Name what is seen below the picture.")] = True,
-    backend: Annotated[Backend, typer.Option(help="OpenGL or the ray caster.")] = Backend.AUTO,
+    backend: Annotated[Backend, typer.Option(help="What draws: OpenGL or the ray caster.")] = Backend.AUTO,
     method: MethodOption = MapOptions.method,
     cost: CostOption = MapOptions.cost,
     scheme: SchemeOption = MapOptions.scheme,

@@ -23,12 +23,18 @@ def group(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")],
     grid: Annotated[str, typer.Option(metavar="GRID", help="Sphere whose points are compared.")] = "ico4",
-    components: Annotated[int, typer.Option(metavar="N", min=1, help="The most principal components.")] = 5,
-    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64, help="Of the harmonics in distances.")] = 12,
-    scale: Annotated[bool, typer.Option("--scale", help="Bring all shapes to the same size.")] = False,
-    permutations: Annotated[int, typer.Option(metavar="N", min=1, help="By which differences are judged.")] = 999,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the permutations.")] = 0,
-    transport: Annotated[bool, typer.Option("--transport", help="Also transport distances, all pairs.")] = False,
+    components: Annotated[int, typer.Option(metavar="N", min=1, help="Largest number of principal components.")] = 5,
+    degree: Annotated[
+        int, typer.Option(metavar="L", min=1, max=64, help="Highest degree of the harmonics in distances.")
+    ] = 12,
+    scale: Annotated[bool, typer.Option("--scale", help="Scale all shapes to the same size.")] = False,
+    permutations: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Number of permutations that test differences.")
+    ] = 999,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the random permutations.")] = 0,
+    transport: Annotated[
+        bool, typer.Option("--transport", help="Also compute transport distances of all pairs.")
+    ] = False,
     device: DeviceOption = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
     quiet: QuietOption = False,

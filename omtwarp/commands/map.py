@@ -96,11 +96,13 @@ def map_mesh(
     ] = 0.0,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="JSON", help="Write what was done and how good the map is; a directory for several."),
+        typer.Option(
+            metavar="JSON", help="Write the report: what was done, and the map's quality; a directory for several."
+        ),
     ] = None,
     repair: RepairOption = False,
     beside: Annotated[
-        bool, typer.Option("--beside", help="For .ply: the surface, with its sphere beside it as px, py, pz.")
+        bool, typer.Option("--beside", help="For .ply: the surface, with its sphere as px, py, pz at the vertices.")
     ] = False,
     radius: Annotated[
         float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")

@@ -57,12 +57,14 @@ def preview_mesh(
         list[str] | None,
         typer.Option(
             metavar="NAME|AZIMUTH,ELEVATION",
-            help="front, back, left, right, top, bottom, three-quarter, six, or degrees; again for more views.",
+            help="front, back, left, right, top, bottom, three-quarter, six, or degrees; repeat for more views.",
         ),
     ] = None,
-    zoom: Annotated[float, typer.Option(help="1 fills the picture.")] = 1.0,
+    zoom: Annotated[float, typer.Option(help="Enlargement; at 1 the surface fills the picture.")] = 1.0,
     field_of_view: Annotated[float, typer.Option(help="Vertical opening of the camera in degrees.")] = 24.0,
-    projection: Annotated[CameraProjection, typer.Option(help="Of the camera.")] = CameraProjection.PERSPECTIVE,
+    projection: Annotated[
+        CameraProjection, typer.Option(help="Projection of the camera.")
+    ] = CameraProjection.PERSPECTIVE,
     up: Annotated[
         str | None,
         typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default."),
@@ -70,16 +72,16 @@ def preview_mesh(
     front: Annotated[
         str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
     ] = None,
-    light: Annotated[LightName, typer.Option(help="flat shows the colours themselves.")] = LightName.STUDIO,
+    light: Annotated[LightName, typer.Option(help="Lights; flat shows the colours themselves.")] = LightName.STUDIO,
     background: Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")] = BACKGROUND,
     transparent: Annotated[bool, typer.Option("--transparent", help="Leave the background out.")] = False,
     wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the triangles' edges.")] = False,
     image: Annotated[
         Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture, shown through a map.")
     ] = None,
-    frames: Annotated[int | None, typer.Option(min=1, help="Draw a turntable of so many frames.")] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="Number of frames of a turntable to draw.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per second of the turntable.")] = FILM_RATE,
-    backend: Annotated[Backend, typer.Option(help="OpenGL or the ray caster.")] = Backend.AUTO,
+    backend: Annotated[Backend, typer.Option(help="What draws: OpenGL or the ray caster.")] = Backend.AUTO,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
     quiet: QuietOption = False,

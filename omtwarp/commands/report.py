@@ -33,7 +33,11 @@ def report_on_map(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", metavar="FILE", callback=output_file(".html"), help=".html, with everything in it."
+            "--output",
+            "-o",
+            metavar="FILE",
+            callback=output_file(".html"),
+            help="The page (.html), with everything in it.",
         ),
     ],
     mesh: OptionalMesh = None,
@@ -41,7 +45,9 @@ def report_on_map(
     image: Annotated[
         Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to show on the surface.")
     ] = None,
-    pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead; circles by default.")] = None,
+    pattern: Annotated[
+        PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")
+    ] = None,
     title: Annotated[str | None, typer.Option(help="Heading of the page; the mesh's name by default.")] = None,
     up: Annotated[
         str | None,

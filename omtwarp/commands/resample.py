@@ -44,7 +44,7 @@ def resample_map(
             "--output",
             "-o",
             metavar="FILE",
-            help="The data there; without --data the surface; - is standard output, .npy or .ply.",
+            help="The data at the target; without --data the surface; - is standard output, .npy or .ply.",
         ),
     ],
     data: Annotated[
@@ -56,14 +56,14 @@ def resample_map(
         ),
     ] = None,
     labels: Annotated[
-        bool, typer.Option("--labels", help="The data are labels; GIFTI and .annot files say so themselves.")
+        bool, typer.Option("--labels", help="Treat the data as labels; GIFTI and .annot files are recognised.")
     ] = False,
     method: Annotated[
         Interpolation | None,
         named(Interpolation, "How; barycentric by default, and conservative (largest overlap) for labels."),
     ] = None,
     surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface that SOURCE is a sphere of, where it is no .npz.")
+        Path | None, typer.Option(metavar="MESH", help="The surface of SOURCE, where SOURCE is a sphere without one.")
     ] = None,
     sphere: Annotated[Path | None, typer.Option(metavar="MESH", help="Write the target sphere as well.")] = None,
     matrix: Annotated[

@@ -39,10 +39,10 @@ def spharm(
     ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
-    degree: Annotated[int, typer.Option(metavar="L", min=0, max=500, help="The highest degree.")] = 15,
-    fit: Annotated[Fit, typer.Option(help="Least squares at the vertices, or integrals over the triangles.")] = (
-        Fit.LEAST_SQUARES
-    ),
+    degree: Annotated[int, typer.Option(metavar="L", min=0, max=500, help="Highest degree of the harmonics.")] = 15,
+    fit: Annotated[
+        Fit, typer.Option(help="How to fit: least squares at the vertices, or integrals over the triangles.")
+    ] = (Fit.LEAST_SQUARES),
     reconstruction: Annotated[
         Path | None, typer.Option(metavar="MESH", help="Also write the surface that the coefficients describe.")
     ] = None,

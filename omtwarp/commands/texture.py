@@ -86,29 +86,32 @@ def texture_mesh(
     ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
-    image: Annotated[Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture.")] = None,
+    image: Annotated[
+        Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to put on the surface.")
+    ] = None,
     pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead of a picture.")] = None,
     projection: Annotated[
-        ProjectionName, typer.Option(help="How the picture covers the sphere; sinusoidal for those not made for one.")
+        ProjectionName,
+        typer.Option(help="How the picture covers the sphere; sinusoidal for pictures not made for one."),
     ] = ProjectionName.EQUIRECTANGULAR,
     atlas: Annotated[
         AtlasName, typer.Option(help="Layout of the texture; equirectangular for tools that expect one.")
     ] = AtlasName.CUBE,
     uv: Annotated[
         Coordinates,
-        typer.Option("--uv", help="own bakes into the mesh's own texture coordinates, a picture for each material."),
+        typer.Option("--uv", help="Texture coordinates; own are the mesh's, with a picture for each material."),
     ] = Coordinates.ATLAS,
     keep_materials: Annotated[
         Keep | None, typer.Option(help="Lay the pattern over the mesh's materials, or under them.")
     ] = None,
     opacity: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Of the upper layer, with --keep-materials; times its own.")
+        float, typer.Option(min=0.0, max=1.0, help="Opacity of the upper layer with --keep-materials, times its own.")
     ] = 0.5,
     bake: Annotated[
         list[str] | None,
         typer.Option(
             metavar="normal|ao|curvature|area|FILE",
-            help="Bake this: ao into the occlusion, normals of --detail into the normal map, others as the colour.",
+            help="What to bake: ao into the occlusion, normals of --detail into the normal map, others as the colour.",
         ),
     ] = None,
     detail: Annotated[
@@ -171,10 +174,10 @@ def texture_mesh(
     }
     if uv is Coordinates.OWN or keep_materials is not None or bake:
         if size == "auto":
-            raise OmtwarpError("--size auto is of an atlas alone, without --uv own, --keep-materials and --bake")
+            raise OmtwarpError("--size auto is for an atlas only, without --uv own, --keep-materials and --bake")
         check_output(output, (".glb", ".obj"), mesh, finished, image, detail)
         if seam != "180":
-            raise OmtwarpError("--seam is of an equirectangular atlas alone, without --keep-materials and --bake")
+            raise OmtwarpError("--seam is for an equirectangular atlas only, without --keep-materials and --bake")
         _paint(
             mesh,
             finished,
@@ -228,7 +231,7 @@ def _sharp_size(result: MapResult | TorusMap, atlas: str) -> tuple[int, str]:
     from omtwarp.texturing.sharpness import sharp_size
 
     if not isinstance(result, MapResult):
-        raise OmtwarpError("--size auto is of textures on the sphere, and this map is one to a torus")
+        raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")
     chosen = sharp_size(result.vertices, result.faces, result.sphere, atlas)
     share = f"; on {100.0 * chosen.coarse:.1g} % of the surface texels cover more than 1.5 pixels at 1024"
     return chosen.size, share if chosen.coarse else ""
@@ -284,7 +287,7 @@ def _paint(
     painted = None
     if options["uv"] == "own" or options["keep"] is not None:
         if mesh is None or mesh.suffix.lower() == ".npz":
-            raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it beside the map")
+            raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
         painted, result = painted_map(mesh, finished, repair=repair, quiet=quiet, device=device, **mapping)
         if options["uv"] == "own":
             painted.require_uv(str(mesh))

@@ -28,13 +28,13 @@ def transfer(
     ] = None,
     map_of_target: Annotated[Path | None, typer.Option("--map-to", metavar="NPZ", help="A finished map of TO.")] = None,
     aligned: Annotated[
-        bool, typer.Option("--aligned", help="The maps are in one position already; turn nothing.")
+        bool, typer.Option("--aligned", help="The maps are aligned already; do not rotate them.")
     ] = False,
     mirror: Annotated[
-        bool, typer.Option("--mirror", help="Try TO's mirror image too, and take it where it fits better.")
+        bool, typer.Option("--mirror", help="Also try TO's mirror image, and take it if it fits better.")
     ] = False,
     uv: Annotated[
-        Coordinates, typer.Option("--uv", help="own bakes into TO's own texture coordinates.")
+        Coordinates, typer.Option("--uv", help="Texture coordinates; own are those of TO.")
     ] = Coordinates.ATLAS,
     atlas: Annotated[AtlasName, typer.Option(help="Layout of the texture, where --uv is not own.")] = AtlasName.CUBE,
     size: Annotated[int | None, typer.Option(min=16, help="Width of the texture in texels.")] = None,

@@ -30,10 +30,10 @@ def unwrap_mesh(
     mesh: OptionalMesh = None,
     finished: MapOption = None,
     aspect: Annotated[
-        float, typer.Option(min=0.1, max=10.0, help="Width of the picture over its height; 1.5 wastes no room.")
+        float, typer.Option(min=0.1, max=10.0, help="Width of the picture over its height; 1.5 wastes no space.")
     ] = 1.0,
     margin: Annotated[
-        float, typer.Option(min=0.0, max=0.1, help="Free room around each chart, in heights of the picture.")
+        float, typer.Option(min=0.0, max=0.1, help="Margin around each chart, in heights of the picture.")
     ] = 1.0 / 128.0,
     refine: RefineOption = str(Refinement.NONE),
     repair: RepairOption = False,

@@ -133,7 +133,7 @@ class PaintedArrays:
         if materials.shape != (count,):
             raise OmtwarpError(f"materials of {len(materials)} triangles given for {count}")
         if count and not (0 <= materials.min() and materials.max() < len(self.materials)):
-            raise OmtwarpError(f"a triangle asks for material {int(materials.max())} of {len(self.materials)}")
+            raise OmtwarpError(f"a triangle refers to material {int(materials.max())} of {len(self.materials)}")
         put(self, "face_material", materials.astype(np.int32))
 
     def __repr__(self) -> str:

@@ -86,7 +86,7 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
         raise OmtwarpError(f"{file}: {len(found.faces):,} triangles, and {MOST_FACES:,} is the most")
     outside = len(found.faces) and (found.faces.min() < 0 or found.faces.max() >= len(found.vertices))
     if outside:
-        raise OmtwarpError(f"{file}: a face asks for vertex {found.faces.max()} of {len(found.vertices)}")
+        raise OmtwarpError(f"{file}: a face refers to vertex {found.faces.max()} of {len(found.vertices)}")
     return replace(found, source_files=(file, *found.source_files))
 
 

@@ -75,7 +75,7 @@ def read_obj(text: bytes, triangulate: bool) -> Wavefront:
     if given.any() and found.coordinates:
         table = np.array([[*row, b"0"][:2] for row in found.coordinates], dtype=np.float64)
         if which[given].max() >= len(table) or which[given].min() < 0:
-            raise OmtwarpError(f"a face asks for texture coordinates {which[given].max() + 1} of {len(table)}")
+            raise OmtwarpError(f"a face refers to texture coordinates {which[given].max() + 1} of {len(table)}")
         at_corner = np.full((len(vertex), 2), np.nan)
         at_corner[given] = table[which[given]]
         uv = at_corner[rows]

@@ -45,7 +45,7 @@ def write_mesh(
     if suffix not in SUFFIXES:
         raise OmtwarpError(f"cannot write '{file}': unknown suffix '{file.suffix}', use {', '.join(SUFFIXES)}")
     if beside and suffix != ".ply":
-        raise OmtwarpError(f"cannot write '{file}': only .ply holds numbers beside the vertices")
+        raise OmtwarpError(f"cannot write '{file}': only .ply holds numbers at the vertices")
     with staged(file) as place:
         if suffix == ".gii":
             write_gifti_surface(place, points, triangles, spherical, like)

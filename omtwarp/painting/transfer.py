@@ -75,7 +75,7 @@ def transfer_texture(
     source = mesh.on(vertices, faces)
     plain = all(material.picture is None for material in source.materials)
     if plain and len(source.materials) == 1 and source.vertex_colors is None:
-        raise OmtwarpError("nothing to carry over: the mesh has neither a picture nor colours")
+        raise OmtwarpError("nothing to transfer: the mesh has neither a picture nor colours")
     if not aligned:
         moving, fixed = _points(points, triangles, there), _points(sphere, faces, vertices)
         # Equal faces alone do not make vertices correspond: two subdivided spheres have them.

@@ -132,7 +132,7 @@ def turntable(base: Camera, frames: int) -> list[Camera]:
         OmtwarpError: fewer than one frame.
     """
     if frames < 1:
-        raise OmtwarpError(f"a turntable of {frames} frames is none: ask for 1 or more")
+        raise OmtwarpError(f"a turntable of {frames} frames is empty: give 1 or more")
     return [replace(base, azimuth=base.azimuth + 360.0 * k / frames) for k in range(frames)]
 
 

@@ -30,7 +30,7 @@ def write_coef(path: str | os.PathLike[str], expansion: Expansion) -> None:
         OmtwarpError: the expansion is not of three coordinates, or the file cannot be written.
     """
     if expansion.coefficients.shape[1] != 3:
-        raise OmtwarpError("a .coef file holds surfaces: three components a coefficient")
+        raise OmtwarpError("a .coef file holds surfaces: give three components per coefficient")
     rows, factors = _order(expansion.degree)
     numbers = expansion.coefficients[rows] * factors[:, None]
     lines = ",\n".join("{" + ", ".join(repr(float(x)) for x in row) + "}" for row in numbers)

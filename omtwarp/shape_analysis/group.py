@@ -98,7 +98,7 @@ class GroupStudy:
         """
         known = self.components
         if not 0 <= component < len(known.deviations):
-            raise OmtwarpError(f"there is no component {component}: there are {len(known.deviations)}, from 0 on")
+            raise OmtwarpError(f"there is no component {component}: there are {len(known.deviations)}, numbered from 0")
         moved = deviations * known.deviations[component] * known.directions[component]
         return Surface(self.alignment.mean + moved, self.alignment.faces)
 

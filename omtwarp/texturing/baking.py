@@ -438,7 +438,7 @@ def _own_uv(uv: ArrayLike, faces: NDArray, uv_faces: ArrayLike | None) -> Floats
         corner = coordinates
     elif coordinates.ndim == 2 and coordinates.shape[1] == 2 and index.shape == (len(faces), 3):
         if index.max(initial=-1) >= len(coordinates) or index.min(initial=0) < 0:
-            raise OmtwarpError(f"texture coordinates: a face asks for number {index.max()} of {len(coordinates)}")
+            raise OmtwarpError(f"texture coordinates: a face refers to number {index.max()} of {len(coordinates)}")
         corner = coordinates[index]
     else:
         raise OmtwarpError(

@@ -133,7 +133,7 @@ class Circles(Pattern):
 
     def __init__(self, count: int = 162, coverage: float = 0.56):
         if not 4 <= count <= 20_000 or not 0 < coverage < 1:
-            raise OmtwarpError(f"circles: count {count}, coverage {coverage}: give 4 to 20000 circles and a part of 1")
+            raise OmtwarpError(f"circles: count {count}, coverage {coverage}: give 4 to 20000 circles, a share below 1")
         self.count = int(count)
         self.centres = _even_points(self.count)
         self.radius = float(np.arccos(1.0 - 2.0 * coverage / self.count))

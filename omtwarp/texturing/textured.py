@@ -143,7 +143,7 @@ def texture(
         if isinstance(size, str):
             raise OmtwarpError(f"texture size '{size}': a map to a torus takes texels")
         if (projection, atlas, rotate, seam_longitude) != ("equirectangular", "cube", None, 180.0):
-            raise OmtwarpError("projection, atlas, rotation and seam are of textures on the sphere: a torus has none")
+            raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
         on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=size)
         return on_its_own
     vertices, faces, sphere = as_map(cast(SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike], result))

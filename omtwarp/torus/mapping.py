@@ -172,7 +172,7 @@ class _Run:
         if wrong > WRONG_AREA:
             text = f"areas around vertices are kept to {wrong:.1%} at worst: remesh with more triangles, evenly shaped"
             if strict:
-                raise OmtwarpError(f"the map is not as good as --strict asks for: {text}")
+                raise OmtwarpError(f"the map is not as good as --strict requires: {text}")
             warnings.warn(OmtwarpWarning(text), stacklevel=4)
         result.report.update(
             {

@@ -117,7 +117,7 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArra
         OmtwarpError: another pattern, or a size that is too large.
     """
     if name not in PATTERNS:
-        raise OmtwarpError(f"the pattern '{name}' is one of the sphere: a torus takes {' or '.join(PATTERNS)}")
+        raise OmtwarpError(f"the pattern '{name}' is for the sphere: a torus takes {' or '.join(PATTERNS)}")
     along = np.linalg.norm(lattice, axis=1)
     wide = int(np.sqrt(TEXELS * along[0] / along[1])) if size is None else size
     width, height = check_size((max(wide, 16), max(round(wide * float(along[1] / along[0])), 16)))

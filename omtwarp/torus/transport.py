@@ -226,7 +226,7 @@ def minimise(
     """
     flipped = int((~(energy.terms(points).triangles > 0.0)).sum())
     if flipped:
-        raise OmtwarpError(f"the map to the torus has {flipped} flipped triangles to begin with")
+        raise OmtwarpError(f"the map to the torus has {flipped} flipped triangles before transport")
     return _Newton(energy, gain, penalty, multipliers).run(points, iterations, progress)
 
 

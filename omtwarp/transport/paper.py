@@ -328,7 +328,7 @@ def paper_flow(
         resolutions = default_resolutions(surface.vertex_count)
     levels = whole_numbers(resolutions, "resolutions", (None,), below=HIGHEST_RESOLUTION + 1).tolist()
     if not levels:
-        raise OmtwarpError("resolutions: there are none")
+        raise OmtwarpError("resolutions: give at least one")
     cycles = whole_number(cycles, "cycles")
     tolerance = real_number(tolerance, "tolerance")
     smallest_hamiltonian = real_number(smallest_hamiltonian, "smallest_hamiltonian")

@@ -71,7 +71,7 @@ def test_unwrap_then_transfer(desk, capsys):
         ("texture --map two.npz -o a.glb --bake bumps", "cannot bake 'bumps'"),
         ("texture --map two.npz -o a.glb --detail plain.ply", "--detail is for --bake normal"),
         ("texture --map two.npz -o a.glb --bake ao --seam 20", "--seam"),
-        ("transfer plain.ply two.obj --map-from two.npz --map-to two.npz -o a.glb", "nothing to carry over"),
+        ("transfer plain.ply two.obj --map-from two.npz --map-to two.npz -o a.glb", "nothing to transfer"),
         ("transfer two.obj gone.ply -o a.glb", "gone.ply: no such file"),
         ("unwrap plain.ply -o a.stl", "unknown suffix"),
     ],

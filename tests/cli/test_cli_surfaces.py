@@ -111,7 +111,7 @@ def test_torus(capsys, tmp_path):
         assert status == 0, err
     assert "one to one" in (tmp_path / "t.html").read_text("utf-8") and (tmp_path / "t.png").stat().st_size > 1000
     for words, told in (
-        (["texture", whole, "-o", tmp_path / "u.glb", "--pattern", "globe"], "one of the sphere"),
+        (["texture", whole, "-o", tmp_path / "u.glb", "--pattern", "globe"], "is for the sphere"),
         (["texture", whole, "-o", tmp_path / "u.glb", "--atlas", "octahedral"], "a torus has none"),
         (["spharm", whole, "-o", tmp_path / "u.csv"], "a map to a torus"),
     ):

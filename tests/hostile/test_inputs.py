@@ -126,7 +126,7 @@ def test_archives_with_endless_lists_of_arrays(tmp_path, load):
     path.write_bytes(b"PK\3\4" + bytes(60) + wide + locator + end)
     assert "list of arrays has 8.6 GB" in error_of(lambda: load(path))
     path.write_bytes(b"PK\3\4" + bytes(90) + locator + end)
-    assert "not where it belongs" in error_of(lambda: load(path))
+    assert "not where it should be" in error_of(lambda: load(path))
 
 
 def test_an_array_that_is_not_asked_for_is_not_inflated(tmp_path, monkeypatch):

@@ -98,7 +98,7 @@ def test_colours_at_vertices_are_carried_too():
 
 def test_without_colours_there_is_nothing_to_carry():
     result = meshed(2, 1)
-    with pytest.raises(OmtwarpError, match="nothing to carry over"):
+    with pytest.raises(OmtwarpError, match="nothing to transfer"):
         transfer_texture(PaintedMesh(result[0], result[1]), result, result)
     mesh = paint(result, unwrap_uv(result), pattern="checker", size=64)
     with pytest.raises(OmtwarpError, match="another mesh"):
