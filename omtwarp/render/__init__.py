@@ -44,7 +44,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    # The drawing process imports this package too, and must not pay for what it does not use.
+    # The drawing process imports this package too, and must not load what it does not use.
     if name in _HOMES:
         return getattr(importlib.import_module(f"omtwarp.render.{_HOMES[name]}"), name)
     raise AttributeError(f"module 'omtwarp.render' has no attribute '{name}'")

@@ -19,8 +19,9 @@ def compose(
 ) -> Image.Image:
     """Lay a drawn surface (colours multiplied by coverage) over the background, at the left of a canvas.
 
-    ``hidden`` is the colour of pixels that are fully transparent: that of the text to come, whose smooth edges would
-    otherwise be blended with black.
+    ``hidden`` is the colour of fully transparent pixels: that of the text drawn later, whose smooth edges would
+        otherwise
+    be blended with black.
 
     Returns:
         RGB, or RGBA where it is to be transparent.
@@ -42,7 +43,7 @@ def compose(
 
 
 def ink(background: object, transparent: bool) -> tuple[int, int, int]:
-    """Return the dark or light text, whichever can be read on the background; mid-grey where that is unknown."""
+    """Return dark or light text colour, whichever is legible on the background; mid-grey where that is unknown."""
     if transparent:
         return (110, 116, 124)
     mean = backdrop(background, 1, 16).mean(axis=(0, 1)) @ np.array([0.299, 0.587, 0.114])

@@ -9,7 +9,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.render.colors import parse_color
 from omtwarp.render.scene import Arrows, Part, SurfaceView, normalisation, welded_normals
 
-_SIDES = 8  # of an arrow's shaft and head: at the size of an arrow, no corner of it is seen
+_SIDES = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
 
 
 def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
@@ -40,12 +40,12 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
     if longest == 0.0:
         return None
     chosen = _thin_out(positions, max(int(arrows.count), 1))
-    chosen = chosen[lengths[chosen] > 0.02 * longest]  # shorter ones would be specks
+    chosen = chosen[lengths[chosen] > 0.02 * longest]  # shorter ones would be dots
     if chosen.size == 0:
         chosen = np.array([int(np.argmax(lengths))])
     way = vectors[chosen] / lengths[chosen][:, None]
     size = np.full(len(chosen), arrows.length) if arrows.uniform else arrows.length * lengths[chosen] / longest
-    # Lifted off the surface by the shaft's thickness, so that the surface does not swallow them.
+    # Lifted off the surface by the shaft's thickness, so that they are not hidden in it.
     feet = positions[chosen] + 0.012 * normals[chosen]
     return _solid_arrows(feet, way, normals[chosen], size, arrows.length, parse_color(arrows.color))
 

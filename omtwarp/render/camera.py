@@ -187,9 +187,9 @@ def frame(
 ) -> list[Shot]:
     """Place cameras so that the points fill the picture, all at one scale.
 
-    Every point gives four inequalities on the distance, one for each side of the picture, linear in the distance and
-    the sideways shift; the smallest distance that meets them is the mean of the two opposite maxima, and their
-    difference is the shift that centres the picture.
+    Every point gives four inequalities, one for each side of the picture, linear in the distance and the sideways
+    shift. The smallest distance that satisfies them is the mean of the two opposite maxima, and their difference is the
+    shift that centres the picture.
 
     Args:
         points: normalised positions, shape [N, 3], around the origin.

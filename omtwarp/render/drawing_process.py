@@ -1,8 +1,8 @@
 """The drawing process: reads jobs from standard input, draws them with pyrender, writes pictures to standard output.
 
-An OpenGL driver may crash, hang, or quarrel with other users of OpenGL in a process, and it reads environment variables
-that must be set before it is loaded. So it lives in a process of its own, which the caller can time and end.
-Messages are pickles behind their length; both ends are the same program.
+An OpenGL driver may crash, hang, or conflict with other users of OpenGL in a process, and it reads environment
+variables that must be set before it is loaded. It therefore runs in a process of its own, which the caller can time and
+end. Messages are pickles after their length; both ends are the same program.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def _waiting(stream: BinaryIO) -> bool:
 
 def main() -> None:
     """Serve until standard input ends."""
-    gc.set_threshold(200_000)  # the imports leave little garbage, and looking for it takes time
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle; it closes the pipe
+    gc.set_threshold(200_000)  # the imports leave little garbage, and collection takes time
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and closes the pipe
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a driver prints must not mix with the replies
     jobs = sys.stdin.buffer

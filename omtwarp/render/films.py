@@ -44,10 +44,10 @@ PACE = 0.008
 PROBE_WIDTH = 192
 STEP = 0.012
 MOST_HALVINGS = 9
-# What an edge between two fields of a pattern changes a pixel by, of the whole range; a smaller change in proportion.
+# Change of a pixel, of the whole range, that counts as an edge between two fields; smaller changes in proportion.
 EDGE = 0.6
-REST = 0.7  # seconds that the film rests at its beginning, between its two parts and at its end
-EASE = 0.12  # part of the way on which motion sets in and dies away
+REST = 0.7  # seconds that the film pauses at its beginning, between its two parts and at its end
+EASE = 0.12  # share of the motion in which it accelerates, and in which it slows down
 BATCH = 12  # frames that are drawn together: their texture is uploaded once
 CAPTIONS = ("conformal map", "to the optimal map", "optimal map", "to its sphere", "the map on the sphere")
 # Texels around the sphere of a pattern: two to a pixel of the picture, of which a ball fills about a half.
@@ -97,7 +97,7 @@ class _Story:
         points = along_great_circles(self.first, self.last, min(time, 1.0))
         normals = welded_normals(places, self.faces)
         if self.weights is not None:
-            # On the way to the ball new points go to the ball, too, and not to the flat triangles in it.
+            # During the second part, added points also move to the ball, not to the flat triangles inside it.
             fill = max(time - 1.0, 0.0) * (self.ball_points - self.weights @ self.ball)
             places, normals = self.weights @ places + fill, self.weights @ normals
             normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
@@ -323,7 +323,7 @@ class _Studio:
         """Return the time of every frame, for motion that looks even.
 
         Motion is the share of the picture that edges sweep over, measured on small pictures; within each part of the
-        film its speed is constant but for where it sets in and dies away.
+        film its speed is constant except at the beginning and end.
         """
         rest = max(round(REST * self.fps), 1)
         parts = [(0.0, 1.0), (1.0, 2.0)][0 if self.story.flows else 1 :]
@@ -375,7 +375,7 @@ class _Studio:
                 break
             look([0.5 * (a + b) for a, b in wide])
         times = sorted(seen)
-        # A little is added so that time never stands still.
+        # A small number is added so that time always increases.
         steps = [swept(a, b) + 1e-6 * (b - a) for a, b in itertools.pairwise(times)]
         return times, np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -409,7 +409,7 @@ class _Studio:
 
 
 def _eased(x: Floats) -> Floats:
-    """Return the way covered at times in [0, 1] by a motion that sets in and dies away over EASE, constant between."""
+    """Return the distance at times in [0, 1] of a motion that accelerates and slows down over EASE."""
     speed = 1.0 / (1.0 - EASE)
     begun = speed * x**2 / (2.0 * EASE)
     ending = 1.0 - speed * (1.0 - x) ** 2 / (2.0 * EASE)

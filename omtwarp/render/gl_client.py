@@ -1,4 +1,4 @@
-"""The caller's side of the drawing process: start it early, ask for pictures, survive its end."""
+"""The caller's side of the drawing process: early start, requests for pictures, recovery from crashes."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from omtwarp.render.drawing_process import receive, send
 from omtwarp.render.pyrender_compat import INSTALL_GL, INSTALL_PYRENDER
 from omtwarp.render.scene import RenderJob
 
-# Chosen so long that a driver in software on a busy machine is not given up: one that has not answered by then hangs.
+# Long enough for a software driver on a busy machine: one that has not answered by then hangs.
 START_SECONDS = 120.0
 PICTURE_SECONDS = 180.0
-IDLE_SECONDS = 60.0  # after which the drawing process ends, and gives its memory back
+IDLE_SECONDS = 60.0  # after which the drawing process ends, and frees its memory
 
 _PACKAGE_ROOT = str(Path(__file__).resolve().parents[2])
 _COMMAND = "import sys; sys.path.insert(0, sys.argv[1]); from omtwarp.render.drawing_process import main; main()"
 
 
 class DrawingFailed(Exception):
-    """The drawing process gave no picture; the text says why. ``lasting``: the next attempt would fare no better."""
+    """The drawing process gave no picture; the text says why. ``lasting``: the next attempt would fail too."""
 
     def __init__(self, reason: str, lasting: bool = False):
         super().__init__(reason)
@@ -37,14 +37,14 @@ class DrawingFailed(Exception):
 
 
 class _Expired(Exception):
-    """The process was ended for idleness just before it was wanted again."""
+    """The process was ended for idleness just before the next request."""
 
 
 class DrawingProcess:
     """A child process with an OpenGL context.
 
-    It is started without waiting, so that its start (importing pyrender, opening a context) passes while the caller
-    reads its mesh, and it is kept for the next picture until it has been idle for a minute.
+    It starts in the background (importing pyrender, opening a context) while the caller reads its mesh, and is kept for
+    the next picture until it has been idle for a minute.
     """
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class DrawingProcess:
 
     def _expire(self) -> None:
         with self._lock:
-            if self._idle is threading.current_thread():  # else a picture was asked for in the meantime
+            if self._idle is threading.current_thread():  # else a picture was requested in the meantime
                 self.close()
 
     def _exchange(self, job: RenderJob | None, seconds: float) -> tuple[str, object]:

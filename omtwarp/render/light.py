@@ -1,4 +1,4 @@
-"""Lights: where they stand around the camera and how the surface answers them."""
+"""Lights: their directions around the camera, and the gloss of the surface."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ LIGHTS = {
         ground=0.17,
         roughness=0.6,
     ),
-    # Little contrast: for colours that are to be read rather than admired.
+    # Little contrast, for colours that are read as values.
     "soft": Light(directional=(((-0.4, 0.6, 1.0), 1.1), ((0.8, 0.0, 0.8), 0.5)), sky=0.68, ground=0.5, roughness=0.9),
     "flat": Light(unlit=True),
 }

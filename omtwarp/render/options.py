@@ -1,4 +1,4 @@
-"""The options of pictures: their names and types, their defaults, and the messages for values that make no sense.
+"""The options of pictures: their names, types and defaults, and the messages for invalid values.
 
 :func:`omtwarp.preview` and :func:`omtwarp.render.sheet` take them as keywords and read them here alone. Their meaning
 is in the docstring of :func:`omtwarp.preview`.
@@ -118,13 +118,13 @@ def _annotations(kind: type) -> dict[str, object]:
 
 
 def complete(given: PreviewOptions, function: str) -> PreviewOptions:
-    """Add the defaults to the options that were given, and refuse what makes no sense before any work is done.
+    """Add the defaults to the options that were given, and reject invalid values before any work is done.
 
     Where OpenGL is to draw, the process that does so is started: the subject is read meanwhile.
 
     Raises:
         TypeError: there is no such option.
-        OmtwarpError: a value that makes no sense.
+        OmtwarpError: an invalid value.
     """
     if unknown := [name for name in given if name not in PREVIEW_DEFAULTS]:
         raise TypeError(f"{function}() got an unexpected keyword argument '{unknown[0]}'")
@@ -188,7 +188,7 @@ def cameras_of(options: PreviewOptions) -> list[Camera]:
 
 
 def view_of(subject: Subject, options: PreviewOptions) -> SurfaceView:
-    """Return the subject with what the options change about it.
+    """Return the subject with the changes by the options.
 
     Raises:
         OmtwarpError: the subject cannot be read or drawn.

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 FILM_FORMATS = (".gif", ".mp4", ".webp")
 WEBP = 60  # of Pillow's 100: a third of the size at 80, and edges of a pattern stay clean
-LEAST_FREE = 65536  # bytes: ffmpeg's failure on a disk with less is taken for a full disk
+LEAST_FREE = 65536  # bytes: a failure of ffmpeg on a disk with less is reported as a full disk
 # Encoders of H.264 by what they are preferred for, each at a quality at which edges of a pattern stay clean: x264's
 # constant rate factor (0 to 51, smaller is better), for others a rate in bits per second.
 ENCODERS = {
@@ -51,7 +51,7 @@ class _Alone(TypedDict, total=False):
 
 
 def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool) -> Path:
-    """Find out before the work whether its result can be written.
+    """Check before the work that its result can be written.
 
     Raises:
         OmtwarpError: unknown suffix, a suffix that cannot hold the picture, or a directory that cannot be written to.
@@ -180,7 +180,7 @@ def _mp4(frames: Iterable[Image], file: Path, fps: float) -> None:
         "-i", "-", "-vf", BT709, *_encoder(program), "-pix_fmt", "yuv420p", "-movflags", "+faststart",
         str(file),
     ]  # fmt: skip
-    # An interruption of this process ends the writing, not ffmpeg, which would leave its own words on the terminal.
+    # An interruption of this process ends the writing, not ffmpeg, which would print its own messages.
     alone: _Alone = (
         {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined, unused-ignore]
         if os.name == "nt"
@@ -193,7 +193,7 @@ def _mp4(frames: Iterable[Image], file: Path, fps: float) -> None:
             for shown in itertools.chain([first], shown_in_turn):
                 try:
                     encoder.stdin.write(shown.convert("RGB").crop((0, 0, width, height)).tobytes())
-                except OSError:  # it has ended: its status and last words say why
+                except OSError:  # it has ended: its status and last message say why
                     break
             with contextlib.suppress(OSError):
                 encoder.stdin.close()

@@ -56,8 +56,8 @@ def preview(
         camera: field of view, projection, zoom, roll and, without ``views``, the direction.
         up: axis that points upwards (``"y"``, ``"z"``, ``"-x"``, ...); None guesses from the shape, by its plane of
             symmetry and by how it stands; z for a sphere.
-        front: axis that points at the viewer in the front view; None guesses on which side the face is, and where the
-            shape does not tell, takes +z, or -y where z is up.
+        front: axis that points at the viewer in the front view; None guesses on which side the face is, and otherwise
+            takes +z, or -y where z is up.
         light: ``"studio"``, ``"soft"``, ``"flat"`` (the colours themselves) or a :class:`Light`; None takes the
             first, and the second where a scalar is to be read.
         background: a colour, (top, bottom) colours, or ``"studio"``.
@@ -73,8 +73,8 @@ def preview(
         frames: draw a turntable of so many frames instead; a .gif or .mp4 path implies 36.
         fps: frames per second of the film.
         captions: name the views in a sheet; or the captions themselves.
-        samples: supersampling along each side of a pixel, 1 to 4, beside multisampling and filtered textures, which
-            leave little to do but for edges: 2 where they are drawn and 1 elsewhere by default.
+        samples: supersampling along each side of a pixel, 1 to 4, in addition to multisampling and filtered textures;
+            by default 2 where edges are drawn and 1 elsewhere.
         backend: ``"pyrender"`` (OpenGL), ``"warp"`` (ray caster) or ``"auto"``: OpenGL where it works.
         device: where the ray caster runs: ``auto``, ``cpu`` or ``cuda:N``.
 

@@ -93,9 +93,9 @@ class _Renderer(Renderer):  # type: ignore[misc]
 
 
 class _Texture(pyrender.Texture):  # type: ignore[misc, name-defined]
-    """A texture of light rather than of its sRGB encoding, so that filtering averages light.
+    """A texture of linear light rather than its sRGB encoding, so that filtering averages light.
 
-    With 16 bits per channel nothing is lost, and a driver on the CPU is spared decoding every sample of the filter.
+    With 16 bits per channel nothing is lost, and a driver on the CPU need not decode every sample of the filter.
     """
 
     mipmaps = True
@@ -229,7 +229,7 @@ class GLRenderer:
 def _averaged(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
     """Return the mean over blocks of ``side`` x ``side`` pixels."""
     height, width = pixels.shape[:2]
-    # Not as RGBA: Pillow would take the colours for unmultiplied and weight them by their coverage once more.
+    # Not as RGBA: Pillow would take the colours as unmultiplied and weight them by their coverage again.
     picture = Image.frombuffer("RGBX", (width, height), np.ascontiguousarray(pixels).tobytes(), "raw", "RGBX", 0, 1)
     return np.asarray(picture.reduce(side) if side > 1 else picture)
 

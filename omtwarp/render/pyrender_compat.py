@@ -1,7 +1,7 @@
 """Makes the released pyrender 0.1.45 usable with today's Python, NumPy and PyOpenGL, without a display.
 
 Call :func:`import_pyrender` before anything else imports pyrender or OpenGL in the process. It runs in the drawing
-process only (see :mod:`omtwarp.render.drawing_process`), so that its changes touch nobody else.
+process only (see :mod:`omtwarp.render.drawing_process`), so that its changes affect no other code.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def _missing(error: Exception) -> str:
 
 
 def _hollow_trimesh() -> None:
-    """Give pyrender a trimesh without its ``__init__``, which takes longer to import than all the rest together.
+    """Give pyrender a trimesh without its ``__init__``, which takes longer to import than everything else together.
 
     Of trimesh pyrender needs the submodule ``transformations`` and, in functions not called here, the class names.
     """
@@ -91,7 +91,7 @@ def _restore_numpy_name() -> None:
 
 
 def _find_library(original: Callable[[str], str | None]) -> Callable[[str], str | None]:
-    """Return PyOpenGL 3.1.0 asks ldconfig alone, which does not know libraries on LD_LIBRARY_PATH; the loader does."""
+    """Return a search that also tries the loader: PyOpenGL 3.1.0 asks ldconfig alone, without LD_LIBRARY_PATH."""
 
     def find(name: str) -> str | None:
         found: str | None = original(name)

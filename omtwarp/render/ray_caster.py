@@ -16,9 +16,9 @@ from omtwarp.render.camera import Shot
 from omtwarp.render.colors import parse_color, srgb_to_linear
 from omtwarp.render.scene import Part, RenderJob
 
-# A step of 6/255 between neighbours is the least that the eye makes out as a jagged edge.
+# A step of 6/255 between neighbours is the smallest that is visible as a jagged edge.
 CONTRAST = 6.0 / 255.0
-# The footprint of the first pass, in pixels: smooth areas alone keep its result, where a sharper filter cannot alias.
+# The footprint of the first pass, in pixels: only smooth areas keep its result, where a sharper filter cannot alias.
 FIRST_SPACING = 0.75
 _KINDS = {"color": 0, "uv": 1, "sphere": 2}
 

@@ -11,7 +11,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 PI_F = wp.constant(wp.float32(3.14159265358979))
 MOST_PROBES = wp.constant(wp.float32(48.0))  # along a footprint: anisotropy that textures are filtered with at most
-# How a part's corners say their colour: by itself, by texture coordinates, or by directions on the sphere.
+# What a part's corners hold: colours, texture coordinates, or directions on the sphere.
 KIND_COLOR = wp.constant(0)
 KIND_UV = wp.constant(1)
 KIND_SPHERE = wp.constant(2)
@@ -245,7 +245,7 @@ def weights_on_plane(origin: wp.vec3, way: wp.vec3, p0: wp.vec3, e1: wp.vec3, e2
     """Return the barycentric weights of corners 1 and 2 where a ray meets a triangle's plane, and the determinant.
 
     Moeller & Trumbore (1997). ``facing`` is the determinant of the ray the pixel is drawn with (0 for that ray itself):
-    a neighbouring ray that runs along the plane or meets it behind the camera is held to a tenth of it.
+    a neighbouring ray that runs along the plane or meets it behind the camera is limited to a tenth of it.
     """
     across = wp.cross(way, e2)
     determinant = wp.dot(e1, across)
@@ -273,7 +273,7 @@ def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look,
     way = ray_way(view, x, y)
     hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
     if not hit.result:
-        # Rays aimed exactly at a vertex can slip through; a thousandth of a pixel beside it they do not.
+        # Rays exactly at a vertex can miss; a thousandth of a pixel next to it they do not.
         origin = ray_origin(view, x + 1.1e-3, y + 0.7e-3)
         way = ray_way(view, x + 1.1e-3, y + 0.7e-3)
         hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
@@ -372,7 +372,7 @@ def mark_contrast(
     # Data out:
     marked: wp.array2d[wp.int32],
 ):
-    """Mark pixels that differ from a neighbour: only there would more samples change anything."""
+    """Mark pixels that differ from a neighbour, where more samples matter."""
     row, column = wp.tid()
     here = colors[row, column]
     found = int(0)

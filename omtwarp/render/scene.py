@@ -188,7 +188,7 @@ class SurfaceView:
             )
 
     def _check_appearance(self) -> None:
-        """Make sure that one appearance at most is given, and an image with where it lies.
+        """Make sure that at most one appearance is given, and an image only with coordinates.
 
         Raises:
             OmtwarpError: more than one, or an image without coordinates.
@@ -200,7 +200,7 @@ class SurfaceView:
             raise OmtwarpError("an image needs either points on the sphere (sphere=) or texture coordinates (uv=)")
 
     def _take_values(self, count: int, triangles: int) -> None:
-        """Bring what lies on the surface into arrays of one value per vertex, triangle or corner.
+        """Convert values on the surface to arrays with one value per vertex, triangle or corner.
 
         Raises:
             OmtwarpError: other shapes or values.
@@ -417,7 +417,7 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
         value = value[faces.ravel()] if corner_value is None else corner_value
         positions, normals, faces = _own_corners(positions, normals, faces)
     elif look.kind == "sphere" and (parts := smooth_parts(len(faces))) > 1:
-        # What lies between the vertices is looked up where the smooth map has it.
+        # Between the vertices the image is sampled through the smooth map.
         from omtwarp.texturing.smooth import smooth_map
 
         divided = smooth_map(vertices, faces, value, parts)
@@ -464,7 +464,7 @@ def _look_of(view: SurfaceView) -> _Look:
         if view.sphere is not None:
             return _Look("sphere", np.asarray(view.sphere), picture, tint)
         value = np.asarray(view.uv)
-        # Tiling upwards is rare, and where there is none the top row must not bleed into the bottom one.
+        # Tiling upwards is rare; without it the top row must not be filtered with the bottom one.
         repeat_rows = bool(value[..., 1].min() < -1e-6 or value[..., 1].max() > 1.0 + 1e-6)
         return _Look("uv", value, picture, tint, repeat_rows=repeat_rows)
     if view.scalar is not None:

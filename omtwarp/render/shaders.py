@@ -1,4 +1,4 @@
-"""The OpenGL shaders. The Warp ray caster computes the same things with the same words in ``ray_kernels.py``.
+"""The OpenGL shaders. The Warp ray caster does the same computation, with the same names, in ``ray_kernels.py``.
 
 They see pyrender's attributes and uniforms. Which parts are compiled is decided by pyrender's own defines:
 ``HAS_BASE_COLOR_TEX`` with ``TEXCOORD_0_LOC`` is an image with texture coordinates, ``HAS_BASE_COLOR_TEX`` with

@@ -1,4 +1,4 @@
-"""Turns what a caller has (a file, a trimesh mesh, a finished map) into a :class:`SurfaceView`."""
+"""Conversion of a file, a trimesh mesh or a finished map to a :class:`SurfaceView`."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
 
     Args:
         subject: what to look at. Textures, texture coordinates and colours of files and trimesh meshes are kept.
-        image: equirectangular picture (file, PIL image or array) for a subject that knows its points on the sphere.
+        image: equirectangular picture (file, PIL image or array) for a subject that has points on the sphere.
 
     Raises:
         OmtwarpError: the subject cannot be read or is nothing that can be drawn.
@@ -219,7 +219,7 @@ def _file_view(path: Path) -> SurfaceView:
 
 
 def painted_view(mesh: PaintedMesh) -> SurfaceView:
-    """Return a view of a mesh with materials; of colours at the vertices alone where no material says anything."""
+    """Return a view of a mesh with materials; of colours at the vertices alone where no material has an appearance."""
     plain = all(material.picture is None and material.color == WHITE for material in mesh.materials)
     if plain:
         return SurfaceView(mesh.vertices, mesh.faces, colors=mesh.vertex_colors)

@@ -1,9 +1,9 @@
-"""Which way up a surface stands and where its face is, guessed from its shape, among the axes of its coordinates.
+"""Guess of the upward and the front axis of a surface from its shape, among the axes of its coordinates.
 
-What is taken for a face follows from what animals, people and heads have in common: they are alike on their left and
-right, which tells the axis across; they stand on their feet; the side of the face has more detail than the back; and a
-body much longer than wide has its head at the end that rises higher. Where the shape has no such plane of symmetry, the
-customary axes stay: y upwards and z towards the viewer, or z upwards and -y towards the viewer.
+The rules hold for animals, people and heads: they are symmetric, which determines the axis across; they stand on their
+feet; the front has more detail than the back; and a body much longer than wide has its head at the end that rises
+higher. Where the shape has no such plane of symmetry, the default axes are kept: y upwards and z towards the viewer, or
+z upwards and -y towards the viewer.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ SAMPLES = 4000  # points by which symmetry is measured: 1 to 2 hundredths of the
 # of the best plane over the next one's. Ten heads, figures and animals, scanned or modelled, have 0.006 to 0.021 and
 # 0.2 to 0.63.
 SYMMETRIC, BETTER = 0.025, 0.66
-GROUND = 0.03  # of the extent: what is no higher than that above the lowest point stands on the ground
-FIRM = 0.3  # share of the footprint over which a surface stands that is said to stand
-FLAT = 0.01  # of the extent: a picture on a sheet, which has no face of its own, is looked at from +z
+GROUND = 0.03  # of the extent: points at most this far above the lowest one touch the ground
+FIRM = 0.3  # least share of the footprint between the feet of a surface that stands
+FLAT = 0.01  # of the extent: a flat sheet, which has no front of its own, is seen from +z
 LONG = 1.5  # length over width of bodies with a head at one end
 HEAD = 0.7  # of the height: where the head begins
 
@@ -53,7 +53,7 @@ def posed(view: SurfaceView, up: str | None = None, front: str | None = None) ->
 
 
 def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None]:
-    """Guess the axis upwards, and the one that the face looks along; None where the shape does not tell that.
+    """Guess the axis upwards, and the front axis, None where the shape does not determine it.
 
     Args:
         vertices: shape [V, 3], finite.
@@ -114,7 +114,7 @@ def _mirror_axis(corner: Floats, area: Floats, centre: Floats) -> int | None:
 
 
 def _standing(points: Floats, centre: Floats, up: int) -> float:
-    """Return the share of the footprint between the feet, 0 where the surface would fall over."""
+    """Return the share of the footprint between the feet, 0 where the surface would not stand."""
     from scipy.spatial import ConvexHull, QhullError
 
     flat = np.delete(points, up, axis=1)

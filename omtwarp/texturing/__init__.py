@@ -1,6 +1,6 @@
 """Textures on surfaces through their maps to the sphere: patterns, atlases, baking and export.
 
-Names are looked up when they are used, so that importing the package does not start Warp.
+Names are imported at their first use, so that importing the package does not start Warp.
 """
 
 from importlib import import_module

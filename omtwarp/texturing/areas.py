@@ -1,4 +1,4 @@
-"""How large the cells of a pattern come out on a surface: the measure behind the paper's Fig. 10."""
+"""The areas of a pattern's cells on a surface, the measure of the paper's figure 10."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Cells(Protocol):
 
     @property
     def count(self) -> int:
-        """How many cells there are."""
+        """The number of cells."""
 
     def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
         """Return the number of the cell of every direction, -1 for none, shape [N]."""

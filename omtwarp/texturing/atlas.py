@@ -1,6 +1,6 @@
 """The three ways of laying the sphere out on a picture: equirectangular, cube map and octahedral map.
 
-An atlas knows where the mesh has to be cut so that no triangle straddles two charts, where a point of a chart lies on
+An atlas defines where the mesh has to be cut so that no triangle straddles two charts, where a point of a chart lies on
 the picture, and which direction a texel shows, gutters included. Image coordinates are (u, v) in 0..1 with v up.
 
 * ``equirectangular``: one chart; cut along one meridian, from pole to pole. u wraps, so the sampler has to repeat in u.
@@ -8,8 +8,8 @@ the picture, and which direction a texel shows, gutters included. Image coordina
   picture, which keeps the texels within a factor 1.3 of equal area [1]_). No seam is drawn across a pole.
 * ``octahedral``: the sphere folded out into one square [2]_, the south pole in its four corners.
 
-Cube and octahedral pictures carry a gutter whose texels show what really lies beyond the border, so that bilinear
-filtering and mip maps stay free of seams. The equirectangular one has no seam either, but its texels are stretched so
+Cube and octahedral pictures have a gutter whose texels show the sphere beyond the border, so that bilinear filtering
+and mip maps have no seams. The equirectangular one has no seam either, but its texels are stretched so
 much next to the poles that a viewer which chooses mip maps by the larger stretch blurs everything there.
 
 .. [1] C. Ronchi, R. Iacono, P. S. Paolucci, "The 'Cubed Sphere'", J. Comput. Phys. 124 (1996).
@@ -58,7 +58,7 @@ class Atlas(ABC):
     Attributes:
         name: one of ``ATLASES``.
         width, height: size of the picture in texels.
-        kind, parameters: what the kernels need to know (see :mod:`omtwarp.texturing.kernels`).
+        kind, parameters: arguments of the kernels (see :mod:`omtwarp.texturing.kernels`).
         wraps: whether u is periodic.
         corners: directions that must be vertices of the mesh.
         arcs: where the mesh is cut.
@@ -124,8 +124,8 @@ class Equirectangular(Atlas):
     def __init__(self, width: int, height: int, seam: float = np.pi):
         super().__init__(width, height)
         self.seam = float(seam)
-        # The cut is the half-plane y = 0, x < 0 after a turn that brings the seam to longitude π. At π that turn is
-        # the identity, to the bit.
+        # The cut is the half-plane y = 0, x < 0 after a rotation that brings the seam to longitude π. At π that
+        # rotation is exactly the identity.
         turn = np.pi - self.seam
         self._cos = 1.0 if turn == 0.0 else float(np.cos(turn))
         self._sin = 0.0 if turn == 0.0 else float(np.sin(turn))
@@ -156,7 +156,7 @@ class Equirectangular(Atlas):
         on_seam = (np.abs(y) <= ON_CUT * length) & (x < 0)
         east = np.where(on_seam, 0.0, y).sum(axis=1) > 0
         u = np.where(on_seam, east[:, None].astype(np.float64), u)
-        # A pole has every longitude: in every triangle the one in the middle of what the triangle spans.
+        # A pole has every longitude: in every triangle it takes the middle of the longitudes of the other corners.
         pole = across <= ON_CUT * length
         others = np.maximum((~pole).sum(axis=1), 1)
         mean = np.where(pole, 0.0, u).sum(axis=1) / others

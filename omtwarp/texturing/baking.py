@@ -1,12 +1,13 @@
 """Baking: any function on the sphere into a picture, and pictures back onto the sphere.
 
-A *source* is whatever gives values to directions: the name of a pattern or a
+A *source* assigns values to directions: the name of a pattern or a
 :class:`~omtwarp.texturing.patterns.Pattern`, an equirectangular (or sinusoidal) picture, or a Python callable from
 directions [N, 3] to values [N] or [N, C]. Numbers at the vertices of a mesh are baked through that mesh
 (:func:`bake_vertex_values`).
 
 Pictures are float32 arrays [H, W, C], row 0 on top. Texels in which the function changes are supersampled; gutters of
-an atlas see past its borders, pictures for a mesh's own texture coordinates are dilated past the edges of the charts.
+an atlas continue past its borders, pictures for a mesh's own texture coordinates are dilated past the edges of the
+charts.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ Picture = NDArray[np.float32]
 
 NOBODY = 2**31 - 1  # the largest int32, in place of the number of a triangle: the least number owns a texel
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
-CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more are worth more samples; a soft gradient is not
+CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more get more samples
 LEAST_MOVED = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
 GROW = 1e-6  # texels by which a triangle may claim a centre outside it
-RING = 1.5  # texels around the charts in which the function itself is continued, so that filtering sees it there
+RING = 1.5  # texels around the charts in which the function itself is continued, for filtering
 
 
 class _Source(ABC):
@@ -165,8 +166,8 @@ def bake_on_map(
 ) -> Picture:
     """Bake a function on the sphere into the picture of an atlas as a mesh shows it through its smooth map.
 
-    The mesh's texture coordinates are linear on its triangles. What the picture shows at a place is moved by as much as
-    the smooth map differs there from the linear one, so that the mesh itself shows smooth lines.
+    The mesh's texture coordinates are linear on its triangles. The picture is shifted everywhere by
+    the difference of the smooth map from the linear one, so that the mesh itself shows smooth lines.
 
     Args:
         source: as in :func:`bake`.
@@ -266,7 +267,7 @@ def _fill(
     picture: wp.array,
     where: wp.Device,
 ) -> None:
-    """Evaluate a source in texels, some at a time; ``look`` gives the directions of their samples, in room for them."""
+    """Evaluate a source in texels, some at a time; ``look`` writes the directions of their samples to an array."""
     step = max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
         part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
@@ -310,7 +311,7 @@ def sample(
     Args:
         picture: as baked, shape [H, W, C]; also a path or a PIL image.
         directions: shape [N, 3], of any length.
-        atlas: the one it was baked to; by name it is given the size of the picture and the customary gutter.
+        atlas: the one it was baked to; by name it gets the size of the picture and the default gutter.
 
     Returns:
         float64, shape [N, C].
@@ -410,7 +411,7 @@ class Layout:
         )
 
     def show_sphere(self, atlas: Atlas, chords: Floats) -> None:
-        """Take places in triangles from the directions of an atlas from now on; ``chords``: corners, [F, 3, 3]."""
+        """Locate samples by the directions of an atlas from now on; ``chords`` are the corners, [F, 3, 3]."""
         self._atlas = atlas
         self._chords = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
 
@@ -484,7 +485,7 @@ def bake_to_uv(
         padding: texels by which the charts are dilated past their edges; -1 fills the picture.
 
     Returns:
-        float32, shape [H, W, C]; texels that belong to nothing are 0. Where charts overlap, the face with the lowest
+        float32, shape [H, W, C]; texels outside of all triangles are 0. Where charts overlap, the face with the lowest
         number has the texel.
     """
     where = resolve_device(device)
@@ -619,7 +620,7 @@ def uv_to_sphere(
     cut = unwrap(
         np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
     )
-    # A part of a face has the own coordinates of that face: linear, whatever seams the mesh's coordinates have.
+    # A part of a face has that face's own coordinates: linear, whatever seams the mesh's coordinates have.
     corner_own = own_at_parts(cut, faces, own)
     layout, part = sphere_layout(cut, target, sphere, rotation, where)
     values = wp.array(np.ascontiguousarray(corner_own[part]), dtype=wp.float64, device=where)
@@ -648,7 +649,7 @@ def sphere_layout(
     corner_uv, part = cut.uv[cut.faces], np.arange(len(cut.faces))
     if atlas.wraps:
         # On the picture a pole is the whole top or bottom edge. A triangle at a pole has one point of it, but owns the
-        # rectangle up to the edge; only ownership is taken from here.
+        # rectangle up to the edge; only the ownership is used.
         v = corner_uv[..., 1]
         poles = np.isin(v, (0.0, 1.0)).sum(axis=1) == 1
         at = np.flatnonzero(poles)

@@ -1,6 +1,6 @@
-"""A copy of a spherical mesh that can be cut along great circles and refined without ever opening a crack.
+"""A copy of a spherical mesh that can be cut along great circles and refined without cracks.
 
-A map to the sphere is linear inside every triangle before it is brought back to unit length: the point with
+A map to the sphere is linear inside every triangle before normalisation to unit length: the point with
 barycentric coordinates b lies in the direction of ``b0 s0 + b1 s1 + b2 s2``. The point before normalisation is called
 the chord point here. Every vertex that is added is a fixed combination of the vertices of **one** original triangle,
 the same one for the surface and for the chord points; so neither the surface nor the map changes, and because edges are
@@ -144,7 +144,7 @@ class CutMesh:
             return
         bary = np.zeros((len(self.faces), 3))
         inside = np.zeros(len(self.faces), dtype=bool)
-        # The triangle is looked for near the direction first, and among all only where triangles are huge.
+        # The triangle is sought near the direction first, and among all only where triangles are huge.
         near = (along > 0.9)[self.faces].any(axis=1)
         for which in (np.flatnonzero(near), np.flatnonzero(~near)):
             p0, p1, p2 = (self.points[self.faces[which, k]] for k in range(3))

@@ -1,4 +1,4 @@
-"""Target densities from what users have: a function, a picture of the sphere, or data on the vertices of a sphere."""
+"""Target densities from a function, a picture of the sphere, or data on the vertices of a sphere."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TargetLike: TypeAlias = "TargetDensity | Function | tuple[ArrayLike, ArrayLike, 
 
 
 def image_density(image: PictureLike, floor: float = 0.0) -> TargetDensity:
-    """Take the grey values of an equirectangular picture as a density: the brighter, the more mass.
+    """Make a density of the grey values of an equirectangular picture: the brighter, the more mass.
 
     Args:
         image: what :func:`omtwarp.texturing.image.read_image` takes; row 0 is the north pole, longitude 0 the middle.
@@ -64,7 +64,7 @@ def image_density(image: PictureLike, floor: float = 0.0) -> TargetDensity:
 def vertex_density(
     sphere: ArrayLike, faces: ArrayLike, values: ArrayLike, floor: float = 0.0, *, device: str | None = "auto"
 ) -> TargetDensity:
-    """Take numbers at the vertices of a triangulated sphere as a density, linear on its triangles.
+    """Make a density of numbers at the vertices of a triangulated sphere, linear on its triangles.
 
     Args:
         sphere: vertices of any sphere about the origin, such as another map, shape [V, 3].
@@ -91,7 +91,7 @@ def vertex_density(
 
 
 def as_target(target: TargetLike | None, floor: float = 0.0, *, device: str | None = "auto") -> TargetDensity | None:
-    """Take a target density in any of the accepted forms; None is the uniform one.
+    """Make a target density of any of the accepted forms; None is the uniform one.
 
     Args:
         target: a :class:`TargetDensity`; a function of unit vectors, [N, 3] -> [N]; ``(sphere, faces, values)`` with

@@ -1,6 +1,6 @@
 """Writing textured meshes: GLB, OBJ with MTL and PNG, and PLY with colours at the vertices.
 
-The files appear when all of them are whole, so that a failure, a full disk or Ctrl-C leaves the old ones or none.
+The files appear once all of them are complete, so that a failure, a full disk or Ctrl-C leaves the old ones or none.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SUFFIXES = (".glb", ".obj", ".ply")
 
 
 class Exportable(Protocol):
-    """A mesh cut along the seams of its texture: :class:`omtwarp.texturing.mesh.TexturedMesh` says what is what."""
+    """A mesh cut along the seams of its texture: :class:`omtwarp.texturing.mesh.TexturedMesh` has the attributes."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
@@ -70,7 +70,7 @@ def export(textured: Exportable, path: str | os.PathLike[str], *, keep: Iterable
 
     Args:
         textured: the surface and its texture.
-        path: the file to write. The material and the picture of an OBJ get names beside it that are free, or those of
+        path: the file to write. The material and the picture of an OBJ get free names in the same folder, or those of
             files that the package wrote there before.
         keep: files that must not be replaced, such as inputs.
 
@@ -132,7 +132,7 @@ def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] 
     Positions and normals are written once per vertex of the uncut mesh (the input's vertices first, in their order);
     only texture coordinates are doubled along the seams, as the format allows.
     """
-    # Names without spaces: readers end those in these files at one.
+    # Names without spaces, at which readers of these files end a name.
     material, picture = companion(place, ".mtl", keep), companion(place, ".png", keep)
     count = int(textured.welded.max(initial=-1)) + 1
     first = np.zeros(count, dtype=np.int64)
@@ -162,7 +162,7 @@ def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] 
         "illum 1",
         "Pr 0.65",
         "Pm 0.0",
-        f"map_Kd {picture.name}",  # no options: several readers take them for a part of the name
+        f"map_Kd {picture.name}",  # no options: several readers take them as a part of the name
         "",
     ]
     return [(picture, png_bytes(textured.image)), (material, "\n".join(lines).encode()), (place, text.encode())]

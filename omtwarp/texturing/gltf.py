@@ -1,4 +1,4 @@
-"""Binary glTF 2.0 files in the making: views of one buffer, accessors to them, pictures, and one mesh."""
+"""Assembly of binary glTF 2.0 files: views of one buffer, accessors to them, pictures, and one mesh."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PictureLike: TypeAlias = "str | os.PathLike[str] | Image | ArrayLike"
 """A picture in any of the forms that public functions take: a path, a PIL image, or an array [H, W] or [H, W, C]."""
-# Formats of pixels that Pillow decodes by itself; it would hand others, such as EPS, to programs of the system.
+# Formats that Pillow decodes itself; it would pass others, such as EPS, to programs of the system.
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")
 
 _pillow = threading.Lock()  # over Pillow's own limit, which is one number for the whole process
@@ -47,7 +47,7 @@ def read_image(source: PictureLike) -> NDArray[np.generic]:
         path = Path(source)
         with open_input(path, LARGEST_PICTURE_FILE, "picture") as stream:
             try:
-                # Pillow warns of damage that it got over.
+                # Pillow warns of damage that it tolerates.
                 with warnings.catch_warnings(action="ignore"), _open(stream) as opened:
                     return _from_pil(opened, str(path))
             except (OmtwarpError, MemoryError):
@@ -150,7 +150,7 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
     stream = io.BytesIO()
     level = 4 if image.size < 30_000_000 else 3  # a tenth more bytes than at Pillow's 6, in a third of the time
     origin = PngInfo()
-    origin.add_text("Software", MARK.decode())  # tells a later run that the file may be replaced
+    origin.add_text("Software", MARK.decode())  # marks the file as one that a later run may replace
     Image.fromarray(image).save(stream, format="PNG", compress_level=level, pnginfo=origin)
     return stream.getvalue()
 

@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""Kernels between texels and directions: where a texel looks, what a picture shows, which triangle owns a texel."""
+"""Kernels between texels and directions: directions of texels, values of pictures, and the owners of texels."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY
@@ -46,7 +46,7 @@ def picture_direction(
 ):
     """Return the unit vector that a point of a picture shows.
 
-    x to the right, y **down**, in texels. Gutters see past borders.
+    x to the right, y **down**, in texels. Gutters continue past borders.
     """
     w = wp.float64(width)
     h = wp.float64(height)
@@ -348,9 +348,9 @@ def owner_values(
     # Data out:
     out: wp.array2d[wp.float64],
 ):
-    """Compute the values at corners, linear over the owning triangle, at the samples of texels that have an owner.
+    """Interpolate values at corners linearly over the owning triangle, at the samples of texels that have an owner.
 
-    Samples next to a border may lie up to half a texel outside the triangle and are extrapolated within reason.
+    Samples next to a border may lie up to half a texel outside the triangle; extrapolation is limited.
     """
     i = wp.tid()
     per_texel = samples * samples

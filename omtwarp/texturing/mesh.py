@@ -71,7 +71,7 @@ class TexturedMesh:
 
     @property
     def original_vertex_count(self) -> int:
-        """How many vertices the input has: they are the first ones."""
+        """The number of vertices of the input, which come first."""
         return len(self.original_vertices)
 
     @property

@@ -13,9 +13,9 @@ RAY_BUDGET = 400_000  # about half a second on one CPU core
 
 
 def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the openness of every face, 0 (closed in) to 1 (nothing in sight), shape [F].
+    """Return the openness of every face, 0 (enclosed) to 1 (open in all directions), shape [F].
 
-    Large meshes are sampled: a face that is not takes the value of the one before it in the mesh.
+    Large meshes are sampled: a face without a sample takes the value of the face before it.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     x = (vertices - low) / (high - low).max()

@@ -8,7 +8,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, rays: int) -> float:
-    """Return part of the cosine-weighted rays from a point that leave the surface behind them, their pattern turned."""
+    """Return the share of cosine-weighted rays from a point that meet no surface, their pattern rotated."""
     helper = wp.vec3(1.0, 0.0, 0.0)
     if wp.abs(n[0]) > 0.7:
         helper = wp.vec3(0.0, 1.0, 0.0)
@@ -36,6 +36,6 @@ def vertex_openness(
     # Data out:
     openness: wp.array[wp.float32],
 ):
-    """Compute the part of the cosine-weighted rays from a point that leave the surface behind them."""
+    """Compute the share of cosine-weighted rays from every vertex that meet no surface."""
     i, _compiled_once = wp.tid()
     openness[i] = open_share(mesh, origins[i], normals[i], float(i) * 0.7548777, rays)

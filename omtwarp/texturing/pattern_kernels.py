@@ -1,7 +1,7 @@
 # mypy: ignore-errors
 """Kernels that colour directions on the sphere with the built-in patterns.
 
-Every pattern is a function of the direction alone, exact at any resolution: nothing here knows of texels.
+Every pattern is a function of the direction alone, exact at any resolution and independent of texels.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
@@ -62,7 +62,7 @@ def circle_colours(
 ):
     i, _compiled_once = wp.tid()
     d = wp.normalize(directions[i])
-    # Only circles that reach this cell of a grid of longitude and latitude are looked at.
+    # Only circles that reach this cell of a grid of longitude and latitude are tested.
     cell = cell_of(latitude(d), -HALF * PI, HALF * PI, rows) * columns + cell_of(longitude(d), -PI, PI, columns)
     colour = background
     for k in range(offsets[cell], offsets[cell + 1]):

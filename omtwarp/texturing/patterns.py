@@ -98,7 +98,7 @@ class Checker(Pattern):
 
     @property
     def count(self) -> int:
-        """How many fields there are."""
+        """The number of fields."""
         return self.columns * self.rows
 
     def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
@@ -164,7 +164,7 @@ class Circles(Pattern):
             ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi,
         )
         cells = direction_from_angles(lon[None, :], lat[:, None]).reshape(-1, 3)
-        reach = self.radius + np.pi / rows  # no cell reaches farther than this from its middle
+        reach = self.radius + np.pi / rows  # the farthest point of a cell from its centre
         from scipy.spatial import cKDTree
 
         chord = 2.0 * np.sin(min(reach, np.pi) / 2.0) + 1e-9
@@ -207,7 +207,7 @@ class Puzzle(Pattern):
 
     @property
     def count(self) -> int:
-        """How many pieces there are."""
+        """The number of pieces."""
         return 6 * self.side**2
 
     def middles(self) -> Floats:
@@ -224,7 +224,7 @@ class Puzzle(Pattern):
 
     @cached_property
     def _edges(self) -> tuple[NDArray, NDArray, Floats]:
-        """Neighbour, tab (1: own, 0: its) and shift of the tab, for every side of every piece."""
+        """Return neighbour, tab (1: own, 0: the neighbour's) and shift of the tab, for every side of every piece."""
         n = self.side
         piece = np.arange(self.count)
         face, row, column = piece // n**2, piece // n % n, piece % n
@@ -417,7 +417,7 @@ def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
         land[row] = np.searchsorted(np.sort(x), centre) & 1
     edge = (np.abs(a[:, 0]) >= 179.995) & (np.abs(b[:, 0]) >= 179.995)
     edge |= (a[:, 1] <= -89.995) & (b[:, 1] <= -89.995)
-    # Copies beyond ±180 degrees let the distance to the coast see across the map's edge.
+    # Copies beyond ±180 degrees let distances to the coast cross the map's edge.
     west, east = (segments[..., 0].min(axis=1) < -150) & ~edge, (segments[..., 0].max(axis=1) > 150) & ~edge
     pieces = np.concatenate([segments, segments[west] + (360.0, 0.0), segments[east] - (360.0, 0.0)])
     real = np.concatenate([~edge, np.ones(west.sum() + east.sum(), dtype=bool)]).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Where a direction on the sphere lies on a picture of the sphere, and back.
+"""Projections between directions on the sphere and pictures of the sphere.
 
 Image coordinates are (u, v) in 0..1 with u growing to the east (to the right) and v growing to the **north** (up), as
 texture coordinates do: (0, 0) is the bottom left corner of the picture, and row 0 of the array is v = 1, the north.
@@ -75,7 +75,7 @@ def image_to_direction(uv: ArrayLike, projection: str = "equirectangular") -> Fl
 
 
 def rotation_matrix(rotate: ArrayLike | None) -> Floats:
-    """Return a rotation from what a user may give, shape [3, 3].
+    """Return a rotation in any of the accepted forms as a matrix, shape [3, 3].
 
     Args:
         rotate: None (no rotation), a 3x3 rotation matrix, one number (yaw), or yaw, pitch and roll in **degrees**.

@@ -1,4 +1,4 @@
-"""Texture coordinates from a map to the sphere: no smeared triangle, no pinch at a pole, no line at the seam.
+"""Texture coordinates from a map to the sphere, without distorted triangles at poles or visible seams.
 
 One pair of texture coordinates per mesh vertex cannot describe a sphere: longitude jumps, a pole has every longitude,
 and the six charts of a cube do not meet. So the mesh is cut along the borders of the charts (exactly: triangles that
@@ -21,7 +21,7 @@ from omtwarp.texturing.openness import face_openness
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Corners, edge midpoints and the middle: where the linear coordinates are compared with the exact ones.
+# Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
 PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 / 3, 1 / 3]])
 MOST_PASSES = 24
 LONGEST_EDGE = 0.25  # radians: above this the probes could miss how far from linear the coordinates are
@@ -43,7 +43,7 @@ class Unwrapped:
         welded: for each vertex the vertex of the uncut mesh (original ones first, then those made), shape [N]: vertices
             with the same number lie at the same place and differ only in their texture coordinates.
         weights: sparse, shape [N, V]: each vertex as a combination of original ones; ``weights @ x`` carries any
-            quantity at the original vertices over.
+            quantity from the original vertices to all.
     """
 
     faces: Ints
@@ -159,8 +159,8 @@ def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats,
 def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats, *, candidates: int = 180) -> float:
     """Return the longitude of the meridian that shows least on the surface, in radians in (-π, π].
 
-    The measure is the length of the meridian's image on the surface, weighted by how much of the space around each
-    piece is open: a short line in a fold is better than a long one across a forehead.
+    The measure is the length of the meridian's image on the surface, weighted by the openness of the space around each
+    piece: short lines in folds are preferred to long lines on exposed parts.
 
     Args:
         vertices: shape [V, 3].

@@ -1,4 +1,4 @@
-"""How many texels a texture needs, so that none of them shows as a square on the surface."""
+"""The number of texels that a texture needs for none to be visible as a square on the surface."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 SCREEN = 1024  # pixels across a picture that the surface fills
 TEXEL = 1.5  # pixels of that picture that a texel may cover: bilinear filtering hides the steps of smaller ones
 LARGEST_SIZE = 8192  # texels: the largest picture that every graphics card of the last ten years takes
-SMALLEST_SIZE = 256  # texels: less would save next to nothing, at 200 kB
+SMALLEST_SIZE = 256  # texels: 200 kB; less would hardly save anything
 # Widths of the picture, in texels, for one texel along a right angle of the sphere, where texels are largest: measured
 # at 20,000 points and in 16 directions, gutters included.
 SIDES = {"cube": 3.76, "octahedral": 3.94, "equirectangular": 4.0}
@@ -20,7 +20,7 @@ SIDES = {"cube": 3.76, "octahedral": 3.94, "equirectangular": 4.0}
 
 @dataclass(frozen=True)
 class Sharpness:
-    """The size of a texture, and what it leaves blurred.
+    """The size of a texture, and the share of the surface that it leaves blurred.
 
     Attributes:
         size: width of the texture in texels.
@@ -37,7 +37,7 @@ def sharp_size(
     """Return the size at which no texel covers more than 1.5 pixels of a picture of 1024 x 1024 that the surface fills.
 
     Where a map makes a triangle small on the sphere, its texels are large on the surface; the triangle in which the map
-    shrinks lengths most decides.
+    shrinks lengths most determines the size.
 
     Args:
         vertices: shape [V, 3].

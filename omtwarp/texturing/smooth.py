@@ -1,16 +1,16 @@
 """A map to the sphere made smooth between its vertices, so that the lines of a texture have no corners at edges.
 
-A map is known at the vertices of a mesh. Linear inside every triangle, a circle of the sphere comes out with a corner
-at every edge that it crosses. Here the map is cubic between the vertices, after Clough and Tocher: every triangle is
-cut into three at its middle, with one cubic polynomial in each, and the derivative across an edge is the same from both
-sides [1]_. The derivatives at the vertices are those for which the curves over all edges bend least [2]_. The cubic
-map is taken at the points of a regular grid in every triangle, and linear between these.
+A map is known at the vertices of a mesh. If it is linear inside every triangle, the image of a circle has a
+corner at every edge that it crosses. Here the map is cubic between the vertices, after Clough and Tocher: every
+triangle is cut into three at its middle, with one cubic polynomial in each, and the derivative across an edge is the
+same from both sides [1]_. The derivatives at the vertices are those for which the curves over all edges bend least
+[2]_. The cubic map is taken at the points of a regular grid in every triangle, and linear between these.
 
-A map that keeps the area around every vertex may wave from one vertex to the next, above all along limbs with few
-vertices around them. A low-pass filter takes out waves of two or three edges, by moving the images of the vertices by a
-fraction of an edge [3]_. The map itself stays as it is: what changes is where a texture is looked up.
+A map that keeps the area around every vertex may oscillate from one vertex to the next, above all along limbs with few
+vertices around them. A low-pass filter removes waves of two or three edges by moving the images of the vertices by a
+fraction of an edge [3]_. The map itself does not change, only the texture coordinates.
 
-Where a triangle of the grid would come out flipped, the map is drawn back towards the linear one, as far as it takes.
+Where a triangle of the grid would be flipped, the map is blended with the linear one as far as necessary.
 
 .. [1] P. Alfeld, "A trivariate Clough-Tocher scheme for tetrahedral data", Comput. Aided Geom. Design 1 (1984), with
    the two-dimensional scheme in section 2.
@@ -35,13 +35,15 @@ Ints = NDArray[np.int32]
 # The derivatives' system is as well conditioned as that of a spline: each step of the iteration gains a digit or so.
 MOST_STEPS = 60
 TOLERANCE = 1e-5  # relative residual; a line moves by less than that share of an edge
-SHORTEST_EDGE = 1e-9  # in extents of the mesh: shorter ones count as that long, lest divisions by their length overflow
-HALVINGS = 4  # of what is added to the linear map, before it is left out at a place
+SHORTEST_EDGE = (
+    1e-9  # in extents of the mesh: shorter edges count as that long, so that divisions by their length do not overflow
+)
+HALVINGS = 4  # of the difference from the linear map, before the map is linear there
 # The filter 1 / (1 + a x^p) of the eigenvalues x of the mesh's Laplacian, 0 to 2: a row of evenly spaced vertices
 # has x = 1 - cos(2 pi / w) for waves of w edges, on even triangles two thirds of that. Where x is 1 or more,
-# a tenth or less of a wave's height is left; at x = 0.5 it is 0.86, and below 0.3 nothing is missed.
+# a tenth or less of a wave's amplitude remains; at x = 0.5 it is 0.86, and below 0.3 all of it.
 FILTER_STRENGTH, FILTER_POWER = 10.0, 6
-FILTER_DEGREE = 24  # of the polynomial in its place, which is off by less than 0.0002
+FILTER_DEGREE = 24  # of the polynomial that approximates it to 0.0002
 FARTHEST = 0.3  # mean edges of a vertex on the sphere by which its image is moved at most
 COTANGENTS = (0.1, 5.0)  # weights of edges are kept in these bounds, so that all are positive
 
@@ -105,8 +107,8 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, fil
         filtered: whether waves of a few edges are taken out; False keeps the images of the vertices.
 
     Returns:
-        The divided map. None of its triangles is flipped unless the triangle of the mesh is that it is a part of, or is
-        so thin that rounding decides.
+        The divided map. Its triangles are flipped only where the mesh's triangle that they are parts of is, or is so
+        thin that rounding decides.
 
     Example:
         >>> from omtwarp.mesh import shapes
@@ -223,7 +225,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
     first, second = _tangents(total)
     edge = places[ends[:, 1]] - places[ends[:, 0]]
     length = np.maximum(np.linalg.norm(edge, axis=1), SHORTEST_EDGE)
-    # The direction of the edge in the tangent plane of each end, of length one: what bends there is the surface's.
+    # Unit direction of the edge in the tangent plane of each end: the bending of the surface itself is left out.
     way = np.empty((len(ends), 2, 2))
     for side in range(2):
         flat = np.stack([np.einsum("ij,ij->i", edge, axes[ends[:, side]]) for axes in (first, second)], axis=1)
@@ -272,7 +274,7 @@ def _solve(matrix: sparse.csr_matrix, right: Floats) -> Floats:
     blocks[:, 0, 0], blocks[:, 1, 1] = matrix.diagonal()[::2], matrix.diagonal()[1::2]
     above = matrix.diagonal(1)[::2]
     blocks[:, 0, 1] = blocks[:, 1, 0] = above
-    # Vertices without two directions of edges: what is left open there is 0.
+    # Vertices without two directions of edges: undetermined derivatives are 0.
     blocks += np.maximum(1e-12 * np.trace(blocks, axis1=1, axis2=2), 1e-12)[:, None, None] * np.eye(2)
     inverse = np.linalg.inv(blocks)
 
