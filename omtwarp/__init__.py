@@ -4,7 +4,7 @@
 >>> result = omtwarp.map_to_sphere(mesh)            # a trimesh.Trimesh, or (vertices, faces)  # doctest: +SKIP
 >>> omtwarp.texture(result, image).export("it.glb")  # doctest: +SKIP
 
-Names are loaded when they are first used, so that ``import omtwarp`` costs nothing.
+Names are imported at their first use, so that ``import omtwarp`` is fast.
 """
 
 from __future__ import annotations

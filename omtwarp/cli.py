@@ -143,8 +143,8 @@ def main(arguments: list[str] | None = None) -> None:
         arguments: the command line without the program's name; ``sys.argv`` by default, where the process is taken to
             end with the command.
     """
-    # A command imports a great deal once and ends soon after: looking for garbage among that takes a tenth of a second
-    # while it is imported and as much again at the end.
+    # A command imports many modules once and ends soon after: garbage collection of these takes a tenth of a second
+    # during the import and as much again at the end.
     gc.set_threshold(200_000)
     atexit.register(gc.freeze)
     with _interruptible(restore=arguments is not None):
@@ -156,7 +156,7 @@ def main(arguments: list[str] | None = None) -> None:
                     _fail(str(error))
         except OmtwarpError as error:  # of the streams themselves
             _fail(str(error))
-        except BrokenPipeError:  # the reader of our output has gone
+        except BrokenPipeError:  # the reader of the output has ended
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(1)
         except MemoryError:

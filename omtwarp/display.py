@@ -1,4 +1,4 @@
-"""How finished maps show themselves in notebooks, and hand themselves to other programs' viewers."""
+"""Display of finished maps in notebooks and in viewers of other programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _viewers() -> ModuleType:
 
 
 class Shown:
-    """The ways in which every map can be looked at; nothing is computed before one of these is called."""
+    """The ways to display a map; nothing is computed before one of these is called."""
 
     def _repr_html_(self) -> str:
         """Return the view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""
@@ -36,12 +36,12 @@ class Shown:
             A PIL image, which a notebook shows.
 
         Raises:
-            OmtwarpError: an option that makes no sense.
+            OmtwarpError: an invalid option.
         """
         return _viewers().plot(self, pattern=pattern, size=size, **options)
 
     def to_pyvista(self) -> pyvista.PolyData:
-        """Hand the map to PyVista: ``result.to_pyvista().plot(scalars="area_ratio")``.
+        """Convert the map for PyVista: ``result.to_pyvista().plot(scalars="area_ratio")``.
 
         Returns:
             A ``pyvista.PolyData`` of the surface, with every stage's map as vectors at its points, and ``area_ratio``
@@ -53,7 +53,7 @@ class Shown:
         return _viewers().to_pyvista(self)
 
     def to_polyscope(self, name: str = "surface") -> polyscope.SurfaceMesh:
-        """Hand the map to Polyscope: the surface and its sphere side by side; ``polyscope.show()`` opens the window.
+        """Register the map with Polyscope: surface and sphere side by side; ``polyscope.show()`` opens the window.
 
         Args:
             name: of the surface among Polyscope's structures; the sphere is called ``NAME's sphere``.

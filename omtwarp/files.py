@@ -1,4 +1,4 @@
-"""Outputs that appear whole or not at all, and are known to be writable before the work starts.
+"""Atomic outputs, checked to be writable before the work starts.
 
 Every file that the package writes for a user goes through :func:`staged`, from Python and from the command line alike:
 links are followed and kept, an existing file's mode is kept, directories, devices, pipes and read-only files are
@@ -37,7 +37,7 @@ _places: dict[Path, Path] = {}  # staging directories of this process, and the f
 
 
 def as_path(given: str | os.PathLike[str]) -> Path:
-    """Take the name of a file.
+    """Check the name of a file.
 
     Raises:
         OmtwarpError: neither text nor a path.
@@ -49,7 +49,7 @@ def as_path(given: str | os.PathLike[str]) -> Path:
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *inputs: Path | None) -> Path:
-    """Make sure that an output can be written, by trying, before anything long is computed.
+    """Make sure that an output can be written, by a trial, before any long computation.
 
     Args:
         path: the file to be.
@@ -215,7 +215,7 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
         with _held(folder), _tidy_when_interrupted(folder):
             yield folder / target.name
             _move(folder, target, given, tuple(keep))
-    except BrokenPipeError:  # of standard output, not of a file
+    except BrokenPipeError:  # by standard output, not by a file
         raise
     except OmtwarpError as error:
         if folder is None or str(folder) not in str(error):
@@ -335,7 +335,7 @@ def _tidy_when_interrupted(folder: Path) -> Iterator[None]:
     """
     ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is signal.SIG_DFL
     if not ours:
-        yield  # somebody else (a test, a notebook) handles interruptions: they raise, and the caller tidies up
+        yield  # another handler (of a test, a notebook) raises on interruptions, and the caller tidies up
         return
 
     def tidy(number: int, frame: FrameType | None = None) -> None:

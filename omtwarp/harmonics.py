@@ -7,7 +7,7 @@ sines for m < 0,
 
 with θ the angle from the z axis, φ = atan2(y, x), N_lm² = (2l + 1) (l - m)! / (4π (l + m)!) and P_lm ≥ 0 near the north
 pole. Y_00 = 1 / √(4π), and (Y_11, Y_1,-1, Y_10) = √(3 / 4π) (x, y, z). pyshtools calls this ``ortho`` with csphase 1.
-Numbers of a function stand at index l² + l + m, degree by degree.
+The coefficient of Y_lm has the index l² + l + m.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _AT_ONCE = 2**22  # numbers held at once while they are made
 
 
 def check_degree(degree: int) -> int:
-    """Take a degree from 0 to 500 as an int.
+    """Check a degree from 0 to 500, and return it as an int.
 
     Raises:
         OmtwarpError: it is not.

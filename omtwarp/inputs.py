@@ -1,7 +1,7 @@
-"""Reading what a user names: regular files of bounded size, and arrays whose sizes are known before they are read.
+"""Reading of inputs: regular files of bounded size, and arrays whose sizes are known before they are read.
 
-Every reader of the package goes through :func:`read_bytes` or :func:`read_arrays`, so that a pipe that nobody feeds, a
-device without an end, or a file that inflates without end is one line and not a hang.
+Every reader of the package uses :func:`read_bytes` or :func:`read_arrays`, so that a pipe without a writer, an endless
+device, or a file that inflates without end gives an error line and does not hang.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def open_input(path: str | os.PathLike[str], most: int, kind: str = "file") -> I
     if "\0" in str(path):
         raise OmtwarpError(f"{path}: no such file")
     try:
-        # Without waiting: a pipe is opened at once although nobody writes into it, and told from a file.
+        # Non-blocking: a pipe without a writer is opened at once, and distinguished from a file.
         flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
         descriptor = os.open(path, flags)
     except (FileNotFoundError, NotADirectoryError):
@@ -83,7 +83,7 @@ def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
 
     Args:
         source: the file.
-        names: arrays that are wanted; those that are missing are left out, and others are not looked at.
+        names: arrays that are wanted; those that are missing are left out, and others are not read.
 
     Raises:
         OmtwarpError: no ``.npz``, a damaged one, an array that is not of numbers or text, or too much in it.

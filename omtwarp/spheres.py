@@ -1,4 +1,4 @@
-"""Sets of points on the sphere that data are carried to: triangulated spheres, and grids of pixels.
+"""Targets of resampling: triangulated spheres, and grids of pixels.
 
 Every grid has points and cells. The cells are convex polygons of great circles that cover the sphere once, one or more
 to each point: the pixels, or around the vertices of a triangulation what is nearer to a vertex than to the other
@@ -39,7 +39,7 @@ Integers = NDArray[np.int32]
 NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:NSIDE, equiangular:HxW, octahedral:N"
 # Radii of FreeSurfer's spheres, written with four digits, differ by 7e-5 of their mean.
 RADIUS_TOLERANCE = 1e-3
-# Twice the pixels of the finest grid in use (HEALPix with NSIDE 1024); more is a slip of the finger.
+# Twice the pixels of the finest grid in use (HEALPix with NSIDE 1024); more is a typing error.
 MOST_POINTS = 25_165_824
 
 

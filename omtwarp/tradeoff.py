@@ -1,7 +1,7 @@
-"""Between conformal and area preserving: the mass-preserving map of a density raised to a power.
+"""Maps between conformal and area preserving: the mass-preserving map of a density raised to a power.
 
-With μ the density of a conformal map (equation 4), μ^p for 0 <= p <= 1 asks for part of the change of area only: p = 0
-leaves the conformal map as it is, p = 1 preserves area. Moser's flow (section 4.2) makes the map, and the distortion
+With μ the density of a conformal map (equation 4), μ^p for 0 <= p <= 1 prescribes part of the change of area only:
+p = 0 keeps the conformal map, p = 1 preserves area. Moser's flow (section 4.2) makes the map, and the distortion
 energy of :mod:`omtwarp.refine` evens it out. It weighs every triangle by the area that it is to have on the sphere, so
 that for given areas there the angle distortion by area on the sphere, the paper's, is what becomes least.
 """
@@ -20,7 +20,7 @@ from omtwarp.moser import moser_map
 from omtwarp.refine.solver import Refiner
 from omtwarp.untangling.untangle import untangle
 
-# The weight of area against angle: enough to hold the areas asked for, and more only costs angle.
+# The weight of area against angle: enough to keep the prescribed areas; more only raises angle distortion.
 WEIGHT = 10.0
 ITERATIONS = 100
 TOLERANCE = 1e-4

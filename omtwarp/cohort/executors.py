@@ -1,4 +1,4 @@
-"""Where items are worked on: processes here, a Dask cluster, or Slurm through submitit, behind one interface."""
+"""Executors of items: processes of this machine, a Dask cluster, or Slurm through submitit, with one interface."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from omtwarp.errors import OmtwarpError
 Record: TypeAlias = Row
 
 ATTEMPTS = 2  # an item whose process was killed from outside is tried once more
-GRACE = 30.0  # seconds that a host may take to load, and to end an item that is out of time
+GRACE = 30.0  # seconds that a host may take to load, and to end an item that exceeds its time
 
 
 class Executor(Protocol):
-    """Works on items somewhere."""
+    """An executor of items."""
 
     def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
         """Return the records of all jobs, in the order in which they are done."""
@@ -42,7 +42,7 @@ class Host:
         self._process: subprocess.Popen[str] | None = None
 
     def run(self, job: Job) -> Record:
-        """Work on an item in a process of its own and return its record, whatever became of it."""
+        """Compute an item in a process of its own, and return its record, also of a failure."""
         died = 0
         for _ in range(ATTEMPTS):
             exit_status, late = self._attempt(job)
@@ -93,7 +93,7 @@ class Host:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,
-                start_new_session=True,  # an interruption is the driver's to handle
+                start_new_session=True,  # the driver handles interruptions
                 env=os.environ | {"OMTWARP_THREADS": str(self._threads)},
             )
         return self._process

@@ -1,7 +1,7 @@
-"""Standard input and output where a file may stand: ``-`` reads or writes a stream.
+"""Standard input and output in place of files: ``-`` reads or writes a stream.
 
-What comes from standard input is kept in a temporary file named after the format that its first bytes tell. What goes
-to standard output is sent when the command has succeeded; what the command says meanwhile goes to standard error.
+Standard input is stored in a temporary file named after the format recognised by its first bytes. Standard output is
+written when the command has succeeded; messages of the command go to standard error.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _HEADS = (
 
 
 class _Streams:
-    """The temporary files of one run of the command line, and what their names stand for."""
+    """The temporary files of one run of the command line, and the names that replace theirs in messages."""
 
     def __init__(self, folder: Callable[[], Path]):
         self.folder = folder
@@ -35,7 +35,7 @@ class _Streams:
         self.taken = False
 
     def shown(self, text: str) -> str:
-        """Return a text with the temporary files called what they stand for."""
+        """Replace the names of temporary files in a text by those of the streams."""
         for name, words in self.names.items():
             text = text.replace(name, words)
         return text

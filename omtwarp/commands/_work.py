@@ -134,10 +134,10 @@ def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list
 
 
 def each(meshes: Sequence[Path], targets: Sequence[Path | None], action: Callable[[Path, Path | None], None]) -> None:
-    """Do something with every mesh; with several, one that fails keeps none of the others back.
+    """Process every mesh; with several, one that fails does not stop the others.
 
     Raises:
-        OmtwarpError: what went wrong with a single mesh; or how many of several failed, each said before.
+        OmtwarpError: what went wrong with a single mesh; or how many of several failed, each reported before.
     """
     failed = []
     for mesh, target in zip(meshes, targets, strict=True):
@@ -281,7 +281,7 @@ def make_map(
 
 
 def require_bijective(result: MapResult | TorusMap, path: Path | None = None) -> None:
-    """Go on with a map only where it is one to one.
+    """Make sure that a map is one to one.
 
     Raises:
         OmtwarpError: it is not: how many triangles are flipped, and where the first is.
@@ -344,7 +344,7 @@ def map_from(
         from omtwarp.inputs import holds_array
 
         if holds_array(mesh, "sphere") or holds_array(mesh, "wraps"):
-            mesh, finished = None, mesh  # a map stands where a mesh may stand
+            mesh, finished = None, mesh  # a map in place of a mesh
     if finished is not None:
         if mesh is not None:
             raise OmtwarpError(f"both a mesh '{mesh}' and a finished map '{finished}': the map has its mesh, give one")
@@ -360,7 +360,7 @@ def map_from(
 
 
 def say_stages(result: MapResult | TorusMap) -> None:
-    """Say what every stage of a map did, a line each."""
+    """Print a line about every stage of a map."""
     for stage in result.report["stages"]:
         words = [f"{stage['seconds']:.2f} s"] if "seconds" in stage else []
         words += [f"{kind} {stage[kind]['surface']:.4f}" for kind in ("area", "angle")]

@@ -1,4 +1,4 @@
-"""``omtwarp align``: a map's sphere turned into the position of another's, or of its shape's own axes."""
+"""``omtwarp align``: rotation of a map's sphere to that of another, or to its shape's own axes."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def align_map(
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn a map's sphere: by its shape's own axes, or to another map.
+    """Rotate a map's sphere by its shape's own axes, or to another map.
 
     By axes, the longest axis of the first-order ellipsoid points to longitude 0, the shortest to the north pole. To
     another map, features are correlated over all rotations: distance from the centre of the surface, area over area on

@@ -85,7 +85,7 @@ def benchmark(
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the tables (.md) instead of printing.")
     ] = None,
 ) -> None:
-    """Time every stage and its memory on meshes of several sizes, beside one sparse factorisation by SciPy.
+    """Time every stage and its memory on meshes of several sizes, and compare with a sparse factorisation by SciPy.
 
     Takes a minute or two with the sizes it has by default, and no network.
     \f

@@ -90,7 +90,7 @@ def cohort(
     as_json: Annotated[bool, typer.Option("--json", help="Print the results of the run as JSON.")] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun goes on.
+    """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun continues.
 
     DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html. Example:
     omtwarp cohort 'sub-*/surf/lh.white' -o out --time-limit 600 --memory-limit 4
@@ -138,7 +138,7 @@ def cohort(
 
 @contextmanager
 def _reporting(quiet: bool) -> Iterator[Progress | None]:
-    """Say how far a cohort is and how long it will take: a bar on a terminal, else a line now and then."""
+    """Show the progress of a cohort and the time left: a bar on a terminal, otherwise a line at intervals."""
     if quiet:
         yield None
         return

@@ -1,4 +1,4 @@
-"""``omtwarp demo``: the whole way, on a shape that the package makes itself."""
+"""``omtwarp demo``: every step, on a generated shape."""
 
 from __future__ import annotations
 
@@ -81,13 +81,13 @@ def demo(
 
 
 def _refuse_other_files(files: list[Path]) -> None:
-    """Make sure that the results replace nothing but those of an earlier demo, which its mesh tells.
+    """Make sure that the results replace nothing but those of an earlier demo, recognised by its mesh.
 
     Args:
         files: what will be written, the mesh first.
 
     Raises:
-        OmtwarpError: a file of one of these names is something else's, or cannot be written.
+        OmtwarpError: a file of one of these names is not from an earlier demo, or cannot be written.
     """
     from omtwarp.errors import OmtwarpError
 

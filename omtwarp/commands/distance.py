@@ -22,9 +22,10 @@ def distance(
     as_json: Annotated[bool, typer.Option("--json", help="Print the distances as JSON.")] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Measure how far two shapes are apart, wherever they are and however they are turned.
+    """Measure the distance of two shapes, whatever their positions and rotations.
 
-    Twice: the root mean square distance of corresponding points, from coefficients of spherical harmonics; and the root
+    There are two measures: the root mean square distance of corresponding points, from coefficients of spherical
+        harmonics; and the root
     of the least transport cost between the densities of their conformal maps, in radians.
     """
     from omtwarp.commands._progress import progress_bar

@@ -44,6 +44,8 @@ def group(
     The folder gets table.csv, distances.csv, transport.csv where asked for, the mean and the components as .ply, and
     report.html. Two groups, named in the table's column 'group', are compared point by point with Student's t and
     permutations.
+    \f
+    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.commands._progress import progress_bar
     from omtwarp.commands._work import report_text, start_device

@@ -205,7 +205,7 @@ def map_mesh(
 def as_in_file(
     result: MapResult | TorusMap, sound: Input, to_sphere: bool
 ) -> tuple[MapResult | TorusMap, NDArray | None]:
-    """Tell a map where its vertices and faces come from in the file.
+    """Record in a map where its vertices and faces come from in the file.
 
     Args:
         result: the map.

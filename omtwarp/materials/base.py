@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
-WHITE = (1.0, 1.0, 1.0, 1.0)  # sRGB and opacity: the factor that leaves a picture as it is
+WHITE = (1.0, 1.0, 1.0, 1.0)  # sRGB and opacity: the factor that does not change a picture
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 SAME_PLACE = 1e-5
 ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of another mesh"
@@ -77,7 +77,7 @@ class Material:
 
     @property
     def opaque(self) -> bool:
-        """Whether nothing shines through."""
+        """Whether the material is opaque."""
         transparent = self.picture is not None and self.picture.shape[2] == 4 and self.picture[..., 3].min() < 255
         return self.color[3] >= 1.0 and not transparent
 
@@ -94,7 +94,7 @@ class PaintedArrays:
         materials: at least one.
         face_material: number of the material of every triangle, int32, shape [F].
         vertex_colors: sRGB and opacity at the vertices, uint8, shape [V, 4]; None where the file has none.
-        notes: what had to be decided while reading, in words.
+        notes: decisions made while reading, in words.
         wraps_rows: whether pictures repeat upwards; they always repeat to the right.
         source_files: files that an export must not replace.
 
@@ -166,16 +166,16 @@ class PaintedArrays:
         return self.uv
 
     def on(self, vertices: ArrayLike, faces: ArrayLike, face_origin: ArrayLike | None = None) -> Self:
-        """Carry coordinates and materials over to a repaired, welded or renumbered copy of the mesh.
+        """Transfer coordinates and materials to a repaired, welded or renumbered copy of the mesh.
 
-        Corners are found again by their places.
+        Corners are matched by their positions.
 
         Args:
             vertices: of the copy, shape [W, 3].
             faces: of the copy, shape [G, 3].
             face_origin: the triangle of this mesh that each of the copy was, -1 for a new one, shape [G]; by default
-                that with its corners at the same places, in whatever order the two list them. New triangles get the
-                first material, and coordinates of triangles beside them.
+                that with its corners at the same places, in any order. New triangles get the first material,
+                and coordinates of neighbouring triangles.
 
         Raises:
             OmtwarpError: the copy's triangles are not where this mesh's are.
@@ -223,7 +223,7 @@ class PaintedArrays:
         from scipy.spatial import cKDTree
 
         distance, nearest = cKDTree(places).query(self.vertices)
-        unused = len(places)  # of vertices that are nowhere in the copy
+        unused = len(places)  # index of vertices that are not in the copy
         here = np.where(distance <= self._same_place, nearest, unused)[self.faces]
         if (here == unused).all():
             raise OmtwarpError(ELSEWHERE)

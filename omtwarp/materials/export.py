@@ -108,7 +108,7 @@ def obj_files(mesh: PaintedArrays, place: Path, *, keep: Iterable[Path | None] =
 
 
 def _names(given: list[str]) -> list[str]:
-    """Return the names of materials as words that differ, fit for names of files too."""
+    """Return distinct names of materials without spaces, which can also be names of files."""
     names: list[str] = []
     for name in given:
         word = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "material"

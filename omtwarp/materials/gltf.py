@@ -58,7 +58,7 @@ def _primitive(
 
 
 def _material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, object]:
-    """Return a material in the words of glTF; its pictures only where there are coordinates to look them up."""
+    """Return a material as glTF's JSON; its pictures only where the mesh has texture coordinates."""
     color = linear(np.array(material.color))
     surface: dict[str, object] = {
         "baseColorFactor": [float(x) for x in color],

@@ -23,7 +23,7 @@ class PaintedMesh(PaintedArrays):
         materials: at least one.
         face_material: number of the material of every triangle, int32, shape [F].
         vertex_colors: sRGB and opacity at the vertices, uint8, shape [V, 4]; None where the file has none.
-        notes: what had to be decided while reading, in words.
+        notes: decisions made while reading, in words.
         wraps_rows: whether pictures repeat upwards; they always repeat to the right.
         source_files: files that an export must not replace.
 

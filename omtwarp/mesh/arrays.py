@@ -22,12 +22,12 @@ Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
 
 
 def real_numbers(values: object, name: str, shape: Shape | None, *, finite: bool = True) -> NDArray[np.float64]:
-    """Take an array of real numbers as float64, without changing a number.
+    """Convert an array of real numbers to float64, without changing a number.
 
     Args:
         values: anything that NumPy makes an array of.
         name: what to call it in a message, such as ``vertices``.
-        shape: the shape that it must have, with None where any length will do; None for any shape.
+        shape: the shape that it must have, with None for any length; None for any shape.
         finite: whether NaN and infinite numbers are refused.
 
     Returns:
@@ -57,13 +57,13 @@ def real_numbers(values: object, name: str, shape: Shape | None, *, finite: bool
 
 
 def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None = None) -> NDArray[np.int64]:
-    """Take an array of whole numbers as int64; floating point numbers will do where they are whole.
+    """Convert an array of whole numbers to int64; floating point numbers are accepted where they are whole.
 
     Args:
         values: anything that NumPy makes an array of.
         name: what to call it in a message, such as ``faces``.
-        shape: the shape that it must have; None where any length will do.
-        below: numbers must be at least 0 and below this; any will do where left out.
+        shape: the shape that it must have; None for any length.
+        below: numbers must be at least 0 and below this; unbounded by default.
 
     Returns:
         int64, contiguous.
@@ -95,12 +95,12 @@ def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None 
 def fitting_arrays(
     arrays: Mapping[str, object], layout: Layout, counts: Mapping[str, int]
 ) -> dict[str, NDArray[np.generic]]:
-    """Take arrays that belong together, in the types and shapes of a table; those that are None or missing are left.
+    """Convert arrays that belong together to the types and shapes of a table; None and missing ones are skipped.
 
     Args:
-        arrays: by name; others than those of the table are let pass.
+        arrays: by name; arrays that the table does not name are ignored.
         layout: type and shape of every array; letters of a shape are lengths that have to agree.
-        counts: what letters stand for, where that is known beforehand; others are learned from the first array.
+        counts: lengths of letters that are known beforehand; others are taken from the first array.
 
     Raises:
         OmtwarpError: the first that is not of numbers, not finite, or does not fit the others.
@@ -130,7 +130,7 @@ def owned(values: object, dtype: type[np.generic]) -> NDArray[np.generic]:
 
 
 def real_number(value: object, name: str, *, least: float = -math.inf, above: float = -math.inf) -> float:
-    """Take one finite number.
+    """Check one finite number.
 
     Args:
         value: a number of Python or NumPy; no truth value, text or array.
@@ -159,7 +159,7 @@ def real_number(value: object, name: str, *, least: float = -math.inf, above: fl
 
 
 def whole_number(value: object, name: str, *, least: int = 0, most: int = 2**31 - 1) -> int:
-    """Take one whole number.
+    """Check one whole number.
 
     Args:
         value: an integer of Python or NumPy, or a floating point number that is whole; no truth value, text or array.

@@ -29,12 +29,12 @@ class HasTriangles(Protocol):
 MeshLike: TypeAlias = HasTriangles | Surface | tuple[ArrayLike, ArrayLike]
 """A surface in any of the forms that public functions take."""
 
-# Points whose length differs from 1 by no more are taken as they are: a normalised float64 vector is within 4e-16.
+# Points whose length differs from 1 by at most this are not normalised: a normalised float64 vector is within 4e-16.
 UNIT_LENGTH = 1e-12
 
 
 def as_surface(mesh: MeshLike) -> Surface:
-    """Take a mesh in any of the accepted forms, and make sure that it can be mapped.
+    """Convert a mesh in any of the accepted forms to a surface, and make sure that it can be mapped.
 
     A :class:`Surface` is returned itself, and is examined the first time only.
 
@@ -56,7 +56,7 @@ def as_surface(mesh: MeshLike) -> Surface:
 
 
 def as_triangles(mesh: MeshLike) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Take the vertices and faces of a mesh in any of the accepted forms, whether it can be mapped or not.
+    """Return the vertices and faces of a mesh in any of the accepted forms, whether it can be mapped or not.
 
     Args:
         mesh: as of :func:`as_surface`.
@@ -82,7 +82,7 @@ def _parts(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
 
 
 def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map") -> NDArray[np.float64] | wp.array:
-    """Take the images of a surface's vertices on the sphere, and make sure that they are points of it.
+    """Check the images of a surface's vertices on the sphere, and normalise them.
 
     Args:
         sphere: shape [V, 3]; a Warp array of vec3d, which only stages of the package make, is taken as it is.
@@ -103,7 +103,7 @@ def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map")
 
 
 def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "map") -> NDArray[np.float64]:
-    """Take points of the unit sphere, normalised where they are not quite on it.
+    """Check points of the unit sphere, and normalise them to round-off.
 
     Args:
         points: shape [N, 3].
@@ -132,7 +132,7 @@ def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "ma
 
 
 def as_faces(faces: ArrayLike, count: int, name: str = "faces") -> NDArray[np.int32]:
-    """Take triangles whose corners are among so many vertices.
+    """Check triangles whose corners are among a number of vertices.
 
     Args:
         faces: shape [F, 3], at least one.

@@ -1,4 +1,4 @@
-"""Numbers and labels at the vertices of a mesh, in and out.
+"""Reading and writing of numbers and labels at the vertices of a mesh.
 
 =================================================  ==================================================================
 ``.npy``                                           an array [V] or [V, K]
@@ -44,7 +44,7 @@ class VertexData:
         table: of labels, for every key its name and its colour (red, green, blue, opacity from 0 to 1); None for
             numbers.
         structure: the part of the brain, as GIFTI names it, where the file says it.
-        meta: what else a GIFTI file says of itself.
+        meta: further metadata of a GIFTI file.
     """
 
     values: NDArray[np.generic]
@@ -89,7 +89,7 @@ def read_data(path: Path) -> VertexData:
                 raise OmtwarpError(f"unknown format of data: use {', '.join(DATA_SUFFIXES)}")
     except OmtwarpError as error:
         raise OmtwarpError(f"{path}: {error}") from None
-    except Exception as error:  # whatever a parser trips over, the file is not what its name says
+    except Exception as error:  # any failure of a parser means that the file is not what its name says
         detail = " ".join(str(error).split())[:160] or type(error).__name__
         raise OmtwarpError(f"{path}: cannot be read as data: {detail}") from None
     return found if found.structure else replace(found, structure=structure_of(path))
@@ -169,7 +169,7 @@ def write_data(
     """Write per-vertex data; an older file is as it was if anything is wrong.
 
     Args:
-        path: what it is called says the format (see the module's table).
+        path: its suffix determines the format (see the module's table).
         data: numbers or labels.
         mesh: vertices and faces, for ``.ply``.
 
@@ -240,7 +240,7 @@ def _write_annot(file: Path, data: VertexData) -> None:
     for place, key in enumerate(keys):
         red, green, blue, alpha = (round(255.0 * part) for part in data.table[key][1])
         colors[place] = red, green, blue, 255 - alpha
-    # FreeSurfer tells labels by their colours: two labels of one colour would become one.
+    # FreeSurfer identifies labels by their colours: two labels of one colour would become one.
     if len(np.unique(colors[:, :3], axis=0)) < len(keys):
         raise OmtwarpError("two labels have the same colour, by which the .annot format tells them apart")
     names = [data.table[key][0] for key in keys]

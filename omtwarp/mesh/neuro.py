@@ -1,4 +1,4 @@
-"""Surfaces in the formats of neuroimaging: GIFTI, FreeSurfer and VTK PolyData, written with what their files say.
+"""Surfaces in the formats of neuroimaging: GIFTI, FreeSurfer and VTK PolyData, written with their metadata.
 
 nibabel (``pip install 'omtwarp[neuro]'``) reads and writes GIFTI and FreeSurfer's files.
 """
@@ -92,7 +92,8 @@ def write_gifti_surface(
 ) -> None:
     """Write a GIFTI surface (single precision, as its readers expect).
 
-    Metadata and coordinate system are those of the file that it is like; else the structure is what the names tell.
+    Metadata and coordinate system are those of the file that it is like; otherwise the structure follows from the
+    names.
     """
     nibabel = nibabel_module()
     gifti = nibabel.gifti

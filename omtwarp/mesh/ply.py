@@ -1,6 +1,6 @@
 """Reading PLY files (Turk 1994, "The PLY Polygon File Format"): vertices and polygons, from text or binary numbers.
 
-The length of everything is checked against the header before anything is made of it.
+All lengths are checked against the header before memory is allocated.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
             raise ValueError(f"its header says '{line[:60]}'")
     if order == "":
         raise ValueError("its header names no format")
-    # One without properties takes no room, however many there are said to be.
+    # An element without properties takes no memory, however many the header announces.
     return [element for element in elements if element.properties], order, data[found.end() :]
 
 

@@ -1,7 +1,7 @@
-"""Every triangle cut into four at the middles of its edges, and what belongs to it carried over.
+"""Every triangle cut into four at the midpoints of its edges, with maps and measures of the parts.
 
-A map of the quartered mesh has room enough to keep the area of every triangle of the mesh itself, the sum of its four
-parts, and to be optimal and smooth as well: 4 E unknowns against F conditions, where the mesh has 2 V against 2 V.
+A map of the quartered mesh has enough freedom to keep the area of every triangle of the mesh itself, the sum of its
+four parts, and to be optimal and smooth as well: 4 E unknowns and F conditions, where the mesh has 2 V of both.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class QuarteredSurface:
         return np.r_[np.arange(self.surface.vertex_count - len(self.ends)), np.full(len(self.ends), -1)]
 
     def on_sphere(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Carry a map over: new vertices go to the middles of the images of their edges.
+        """Extend a map: new vertices go to the midpoints of the images of their edges.
 
         If the map flips no triangle, neither does this: each spherical triangle is cut into four along great circles.
 

@@ -1,7 +1,7 @@
 """Reading a triangle mesh from a file without changing it: vertices and faces in the order in which the file has them.
 
-Formats are read by trimesh, brain surfaces by nibabel. Where a general reader would quietly reorder, split, merge or
-triangulate, the reader here keeps the file's own mesh or says what is in the way.
+Formats are read by trimesh, brain surfaces by nibabel. Where a general reader would silently reorder, split, merge or
+triangulate, the readers here keep the file's own mesh or raise an error.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class MeshFile:
     Attributes:
         vertices: float64, shape [V, 3].
         faces: int64, shape [F, 3].
-        notes: what had to be decided while reading, in words; empty for most files.
+        notes: decisions made while reading, in words; empty for most files.
     """
 
     vertices: NDArray[np.float64]
@@ -79,7 +79,7 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
     data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
     suffix = _suffix(file)
     try:
-        with warnings.catch_warnings(action="ignore"):  # of what parsers guess; results are looked at below
+        with warnings.catch_warnings(action="ignore"):  # about guesses of parsers; results are checked below
             reader = _reader(suffix, data)
             split = triangulate if together is None or reader is not _read_scene else together
             vertices, faces, notes = reader(data, file, split)
@@ -88,7 +88,7 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
         raise OmtwarpError(f"{file}: {error}") from None
     except MemoryError:
         raise
-    except Exception as error:  # whatever a parser trips over, the file is not what its suffix says
+    except Exception as error:  # any failure of a parser means that the file is not what its suffix says
         detail = " ".join(str(error).split())[:160] or type(error).__name__
         raise OmtwarpError(f"{file}: cannot be read as {suffix or 'a mesh'}: {detail}") from None
     if mesh.vertices.ndim != 2 or mesh.vertices.shape[1] != 3 or mesh.faces.ndim != 2 or mesh.faces.shape[1] != 3:
@@ -102,7 +102,7 @@ _Read = tuple[NDArray[np.generic], NDArray[np.generic], list[str]]
 
 
 def _suffix(file: Path) -> str:
-    """Return the suffix that tells the format, in small letters, without the dot."""
+    """Return the suffix that determines the format, in lower case, without the dot."""
     name = file.name.lower()
     return "gii" if name.endswith(".gii.gz") else name.rpartition(".")[2] if "." in name else ""
 
@@ -147,11 +147,11 @@ def utf8(data: bytes) -> bytes:
 
 
 def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
-    """Return the object File Format by its lines; what follows coordinates and corners, such as colours, is left."""
+    """Read the Object File Format by its lines; values after coordinates and corners, such as colours, are ignored."""
     lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", utf8(data)).replace(b"\r", b"\n").split(b"\n")]
     lines = [line for line in lines if line]
     if lines and lines[0][0].endswith(b"OFF"):
-        lines[0].pop(0)  # the counts may stand beside the keyword
+        lines[0].pop(0)  # the counts may be on the line of the keyword
         lines = lines if lines[0] else lines[1:]
     vertex_count, face_count = (int(word) for word in lines[0][:2])
     if vertex_count < 0 or face_count < 0:
@@ -169,7 +169,7 @@ def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
-    """Return the Wavefront OBJ by its ``v`` and ``f`` lines alone.
+    """Read a Wavefront OBJ by its ``v`` and ``f`` lines alone.
 
     Its texture coordinates, normals, materials and groups make a general reader split, drop and reorder vertices.
     """

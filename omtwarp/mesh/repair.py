@@ -12,9 +12,9 @@ from scipy.sparse.csgraph import connected_components
 from omtwarp.mesh.validate import Topology, as_arrays, check, duplicate_faces, number, unit_coordinates, zero_area_faces
 
 LARGEST_HOLE = 64
-"""Holes with more edges than this are left open: filling them would be inventing the surface."""
+"""Holes with more edges than this are left open: their filling would be arbitrary."""
 CRUMBS = 8
-"""Parts of so few faces are left out of a surface that may have several: scanners leave such."""
+"""Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners."""
 
 
 class Repaired(NamedTuple):
@@ -23,7 +23,7 @@ class Repaired(NamedTuple):
     Attributes:
         vertices: float64, shape [V, 3].
         faces: int64, shape [F, 3].
-        actions: what was done, in words and in order; empty if nothing was.
+        actions: what was done, in words and in order; empty if nothing was changed.
         vertex_origin: for every vertex its index in the input, int64, shape [V].
         face_origin: for every face its index in the input, int64, shape [F]; -1 for a face that fills a hole.
     """
@@ -41,12 +41,12 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repa
     In this order: faces with impossible vertices are dropped; vertices with equal coordinates on the boundary or at
     faces of zero area are merged; faces of zero area and duplicates are dropped or flipped away; the largest component
     is kept; faces are turned to agree; holes of at most :data:`LARGEST_HOLE` edges are filled; the surface is turned
-    outward; unused vertices are dropped. A mesh without defects comes back as it is, and what is left can still have
-    some: :func:`omtwarp.mesh.validate.check` tells.
+    outward; unused vertices are dropped. A mesh without defects is returned unchanged. A repaired mesh can still have
+    defects, which :func:`omtwarp.mesh.validate.check` lists.
 
     A surface that need not be whole keeps its holes and its parts of more than :data:`CRUMBS` faces. Where more than
-    two faces meet in an edge, those that hang there by it alone are dropped, and where that does not help all of them;
-    a vertex in which the surface touches itself becomes several.
+    two faces meet in an edge, those connected to the surface by it alone are dropped, or else all of them; a vertex in
+    which the surface touches itself is split.
 
     Args:
         vertices: coordinates, shape [V, 3].
@@ -139,15 +139,15 @@ class _Work:
         self.keep(np.logical_not(repeated.any(axis=1)), "with a repeated vertex")
         again = duplicate_faces(self.faces, len(self.points))
         if again.any():
-            # A face on top of a sound mesh goes alone. Two that hang together in a flap, so that without either no
-            # edge would miss a face, both go.
+            # A face on top of a valid mesh is dropped alone. Two faces that form a flap, without which no edge would
+            # lack a face, are both dropped.
             before = duplicate_faces(self.faces[::-1], len(self.points))[::-1]
             topology = Topology(self.faces, len(self.points))
             flap = (again ^ before) & (topology.edge_face_count[topology.face_edges] % 2 == 0).all(axis=1)
             self.keep(~(again | flap), "that were there twice")
 
     def flip_flat_faces(self) -> None:
-        """Give the longest edge of every triangle without area to its neighbour: the vertex on it gets a fan there."""
+        """Flip the longest edge of every triangle without area, so that the neighbour is split at the vertex on it."""
         flipped = 0
         for _ in range(1000):
             used = np.unique(self.faces)
@@ -186,7 +186,7 @@ class _Work:
             self.keep(labels == largest, f"in {number(pieces - 1, 'smaller component')}")
 
     def drop_fins(self) -> None:
-        """Drop faces that hang by an edge of more than two faces alone; where none does, all faces at the edge."""
+        """Drop faces that only an edge of more than two faces connects to the surface; or else all at the edge."""
         fins = others = 0
         while len(self.faces):
             topology = Topology(self.faces, len(self.points))
@@ -357,7 +357,7 @@ def _patch(
                 continue
             between = np.arange(i + 1, j)
             area = np.linalg.norm(np.cross(corners[between] - corners[i], corners[j] - corners[i]), axis=1)
-            # A triangle without area would only be the next defect.
+            # A triangle without area would be another defect.
             cost = best[i, between] + best[between, j] + np.where(area > 1e-12, area, np.inf)
             split[i, j] = between[np.argmin(cost)]
             best[i, j] = cost.min()

@@ -17,7 +17,7 @@ from omtwarp.limits import LARGEST_MESH_FILE, amount
 if TYPE_CHECKING:
     import trimesh
 
-# Drawings without surfaces, points without triangles, and archives, of which it is not known what they hold.
+# Drawings without surfaces, points without triangles, and archives of unknown content.
 _NOT_MESHES = {"dxf", "xyz", "zip", "bz2", "tar.gz", "tar.bz2"}
 # Parts of glTF that a file may call required and that change nothing about its triangles.
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantization")
@@ -31,7 +31,7 @@ def scene_formats() -> set[str]:
 
 
 def load_scene(data: bytes, file: Path, suffix: str) -> trimesh.Scene:
-    """Read a scene, with the files that it names where they lie beside it or below.
+    """Read a scene, with the files that it names in its directory or below.
 
     Args:
         data: the file's content.
@@ -76,7 +76,7 @@ def load_scene(data: bytes, file: Path, suffix: str) -> trimesh.Scene:
             total = sum(entry.file_size for entry in archive.infolist())
         if total > LARGEST_MESH_FILE:
             raise OmtwarpError(f"inflates to {amount(total)}, and {amount(LARGEST_MESH_FILE)} is the most")
-    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it has to say is said by its errors
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its errors contain the same information
     return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Beside(file.parent), process=False)
 
 

@@ -1,7 +1,7 @@
-"""Vertices that a format doubles along the seams of a texture, joined again.
+"""Joining of vertices that a format doubles along the seams of a texture.
 
 GLB, and other formats with one row of attributes for every vertex, hold a vertex twice where two charts of a texture or
-two materials meet. The surface is closed all the same; only its numbering is not.
+two materials meet. The surface is closed nevertheless; only its numbering is not.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from omtwarp.mesh.read import MeshFile, read_mesh
 
 Ints = NDArray[np.int64]
 
-# Formats that keep vertices apart where nothing but the surface itself asks for it: in these, equal places that stay
-# open when they are joined may be meant.
+# Formats that double vertices only if the surface itself has them: in these, equal positions that remain open when they
+# are joined may be intended.
 _SHARED = (".ply", ".obj", ".off", ".stl", ".npz", ".vtk", ".gii")
 
 
@@ -32,7 +32,7 @@ class JoinedMesh:
         faces: the file's, with the vertices' new numbers, int64, shape [F, 3].
         file: the mesh as the file has it.
         vertex_of_file: the vertex that each of the file's is, shape [N]; None where nothing was joined.
-        notes: what had to be decided, in words.
+        notes: decisions that were made, in words.
     """
 
     vertices: NDArray[np.float64]
@@ -120,7 +120,7 @@ def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False)
         if open_still and shared:
             number, joined = None, file.faces
     if not one_mesh and not _in_one_piece(joined):
-        raise refused  # geometries that do not belong together are the user's to choose from
+        raise refused  # the user has to choose among geometries that do not belong together
     if number is None or stays is None:
         return JoinedMesh(file.vertices, file.faces, file, None, file.notes)
     copies = len(stays) - int(stays.sum())

@@ -29,9 +29,8 @@ HIPPOCAMPUS_BEND = 1.8
 
 
 def icosphere(frequency: int = 16) -> Surface:
-    """Return the geodesic sphere.
+    """Return a geodesic sphere: an icosahedron's faces cut into ``frequency``² triangles each, on the unit sphere.
 
-    Every face of an icosahedron cut into ``frequency``² triangles, all moved to the unit sphere.
 
     Args:
         frequency: any whole number from 1; the mesh has 20 ``frequency``² faces and 10 ``frequency``² + 2 vertices.
@@ -106,7 +105,7 @@ def fibonacci_sphere(face_count: int = 5000) -> Surface:
 
 
 def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0) -> Surface:
-    """Return a sphere with vertices thrown at random: triangles of every size and shape.
+    """Return a sphere with random vertices: triangles of every size and shape.
 
     Args:
         face_count: any even number from 4 on.
@@ -115,7 +114,9 @@ def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0
     """
     rng = np.random.default_rng(seed)
     points = _unit(rng.normal(size=(face_count // 2 + 2, 3)))
-    points[:4] = _unit(np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]))  # surround the centre for certain
+    points[:4] = _unit(
+        np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
+    )  # which certainly surround the centre
     points[4:, 2] += clustering
     return sphere_from_directions(_unit(points))
 
@@ -261,10 +262,8 @@ def hippocampus(
 ) -> Surface:
     """Return a bent, flattened tube with a thick head and a thin tail, different for every seed.
 
-    a hippocampus-like shape.
-
-    The centre line is about 4 long and lies in the xz plane, the head at low z. Shapes of the same ``face_count`` have
-    the same faces; two that differ in ``bump`` alone are equal elsewhere.
+    The shape is like that of a hippocampus. The centre line is about 4 long and lies in the xz plane, the head at low
+    z. Shapes of the same ``face_count`` have the same faces; two that differ in ``bump`` alone are equal elsewhere.
 
     Args:
         seed: of the random numbers: length, bend and girth, and smooth thickening along the tube.
@@ -377,7 +376,7 @@ def implicit_surface(value: Callable[[Points], Points], low: ArrayLike, high: Ar
 def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
     """Return a chain of round rings that overlap in their tubes, side by side along x.
 
-    a surface with a handle for each.
+    The surface has a handle for each.
 
     Args:
         count: how many, from 1; the genus of the surface.

@@ -1,4 +1,4 @@
-"""A closed triangle mesh with what every stage asks of it, worked out once and kept."""
+"""A closed triangle mesh with the quantities that stages need, computed once and cached."""
 
 from __future__ import annotations
 
@@ -183,19 +183,19 @@ class Surface:
     def kept(self, name: str, make: Callable[[], Kind]) -> Kind:
         """Return what ``make`` computes from shape and connectivity; computed once for each name and kept.
 
-        Whoever makes something of a surface that is worth keeping keeps it here, so that it lives as long as the
-        surface and is shared by :meth:`with_areas`. It must not refer to the surface, nor depend on its measure.
+        Solvers and others cache here what they derive from a surface, so that it lives as long as the surface and is
+        shared by :meth:`with_areas`. It must not refer to the surface, nor depend on its measure.
 
         Args:
-            name: of the thing, and of the device that it is on, if any.
-            make: makes it.
+            name: of the object, and of the device that it is on, if any.
+            make: computes it.
         """
         if name not in self._kept:
             self._kept[name] = make()
         return cast(Kind, self._kept[name])
 
     def let_go(self, name: str) -> None:
-        """Forget what is kept under a name; it is made again when it is asked for."""
+        """Remove what is cached under a name; it is recomputed when it is needed."""
         self._kept.pop(name, None)
 
     def on(self, device: str | wp.Device | None) -> SurfaceArrays:
@@ -262,7 +262,7 @@ def scaled_areas(areas: ArrayLike, count: int) -> NDArray[np.float64]:
 class SurfaceArrays:
     """Arrays of a surface on a device; kernels read them. Made by :meth:`omtwarp.mesh.surface.Surface.on`.
 
-    Each is sent when it is first asked for, and stays while the surface does. On the CPU they are the surface's own
+    Each is copied when it is first used, and lives as long as the surface. On the CPU they are the surface's own
     arrays, without a copy.
 
     Args:
@@ -332,7 +332,7 @@ def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDA
 def face_neighbours(faces: NDArray[np.int32], vertex_count: int) -> NDArray[np.int32]:
     """Return the face across edge (k, k+1) of every face of an oriented manifold mesh, shape [F, 3].
 
-    -1 at a boundary.
+    It is -1 at a boundary.
     """
     tail = faces.astype(np.int64).ravel()
     head = np.roll(faces, -1, axis=1).astype(np.int64).ravel()

@@ -1,7 +1,7 @@
-"""Checks of every condition that the maps rely on; each defect is one line with its place and its remedy.
+"""Checks of every condition that the maps rely on; each defect is one line with its position and its remedy.
 
-Every test is free of scale: coordinates are moved to the bounding box's centre and divided by its extent before
-anything is measured, so that a mesh in nanometres and one in light years are judged alike.
+Every test is independent of scale: coordinates are moved to the bounding box's centre and divided by its extent before
+anything is measured.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def check(vertices: ArrayLike, faces: ArrayLike) -> list[Defect]:
         remedy = f"write the file anew, or drop them with {REPAIR}"
         return [Defect("index-out-of-range", int(out_of_range.sum()), first, text, remedy)]
     found = _geometric_defects(points, triangles)
-    if not (triangles == np.roll(triangles, -1, axis=1)).any():  # a face that repeats a vertex has no edges to speak of
+    if not (triangles == np.roll(triangles, -1, axis=1)).any():  # a face that repeats a vertex has no proper edges
         found += _topological_defects(points, triangles, sound=not found)
     return found
 
@@ -154,8 +154,8 @@ def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def zero_area_faces(unit: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which faces have no area beyond rounding, shape [F]; ``unit`` as :func:`unit_coordinates` gives it.
 
-    Coordinates near 1 are rounded at 1e-16, which moves twice the area by that times the longest edge: what is below a
-    few times this is not an area.
+    Coordinates near 1 are rounded at 1e-16, which moves twice the area by that times the longest edge: areas
+    below a few times this count as zero.
     """
     corners = unit[faces]
     edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
@@ -175,7 +175,7 @@ def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.b
 
 
 def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) -> list[Defect]:
-    """Return the coordinates that are no numbers, faces that are no triangles, vertices that are in none."""
+    """Find coordinates that are no numbers, degenerate faces, and vertices in no face."""
     found = []
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
@@ -204,10 +204,10 @@ def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) ->
 
 
 def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], sound: bool) -> list[Defect]:
-    """Return how the faces hang together: manifold, closed, oriented, in one piece, of genus 0, outward.
+    """Find defects of connectivity: manifold, closed, oriented, in one piece, of genus 0, outward.
 
-    ``sound`` says that the faces by themselves are in order, which genus and inside need. One function, as each check
-    is a few lines in the order in which a user reads them, and later ones ask what earlier ones found.
+    ``sound`` says that the faces by themselves have no defects, which genus and inside need. One function, as each
+    check is a few lines in the order in which a user reads them, and later ones use the results of earlier ones.
     """
     found: list[Defect] = []
     topology = Topology(faces, len(points))

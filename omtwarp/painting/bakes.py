@@ -24,7 +24,7 @@ from omtwarp.texturing.textured import vertex_normals
 BAKES = ("normal", "ao", "curvature", "area")
 RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with noise of 1/16 at most
 MOST_RAYS = 6_000_000  # of one picture of ambient occlusion; a core casts about a million in a second
-SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours tell apart; few corners have far more
+SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ class Target:
 
 
 def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
-    """Return the ambient occlusion: the cosine-weighted part of the rays from a point that leave the surface behind.
+    """Return the ambient occlusion: the cosine-weighted share of the rays from a point that meet no surface.
 
     Rays are cast from texels of a picture that is smaller by a whole factor where there would be more than
     :data:`MOST_RAYS` in all.
 
     Returns:
-        255 where nothing is in the way, uint8, shape [H, W, 3].
+        255 where no ray is blocked, uint8, shape [H, W, 3].
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -198,7 +198,7 @@ class Scalar:
 
 
 def scalar(what: str | Path, vertices: Floats, faces: Ints, sphere: Floats) -> Scalar:
-    """Compute or read the number at every vertex that a name or a file stands for.
+    """Compute or read numbers at the vertices, by the name of a quantity or of a file.
 
     Args:
         what: ``curvature``, ``area``, or a file of numbers at the vertices (see :mod:`omtwarp.mesh.data`).

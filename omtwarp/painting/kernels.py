@@ -132,9 +132,9 @@ def cast_open_rays(
     # Data out:
     openness: wp.array[wp.float32],
 ):
-    """Compute the part of the cosine-weighted rays from a point that leave the surface behind them.
+    """Compute the share of cosine-weighted rays from every point that meet no surface.
 
-    ``numbers`` turn the pattern of rays differently for every point, so that no bands show.
+    ``numbers`` rotate the pattern of rays differently for every point, to avoid visible bands.
     """
     i = wp.tid()
     turn = float(numbers[i] % 1021) * 0.7548777

@@ -63,7 +63,7 @@ def paint(
 
     With own coordinates every material of the mesh keeps its name and properties and gets a picture of its own; with an
     atlas, all materials share one picture. Coordinates outside [0, 1] repeat the picture. Where triangles overlap on
-    the picture, as mirrored halves do, the first one has the texel, and a warning says how much of it is so.
+    the picture, as mirrored halves do, the first one gets the texel, and a warning says for which share of the picture.
 
     One function, as it is checks of options and two calls.
 
@@ -81,7 +81,7 @@ def paint(
         bake: ``normal``, ``ao``, ``curvature``, ``area``, or files of numbers at the vertices. Ambient occlusion goes
             to the material's occlusion; normals of ``detail`` to its normal map, in tangent space; curvature (of the
             mean, 1 / length unit), area (on the sphere over that on the surface) and data become the colour, through a
-            colour map, and so do normals without ``detail``, in the mesh's axes. At most one of them can.
+            colour map, and so do normals without ``detail``, in the mesh's axes. Only one bake may become the colour.
         detail: vertices and faces of a finer mesh of the same surface in the same place, for ``normal``.
         projection: of the image, as in :func:`omtwarp.texture`.
         atlas: which one, as in :func:`omtwarp.texture`.
@@ -287,7 +287,7 @@ class _Job:
         image, pattern = (None, source) if isinstance(source, Pattern) else (source, None)
         if isinstance(image, str) and image in PATTERNS:
             image, pattern = None, image
-        if source is None:  # the atlas's coordinates alone are wanted: a picture of one colour is the quickest
+        if source is None:  # only the atlas's coordinates are needed: a picture of one colour is the fastest
             image = np.zeros((16, 32, 3), dtype=np.uint8)
         layout_size = SIZE if size is None and source is None else size
         made = texture(
@@ -369,7 +369,7 @@ def _with_opacity(picture: NDArray[np.generic]) -> NDArray[np.float32]:
 
 
 def _opaque_if_it_is(picture: Bytes) -> Bytes:
-    """Return a picture without its opacity where nothing shines through."""
+    """Drop the opacity of a picture that is opaque."""
     return np.ascontiguousarray(picture[..., :3]) if picture[..., 3].min() == 255 else picture
 
 

@@ -155,7 +155,7 @@ def bake_materials(
                 wp.launch(kernels.sample_repeated, dim=count, inputs=[source, points, found], device=where)
             wp.launch(average_samples, dim=len(some), inputs=[found, SAMPLES, some, out], device=where)
     found = layout.dilate(out, rings).numpy()
-    found[~layout.known & (found[:, 3] == 0), 3] = 1.0  # what belongs to nothing makes no material transparent
+    found[~layout.known & (found[:, 3] == 0), 3] = 1.0  # texels outside of all triangles make no material transparent
     return found.reshape(layout.height, layout.width, 4)
 
 

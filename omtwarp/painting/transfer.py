@@ -1,4 +1,4 @@
-"""Texture transfer: what a surface wears, on another surface, place by place through their maps to the sphere."""
+"""Transfer of a texture from one surface to another, point by point through their maps to the sphere."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def transfer_texture(
     size: int | None = None,
     device: str | None = "auto",
 ) -> PaintedMesh:
-    """Carry the texture of one surface over to another, each mapped to the sphere.
+    """Transfer the texture of one surface to another, each mapped to the sphere.
 
-    The other map is turned until the two surfaces' features agree best (:func:`omtwarp.align`); then each point of the
+    The other map is rotated until the two surfaces' features agree best (:func:`omtwarp.align`); then each point of the
     other surface takes the colour of the point that lies at the same place of the sphere. Colours come from all
     materials of the mesh, or from its vertices where they have none.
 
@@ -48,7 +48,7 @@ def transfer_texture(
             three as a tuple.
         other: the map of the surface that gets the texture, in the same forms.
         onto: the other mesh with texture coordinates of its own, to get the texture in those; by default an atlas.
-        aligned: the two maps are in one position already: turn nothing.
+        aligned: the two maps are aligned already and are not rotated.
         mirror: try the mirror image of the other surface too, for a left and a right part.
         atlas: as in :func:`omtwarp.texture`, where ``onto`` is not given.
         size: width of the picture in texels; 2048 by default.
@@ -58,7 +58,7 @@ def transfer_texture(
         The other surface with the texture; ``.export("name.glb")`` writes it.
 
     Raises:
-        OmtwarpError: a mesh without colours, a map of another mesh, or too little to align the two by.
+        OmtwarpError: a mesh without colours, a map of another mesh, or too few features to align the two.
 
     Example:
         >>> import omtwarp

@@ -13,7 +13,7 @@ from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.textured import SphereMap, as_map
 
 MARGIN = 1.0 / 128.0
-"""Free room around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
+"""Free space around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
 
 FARTHEST = np.deg2rad(87.0)
 """From the middle of a chart: what lies 90 degrees away lies on no plane in front of it."""
@@ -24,8 +24,9 @@ def unwrap_uv(
 ) -> PaintedMesh:
     """Lay a surface out on a picture through its map, as texture coordinates for the triangles that it has.
 
-    Every triangle belongs as a whole to the face of the cube in which its middle lies, a long one to that which holds
-    it best: no vertex is added, and charts have jagged borders, a triangle wide. The six charts lie in three by two
+    Every triangle belongs as a whole to the face of the cube in which its centroid lies, a long one to the face that
+    contains it best: no vertex is added, and charts have jagged borders, a triangle wide. The six charts lie in three
+        by two
     cells, at one scale, apart from each other, and no triangle overlaps another. Angles from the middle of a chart are
     linear on the picture, so that its texels are of nearly the same size all over the sphere, and on the surface where
     the map preserves areas.
@@ -33,14 +34,16 @@ def unwrap_uv(
     Args:
         result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three as a
             tuple; a map that is one to one.
-        aspect: width of the picture over its height; 1.5 leaves no cell's room unused, 1 is what game engines expect.
-        margin: free room around each chart, in heights of the picture.
+        aspect: width of the picture over its height; 1.5 leaves no part of the cells unused, 1 is what game engines
+            expect.
+        margin: free space around each chart, in heights of the picture.
 
     Returns:
         The mesh with its coordinates and one plain material; ``.export("name.obj")`` writes it.
 
     Raises:
-        OmtwarpError: triangles that reach too far around the sphere, flipped triangles, or no room.
+        OmtwarpError: triangles that reach too far around the sphere, flipped triangles, or a margin that leaves no
+            space.
 
     Example:
         >>> import omtwarp
@@ -70,7 +73,7 @@ def unwrap_uv(
             f"their chart, first face {int(np.argmax(far))}: quarter the mesh first, or use texture, which cuts faces"
         )
     plane = angle if (_signed_areas(angle) > 0).all() else np.tan(angle)
-    # Great circles are straight lines by their tangents, so that there no triangle can turn over that was not.
+    # In gnomonic coordinates great circles are straight lines, so that no triangle flips that was not flipped.
     turned = _signed_areas(plane) <= 0
     if turned.any():
         raise OmtwarpError(

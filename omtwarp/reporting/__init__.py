@@ -1,6 +1,6 @@
 """The report page: one self-contained HTML file about a map.
 
-Names are looked up when they are used, so that importing the package does not start Warp.
+Names are imported at their first use, so that importing the package does not start Warp.
 """
 
 from __future__ import annotations

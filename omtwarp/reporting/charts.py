@@ -73,7 +73,7 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
         path.append(f"L{x(high):.1f},{base:.1f}Z")
         parts.append(element("path", class_="hill", style=f"--ink:var({row.colour})", d="".join(path)))
         parts.append(element("line", class_="baseline", x1=left, x2=right, y1=f"{base:.1f}", y2=f"{base:.1f}"))
-        # The words stand where the hill is not.
+        # The label is where the histogram is low.
         middle = float(np.sum(np.clip(row.values, low, high) * row.weights))
         side, anchor = (left + 2, "start") if mirrored and middle > 0.1 * high else (right - 2, "end")
         words = element("tspan", row.label, style=f"fill:var({row.colour})", class_="row-name")

@@ -1,6 +1,6 @@
-"""HTML that is escaped by construction: whatever is put into a template is text, unless it is itself HTML made so.
+"""HTML that is escaped by construction: every value in a template is text, unless it is HTML made by this module.
 
-A template is a literal (the linter sees to it), so that nothing of a file's or a user's can become an element, an
+A template is a literal (the linter checks it), so that nothing of a file's or a user's can become an element, an
 attribute or a script. Pieces are joined by :func:`join`; plain text that ends up in the page is escaped there.
 """
 

@@ -1,4 +1,4 @@
-"""Maps in notebooks: an interactive view that needs no network, pictures, and other programs' viewers."""
+"""Maps in notebooks: an interactive view that needs no network, pictures, and viewers of other programs."""
 
 from __future__ import annotations
 

@@ -37,9 +37,9 @@ from omtwarp.texturing.patterns import pattern as pattern_by_name
 from omtwarp.texturing.rasterizing import rasterize
 from omtwarp.torus.torus_map import TorusMap
 
-MOST_EDGES = 60_000  # faces: the edges of more would leave nothing to see of what is between them
+MOST_EDGES = 60_000  # faces: with more, edges would hide the surface between them
 TEXTURES = {"circles": "Circles of equal size", "puzzle": "A jigsaw puzzle", "globe": "A globe", "checker": "A checker"}
-# A tick on a disc, and a warning; drawn here so that no font decides how they look.
+# A tick on a disc, and a warning; drawn here so that they do not depend on fonts.
 _TICK = html(
     '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/>'
     '<path d="M5.8 10.4l2.8 2.8 5.6-6" fill="none" stroke="currentColor" stroke-width="2" stroke-linecap="round" '
@@ -136,7 +136,7 @@ def report_page(
     stages = stages_of(result)
     scene = make_scene(result, stages, texture, up=up, device=device)
     stills = _stills(result, stages, texture, up, picture_size, device)
-    # What the file says of the map is not taken for granted.
+    # The certificate is computed anew: the file is not trusted.
     report = shown_report(result) | {"certificate": certify_triangles(result.faces, stages[-1].sphere).to_dict()}
     content = [
         sections.figures(stages, report),

@@ -56,7 +56,7 @@ def figure(picture: Image | list[Image], name: str, *words: str) -> Markup:
 
 
 def pictures(figures: Sequence[Markup]) -> Markup:
-    """Return the figures side by side, as many as the window has room for."""
+    """Return the figures side by side, as many as fit into the window."""
     return element("div", *figures, class_="pictures")
 
 

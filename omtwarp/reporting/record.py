@@ -1,7 +1,7 @@
 """The fields of a map's report that a page shows, checked for their types.
 
-A report may come from a file that somebody edited, damaged or made up. What does not fit is left out, as if it were not
-there, so that the page's sections can rely on what they find.
+A report may come from a file that was edited, damaged or forged. Fields of other types are left out, so that the page's
+sections can rely on the rest.
 """
 
 from __future__ import annotations

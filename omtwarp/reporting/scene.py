@@ -1,6 +1,6 @@
 """Data of the interactive view: vertices small enough for a page, and the texture as a cube map.
 
-Everything is quantised as far as the eye allows: positions, normals and directions to 16 bits (a 30,000th of the
+Everything is quantised without visible loss: positions, normals and directions to 16 bits (a 30,000th of the
 surface's size, or 0.002 degrees), scalars to 8 bits of the range that the legend shows.
 """
 
@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 AREA_RANGE = 3.0  # of log2(area on the sphere / area on the surface), both ways
 ANGLE_RANGE = 3.0  # of log2(larger / smaller singular value), from 0
 AREA_COLOURS, ANGLE_COLOURS = "coolwarm", "magma_r"
-ANGLE_PART = 0.78  # the rest of that colour map is too dark to show the surface's form
+ANGLE_PART = 0.78  # the remainder of that colour map is too dark to show the surface's form
 # Above this many faces the view, and only the view, shows a simplified mesh: a page has to stay light.
 MOST_FACES = 150_000
 FACE_TEXELS = 512  # of the texture along each face of the cube

@@ -18,7 +18,7 @@ from omtwarp.result import MapReport
 
 
 def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
-    """Return the numbers that matter most."""
+    """Return the most important numbers."""
     first, last = stages[0], stages[-1]
     cost = last.record.get("transport_cost")
     figures = [
@@ -297,7 +297,7 @@ def _swatch(stage: Stage) -> Markup:
 
 
 def _number(value: float | None) -> str:
-    """Return a figure in as many characters as it deserves."""
+    """Return a number with a sensible number of digits."""
     value = math.nan if value is None else float(value)
     if not math.isfinite(value):
         return "∞" if value > 0 else "undefined"

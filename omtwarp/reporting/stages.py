@@ -31,7 +31,7 @@ ROUTES = {
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A map on the way, and what is known of it.
+    """The map of a stage, and its measures.
 
     Attributes:
         key: name of the stage's record in the report.
