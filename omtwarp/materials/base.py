@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.srgb import to_linear
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -23,18 +24,7 @@ ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of ano
 
 def linear(color: Floats) -> Floats:
     """Return the colours with opacity from sRGB to linear light (IEC 61966-2-1), shape [..., 4]; the opacity stays."""
-    rgb = color[..., :3]
-    light = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    return np.concatenate([light, color[..., 3:]], axis=-1)
-
-
-def encoded(light: Floats) -> Floats:
-    """Return the linear light as sRGB (IEC 61966-2-1), both from 0 to 1.
-
-    The inverse of :func:`linear` for colours alone.
-    """
-    clipped = np.clip(light, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055)
+    return np.concatenate([to_linear(color[..., :3]), color[..., 3:]], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,4 +232,4 @@ class PaintedArrays:
         return origin
 
 
-__all__ = ["Material", "PaintedArrays", "encoded", "linear"]
+__all__ = ["Material", "PaintedArrays", "linear"]

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.materials.base import Bytes, Floats, Ints, Material, encoded
+from omtwarp.materials.base import Bytes, Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.materials.wavefront import read_mtl, read_obj
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.read import fans, read_mesh, utf8
 from omtwarp.mesh.scenes import gltf_header, load_scene, scene_formats
 from omtwarp.mesh.seams import compressed, seam_copies
+from omtwarp.srgb import to_srgb
 from omtwarp.texturing.image import read_image
 
 if TYPE_CHECKING:
@@ -291,7 +292,7 @@ def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Materia
     if kind == "vertex" and isinstance(visual, ColorVisuals):
         colors = _opaque(np.asarray(visual.vertex_colors, dtype=np.uint8))
         if factors is not None:
-            colors[:, :3] = np.rint(255.0 * encoded(colors[:, :3] / 255.0))
+            colors[:, :3] = np.rint(255.0 * to_srgb(colors[:, :3] / 255.0))
         return Material(), None, colors
     if kind == "face" and isinstance(visual, ColorVisuals):
         return Material(color=_color(np.asarray(visual.main_color) / 255.0)), None, None
@@ -312,7 +313,7 @@ def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Materia
         values = np.asarray(factor)
         scaled = values / 255.0 if values.dtype.kind in "iu" else values.astype(np.float64)
         scaled = (factors or {}).get((source.name, tuple(values.tolist())), scaled)
-        color = _color(np.concatenate([encoded(scaled[:3]), scaled[3:4]]))
+        color = _color(np.concatenate([to_srgb(scaled[:3]), scaled[3:4]]))
     emission = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor, dtype=np.float64)
     material = Material(
         name=name,
@@ -340,7 +341,7 @@ def _vertex_colors(mesh: trimesh.Trimesh) -> Bytes | None:
         return None
     most = np.iinfo(given.dtype).max if given.dtype.kind in "iu" else 1.0
     light = np.clip(np.asarray(given, dtype=np.float64) / most, 0.0, 1.0)
-    return _opaque(np.rint(255.0 * np.column_stack([encoded(light[:, :3]), light[:, 3:]])).astype(np.uint8))
+    return _opaque(np.rint(255.0 * np.column_stack([to_srgb(light[:, :3]), light[:, 3:]])).astype(np.uint8))
 
 
 def _color(values: NDArray) -> tuple[float, float, float, float]:

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Floats, Ints, Material
+from omtwarp.mesh.arrays import ROUND_OFF
 from omtwarp.painting import kernels
+from omtwarp.srgb import to_linear, to_srgb
 from omtwarp.texturing.baking import SAMPLES_AT_ONCE, Layout, Picture, VertexValues, bake_to_uv
 from omtwarp.texturing.image import as_floats
 from omtwarp.texturing.kernels import average_samples
@@ -25,6 +27,8 @@ MOST_TILES = 16
 INSIDE = 0.02
 """Texels by which a centre lies inside a triangle for certain: neighbours share their sides to round-off."""
 
+LEAST_COVER = np.float32(1e-6)  # of opacity: what is more transparent has no colour; eight bits resolve 4e-3
+
 
 def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Copy triangles so that each copy covers its part of the unit square, for pictures that repeat.
@@ -39,8 +43,8 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
     Raises:
         OmtwarpError: a triangle reaches over more than :data:`MOST_TILES` pictures along a side.
     """
-    low = np.floor(uv.min(axis=1) + 1e-12).astype(np.int64)
-    high = np.maximum(np.ceil(uv.max(axis=1) - 1e-12).astype(np.int64), low + 1)
+    low = np.floor(uv.min(axis=1) + ROUND_OFF).astype(np.int64)
+    high = np.maximum(np.ceil(uv.max(axis=1) - ROUND_OFF).astype(np.int64), low + 1)
     count = high - low
     if len(count) and count.max() > MOST_TILES:
         face = int(np.argmax(count.max(axis=1)))
@@ -163,7 +167,7 @@ def tinted(picture: NDArray[np.float32], factor: NDArray[np.float32]) -> NDArray
     """Return a picture times a colour, multiplied as light; sRGB and opacity from 0 to 1, shape [H, W, 4]."""
     if (factor == 1.0).all():
         return picture
-    rgb = encode(decode(picture[..., :3]) * decode(factor[:3]))
+    rgb = to_srgb(to_linear(picture[..., :3]) * to_linear(factor[:3]))
     return np.concatenate([rgb, picture[..., 3:] * factor[3]], axis=2).astype(np.float32)
 
 
@@ -183,19 +187,8 @@ def over(top: NDArray[np.float32], bottom: NDArray[np.float32], opacity: float) 
     above = top[..., 3:] * np.float32(opacity)
     below = bottom[..., 3:] * (1.0 - above)
     total = above + below
-    light = (decode(top[..., :3]) * above + decode(bottom[..., :3]) * below) / np.maximum(total, np.float32(1e-6))
-    return np.concatenate([encode(light), total], axis=2).astype(np.float32)
-
-
-def decode(color: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the light of sRGB colours (IEC 61966-2-1)."""
-    return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
-def encode(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the light as sRGB colours (IEC 61966-2-1)."""
-    clipped = np.clip(light, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055).astype(np.float32)
+    light = (to_linear(top[..., :3]) * above + to_linear(bottom[..., :3]) * below) / np.maximum(total, LEAST_COVER)
+    return np.concatenate([to_srgb(light), total], axis=2).astype(np.float32)
 
 
 __all__ = ["PADDING", "bake_corners", "bake_materials", "covered", "over", "overlap", "tiled_copies", "tinted"]

@@ -89,12 +89,6 @@ def colormap_table(name: str, size: int = 256) -> NDArray[np.uint8]:
         raise OmtwarpError(f"unknown colour map '{name}': use one of {', '.join(COLORMAPS)}") from None
 
 
-def srgb_to_linear(color: ArrayLike) -> NDArray[np.float64]:
-    """Decode sRGB values in [0, 1] to linear light (IEC 61966-2-1)."""
-    value = np.asarray(color, dtype=np.float64)
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
 def backdrop(background: object, width: int, height: int) -> NDArray[np.float64]:
     """Return the picture behind the surface: RGB in [0, 1], shape [height, width or 1, 3].
 

@@ -15,10 +15,11 @@ from PIL import Image
 
 from omtwarp.render import shaders
 from omtwarp.render.camera import Shot
-from omtwarp.render.colors import parse_color, srgb_to_linear
+from omtwarp.render.colors import parse_color
 from omtwarp.render.light import LIGHTS
 from omtwarp.render.pyrender_compat import INSTALL_GL, GLUnavailable, import_pyrender
 from omtwarp.render.scene import Part, RenderJob
+from omtwarp.srgb import to_linear
 
 pyrender = import_pyrender()
 
@@ -35,7 +36,7 @@ SURFACELESS = "surfaceless"
 # the hardware's four samples alone.
 MOST_PIXELS = 40_000_000
 
-LIGHT_OF_SRGB = np.round(65535.0 * srgb_to_linear(np.arange(256) / 255.0)).astype(np.uint16)
+LIGHT_OF_SRGB = np.round(65535.0 * to_linear(np.arange(256) / 255.0)).astype(np.uint16)
 
 
 class _Program(ShaderProgram):  # type: ignore[misc]

@@ -13,8 +13,9 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.render import ray_kernels as kernels
 from omtwarp.render.camera import Shot
-from omtwarp.render.colors import parse_color, srgb_to_linear
+from omtwarp.render.colors import parse_color
 from omtwarp.render.scene import Part, RenderJob
+from omtwarp.srgb import to_linear
 
 # A step of 6/255 between neighbours is the smallest that is visible as a jagged edge.
 CONTRAST = 6.0 / 255.0
@@ -109,7 +110,7 @@ def _picture(part: Part | None, where: wp.Device) -> kernels.Picture:
             sizes.append((max(width // 2, 1), max(height // 2, 1)))
     counts = [width * height for width, height in sizes]
     offsets = np.cumsum([0, *counts])
-    decode = wp.array(srgb_to_linear(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=where)
+    decode = wp.array(to_linear(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=where)
     texels = wp.empty((int(offsets[-1]), 3), dtype=wp.uint8, device=where)
     wp.copy(texels, wp.array(image.reshape(-1, 3), dtype=wp.uint8, device=where), count=3 * counts[0])
     for level in range(1, len(sizes)):
@@ -138,7 +139,7 @@ def _picture(part: Part | None, where: wp.Device) -> kernels.Picture:
     picture.levels = len(sizes)
     picture.repeat = int(part is not None and part.repeat)
     picture.repeat_rows = int(part is not None and part.repeat_rows)
-    tint = srgb_to_linear(part.tint if part is not None else (1.0, 1.0, 1.0))
+    tint = to_linear(np.array(part.tint if part is not None else (1.0, 1.0, 1.0)))
     picture.tint = wp.vec3(*(float(channel) for channel in tint))
     return picture
 

@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import holds_array, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
-from omtwarp.materials.base import WHITE, encoded
+from omtwarp.materials.base import WHITE
 from omtwarp.mesh.read import read_mesh as read_triangles
 from omtwarp.mesh.scenes import load_scene, scene_formats
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
+from omtwarp.srgb import to_srgb
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.image import read_image as read_picture
 
@@ -306,5 +307,5 @@ def _factor(factor: ArrayLike) -> tuple[float, float, float] | None:
     """Return the sRGB colour of a glTF material's factor, which is linear; None for white."""
     values = np.asarray(factor)
     scaled = values / 255.0 if np.issubdtype(values.dtype, np.integer) else values.astype(np.float64)
-    red, green, blue = (float(channel) for channel in encoded(scaled[:3]))
+    red, green, blue = (float(channel) for channel in to_srgb(scaled[:3]))
     return None if (red, green, blue) == (1.0, 1.0, 1.0) else (red, green, blue)

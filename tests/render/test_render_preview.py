@@ -26,8 +26,8 @@ from omtwarp.render import (
     sheet,
 )
 from omtwarp.render.camera import SIX_VIEWS, VIEWS, frame
-from omtwarp.render.colors import srgb_to_linear
 from omtwarp.result import MapResult
+from omtwarp.srgb import to_linear
 
 DARK, LIGHT = np.array([40, 90, 160]), np.array([240, 225, 205])
 COLUMNS, ROWS = 24, 12
@@ -115,8 +115,8 @@ def assert_checker(
     mixed = inside & ~sure
     assert np.ptp(part, axis=2)[mixed].max() < 0.35  # light is averaged, its encoding is not: channels part a little
     assert part[mixed].min() > -0.03 and part[mixed].max() < 1.03
-    linear_dark, linear_light = srgb_to_linear(DARK / 255), srgb_to_linear(LIGHT / 255)
-    share = ((srgb_to_linear(picture / 255.0) - linear_dark) / (linear_light - linear_dark)).mean(axis=2)
+    linear_dark, linear_light = to_linear(DARK / 255), to_linear(LIGHT / 255)
+    share = ((to_linear(picture / 255.0) - linear_dark) / (linear_light - linear_dark)).mean(axis=2)
     expected_share = light[..., np.abs(offsets).max(axis=1) < 0.7].mean(axis=2)
     assert np.abs(share - expected_share)[mixed].mean() < 0.12
     assert sure.sum() > least * inside.sum()
