@@ -105,6 +105,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+GARBAGE_THRESHOLD = 200_000  # objects made between searches for garbage: what a map imports makes as many, and all stay
 app.command("map", cls=Command, short_help=SUMMARIES["map"], epilog=EXAMPLES["map"])(map_mesh)
 app.command("texture", cls=Command, short_help=SUMMARIES["texture"], epilog=EXAMPLES["texture"])(texture_mesh)
 app.command("transfer", cls=Command, short_help=SUMMARIES["transfer"], epilog=EXAMPLES["transfer"])(transfer)
@@ -145,7 +147,7 @@ def main(arguments: list[str] | None = None) -> None:
     """
     # A command imports many modules once and ends soon after: garbage collection of these takes a tenth of a second
     # during the import and as much again at the end.
-    gc.set_threshold(200_000)
+    gc.set_threshold(GARBAGE_THRESHOLD)
     atexit.register(gc.freeze)
     with _interruptible(restore=arguments is not None):
         try:

@@ -35,6 +35,9 @@ STALE_UNKNOWN_SECONDS = 86400.0  # the same where it cannot be told whether a pr
 
 _places: dict[Path, Path] = {}  # staging directories of this process, and the files that they are for
 
+# That Python's own handler has to end the process, before a thread tidies up; felt as at once.
+SECONDS_FOR_HANDLER = 0.4
+
 
 def as_path(given: str | os.PathLike[str]) -> Path:
     """Check the name of a file.
@@ -345,7 +348,7 @@ def _tidy_when_interrupted(folder: Path) -> Iterator[None]:
     def watch() -> None:
         received = os.read(readable, 1)
         if received and received[0]:
-            time.sleep(0.4)
+            time.sleep(SECONDS_FOR_HANDLER)
             shutil.rmtree(folder, ignore_errors=True)
             os._exit(128 + received[0])
 

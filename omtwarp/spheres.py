@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.mesh.arrays import in_range, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import TINY, in_range, real_numbers, whole_numbers
 from omtwarp.wavelets.hierarchy import sphere_hierarchy
 
 Floats = NDArray[np.float64]
@@ -41,6 +41,10 @@ NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:N
 RADIUS_TOLERANCE = 1e-3
 # Twice the pixels of the finest grid in use (HEALPix with NSIDE 1024); more is a typing error.
 MOST_POINTS = 25_165_824
+
+WHOLE_COVER = 1e-6  # of the sphere: coverings are whole numbers but for the round-off of a million solid angles
+MOST_HEALPIX, MOST_OCTAHEDRAL = 1024, 4096  # pixels along a side: 12.6 and 16.8 million points
+BITS = 16  # of a place within a base pixel: MOST_HEALPIX has 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,9 +169,9 @@ def mesh_grid(points: ArrayLike, faces: ArrayLike, name: str = "the sphere") -> 
         raise OmtwarpError(f"{name}: there are no faces")
     a, b, c = (unit[corners[:, k]] for k in range(3))
     cover = float(triangle_solid_angles(a, b, c).sum() / (4.0 * np.pi))
-    if round(cover) == -1 and abs(cover + 1.0) < 1e-6:
+    if round(cover) == -1 and abs(cover + 1.0) < WHOLE_COVER:
         raise OmtwarpError(f"{name}: the triangles are clockwise seen from outside; reverse them")
-    if abs(cover - 1.0) > 1e-6:
+    if abs(cover - 1.0) > WHOLE_COVER:
         raise OmtwarpError(f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times")
     return SphereGrid(name, unit, corners, (len(unit),))
 
@@ -194,14 +198,14 @@ def named_grid(name: str) -> SphereGrid:
         points, faces = freesurfer_icosahedron(level)
         return SphereGrid(text, points, faces, (len(points),))
     if match := re.fullmatch(r"healpix(-nested)?:(\d+)", text):
-        return healpix(_within(int(match[2]), 1, 1024, name), nested=match[1] is not None)
+        return healpix(_within(int(match[2]), 1, MOST_HEALPIX, name), nested=match[1] is not None)
     if match := re.fullmatch(r"equiangular:(\d+)x(\d+)", text):
         height, width = int(match[1]), int(match[2])
         if height < 2 or width < 4 or height * width > MOST_POINTS:
             raise OmtwarpError(f"'{name}': use at least 2 rows and 4 columns, and no more than {MOST_POINTS} pixels")
         return equiangular(height, width)
     if match := re.fullmatch(r"octahedral:(\d+)", text):
-        size = _within(int(match[1]), 4, 4096, name)
+        size = _within(int(match[1]), 4, MOST_OCTAHEDRAL, name)
         if size % 2:
             raise OmtwarpError(f"'{name}': the number of pixels along a side has to be even")
         return octahedral(size)
@@ -231,8 +235,14 @@ def freesurfer_icosahedron(level: int) -> tuple[Floats, Integers]:
     """
     turn = 2.0 * np.pi / 5.0 * np.arange(5)
     z, radius = 1.0 / np.sqrt(5.0), 2.0 / np.sqrt(5.0)
-    upper = np.stack([radius * np.cos(turn - np.pi * 0.4), radius * np.sin(turn - np.pi * 0.4), np.full(5, z)], axis=1)
-    lower = np.stack([radius * np.cos(turn - np.pi * 0.6), radius * np.sin(turn - np.pi * 0.6), np.full(5, -z)], axis=1)
+    upper = np.stack(
+        [radius * np.cos(turn - np.pi * (2.0 / 5.0)), radius * np.sin(turn - np.pi * (2.0 / 5.0)), np.full(5, z)],
+        axis=1,
+    )
+    lower = np.stack(
+        [radius * np.cos(turn - np.pi * (3.0 / 5.0)), radius * np.sin(turn - np.pi * (3.0 / 5.0)), np.full(5, -z)],
+        axis=1,
+    )
     points = np.concatenate([[[0.0, 0.0, 1.0]], upper, lower, [[0.0, 0.0, -1.0]]])
     # Clockwise seen from outside while midpoints are numbered.
     faces = np.array(
@@ -292,14 +302,14 @@ def _healpix_points(face: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
     z = np.where(row < 1.0, 1.0 - cap**2 / 3.0, np.where(row > 3.0, cap**2 / 3.0 - 1.0, (2.0 - row) * 2.0 / 3.0))
     # On the caps 1 - z² is (1 - |z|)(1 + |z|) with 1 - |z| = cap² / 3: no digits are lost next to the poles.
     radius = np.where(np.abs(row - 2.0) > 1.0, cap * np.sqrt((2.0 - cap**2 / 3.0) / 3.0), np.sqrt(1.0 - z * z))
-    longitude = np.pi / 4.0 * (_HEALPIX_COLUMNS[face] + (x - y) / np.maximum(cap, 1e-15))
+    longitude = np.pi / 4.0 * (_HEALPIX_COLUMNS[face] + (x - y) / np.maximum(cap, TINY))
     return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=-1)
 
 
 def _spread_bits(values: NDArray[np.int64]) -> NDArray[np.int64]:
     """Insert a zero between each two bits of whole numbers below 2^16."""
     out = np.zeros_like(values)
-    for k in range(16):
+    for k in range(BITS):
         out |= (values >> k & 1) << 2 * k
     return out
 

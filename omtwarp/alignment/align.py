@@ -101,7 +101,7 @@ def align_to_axes(given: PointsLike) -> Alignment:
     masses = points.surface_areas()
     along = (points.vertices - masses @ points.vertices / masses.sum()) @ axes
     moments = [masses @ along**power / masses.sum() for power in (2, 3)]
-    skewness = moments[1] / np.maximum(moments[0], TINY) ** 1.5
+    skewness = moments[1] / np.maximum(moments[0], TINY) ** (3.0 / 2.0)
     signs = np.where(skewness < 0, -1.0, 1.0)
     certain = np.sort(np.abs(skewness))
     if np.linalg.det(signs[:, None] * parameters) < 0:

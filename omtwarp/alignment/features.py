@@ -19,6 +19,12 @@ Floats = NDArray[np.float64]
 LEAST_AREA_SPREAD = 0.1
 _AT_ONCE = 16384
 
+# Of the whole: the least share of a vertex's area that has a logarithm; a vertex of no area takes it in place of
+# infinity.
+SMALLEST_SHARE = 1e-12
+# Of the largest value: a feature that varies less is rounding around a constant (1e-16 times the root of the vertices).
+LEAST_VARIATION = 1e-9
+
 
 def sphere_weights(points: SpherePoints) -> Floats:
     """Return a third of the spherical triangles' areas around every vertex, shape [V]; the sum is 4π."""
@@ -45,7 +51,9 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
     centre = masses @ points.vertices / masses.sum()
     features = {"radius": np.linalg.norm(points.vertices - centre, axis=1)}
     weights = sphere_weights(points)
-    ratio = np.log(np.maximum(masses / masses.sum(), 1e-12) / np.maximum(weights / weights.sum(), 1e-12))
+    ratio = np.log(
+        np.maximum(masses / masses.sum(), SMALLEST_SHARE) / np.maximum(weights / weights.sum(), SMALLEST_SHARE)
+    )
     if spread(ratio, weights) > LEAST_AREA_SPREAD:
         features["areas"] = ratio
     return features
@@ -80,7 +88,7 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
     columns = []
     for name, values in features.items():
         deviation = spread(values, weights)
-        if not deviation > 1e-9 * np.abs(values).max():
+        if not deviation > LEAST_VARIATION * np.abs(values).max():
             raise OmtwarpError(f"feature '{name}' is constant and determines no rotation: leave it out")
         columns.append(weights * (values - weights @ values / weights.sum()) / deviation)
     weighted = np.stack(columns, axis=1)

@@ -23,7 +23,7 @@ from scipy.ndimage import maximum_filter
 from scipy.spatial.transform import Rotation
 
 from omtwarp.harmonics import degree_of
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import ROUND_OFF, TINY
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -36,6 +36,8 @@ STEPS = 40
 SMALLEST_STEP = 1e-12
 LONGEST_STEP = 0.2  # radians; half the shortest wave of degree 16
 DISTINCT = 5.0  # degrees: maxima further apart than this are two
+
+MOST_HALVINGS = 30  # of a step: it is then below 1e-9 of the first, where the correlation climbs by less than round-off
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def _zyz_angles(rotation: Floats) -> tuple[float, float, float]:
     """Return α, β and γ of Rz(α) Ry(β) Rz(γ); γ is 0 where only its sum or difference with α counts."""
     across = float(np.hypot(rotation[0, 2], rotation[1, 2]))
     beta = float(np.arctan2(across, rotation[2, 2]))
-    if across < 1e-12:
+    if across < ROUND_OFF:
         return float(np.arctan2(-rotation[0, 1], rotation[1, 1])), beta, 0.0
     alpha = float(np.arctan2(rotation[1, 2], rotation[0, 2]))
     return alpha, beta, float(np.arctan2(rotation[2, 1], -rotation[2, 0]))
@@ -186,12 +188,12 @@ def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int
         gradient, hessian = derivatives(turned, b)
         bends, axes = np.linalg.eigh(hessian)
         # Where the function is not concave, climb along the slope instead of to a saddle.
-        move = axes @ (axes.T @ gradient / np.maximum(np.abs(bends), 1e-12 * np.abs(bends).max() + TINY))
+        move = axes @ (axes.T @ gradient / np.maximum(np.abs(bends), ROUND_OFF * np.abs(bends).max() + TINY))
         length = float(np.linalg.norm(move))
         if length < SMALLEST_STEP:
             return rotation, value, step
         move *= min(1.0, LONGEST_STEP / length)
-        for _ in range(30):
+        for _ in range(MOST_HALVINGS):
             candidate = Rotation.from_rotvec(move).as_matrix() @ rotation
             ahead = rotated(a, candidate)
             reached = float(np.vdot(b, ahead).real)

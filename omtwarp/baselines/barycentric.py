@@ -65,6 +65,14 @@ NEWTON_TOLERANCE = 1e-12
 """Newton's method ends at this force on any vertex; a vertex' mean weight sum is 1."""
 _LONGEST_STEP = 0.3  # radians: Newton's steps are no use beyond where a tangent plane resembles the sphere
 
+# Times a length: an angle of π, of a triangle folded flat, has tan(θ/2) = 1.6e16 in float64; more than this is that.
+MOST_WEIGHT = 1e15
+# Of the weights' sums: makes the Laplacian definite, which has constants for its kernel. It is a preconditioner alone.
+REGULARISATION = 0.001
+SHORTEST_STEP = 1e-6  # of the preconditioned gradient: the energy falls by less than its round-off along a shorter one
+SUFFICIENT_DECREASE = 1e-4  # share of what the slope promises (Nocedal & Wright, Numerical Optimization, section 3.1)
+STEP_GROWTH = 1.5  # after a step that was taken, which halving had shortened before; by convention
+
 
 @dataclass(frozen=True)
 class BarycentricMap:
@@ -196,7 +204,7 @@ def barycentric_weights(
         wp.launch(mean_value_edge_weights, dim=len(faces), inputs=[vertices, triangles, out], device=where)
         per_edge = out.numpy()
         # tan(θ/2) explodes at angles of π: a triangle folded flat.
-        bad = ~(np.isfinite(per_edge) & (per_edge > 0) & (per_edge < 1e15)).all(axis=1)
+        bad = ~(np.isfinite(per_edge) & (per_edge > 0) & (per_edge < MOST_WEIGHT)).all(axis=1)
         if bad.any():
             raise OmtwarpError(
                 f"mean-value weights need triangles with area: {int(bad.sum())} have none, first face "
@@ -290,7 +298,7 @@ def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Ar
     points = surface.scaled_vertices
     a, b, c = surface.faces[most_regular_face(points, surface.faces)]
     if weights == "tutte":
-        length, foot, height = 1.0, 0.5, np.sqrt(0.75)
+        length, foot, height = 1.0, 0.5, np.sqrt(3.0) / 2.0
     else:
         ab = points[b] - points[a]
         length = float(np.linalg.norm(ab))
@@ -321,7 +329,7 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
 
     Steps are taken at right angles to the Möbius transformations and followed by the one that restores the centroid.
     """
-    solver = Factorization(sparse.diags(1.001 * springs.degree) - springs.matrix)
+    solver = Factorization(sparse.diags((1.0 + REGULARISATION) * springs.degree) - springs.matrix)
     state = springs.sweep(points)
     step = 1.0
     for iteration in range(RELAXATION_STEPS):
@@ -334,17 +342,17 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
         boost = np.linalg.solve(inertia, masses @ direction)
         direction -= _tangential(points, np.broadcast_to(boost, points.shape))
         slope = float((force * direction).sum())
-        while step > 1e-6:
+        while step > SHORTEST_STEP:
             trial, _ = centre_points(springs.move(points, direction, step), masses)
             new = springs.sweep(trial)
-            if new.energy <= state.energy - 1e-4 * step * slope:
+            if new.energy <= state.energy - SUFFICIENT_DECREASE * step * slope:
                 break
             step *= 0.5
         else:
             break  # no decrease left that float64 can see
         points, state = trial, new
         report("relax", iteration, state.residual)
-        step = min(1.0, 1.5 * step)
+        step = min(1.0, STEP_GROWTH * step)
     return points
 
 

@@ -24,6 +24,9 @@ MEASURES = {
 }
 PICTURE = (360, 270)  # pixels
 
+# Of the median: where most items have the same value, deviations are counted in this, so that a quotient stays finite.
+LEAST_DEVIATION = 1e-9
+
 
 def write_page(rows: Sequence[Row], folder: Path) -> Path:
     """Write ``report.html``, which needs no other file.
@@ -60,7 +63,7 @@ def outliers(done: Sequence[Row], most: int = OUTLIERS) -> list[tuple[Row, str]]
         if not np.isfinite(values).any():
             continue
         middle = np.nanmedian(values)
-        spread = max(np.nanmedian(np.abs(values - middle)), 1e-9 * max(abs(middle), TINY))
+        spread = max(np.nanmedian(np.abs(values - middle)), LEAST_DEVIATION * max(abs(middle), TINY))
         for row, value in zip(done, values, strict=True):
             distance = (value - middle) / spread
             name_of_item = str(row["id"])

@@ -16,6 +16,8 @@ from omtwarp.options import MapOptions
 UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)
 """The creature stands on its feet and looks past the viewer's right shoulder."""
 
+PICTURE_WIDTH = 2048  # texels around the sphere, as textures have by default
+
 
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIRECTORY", help="Folder of the results.")] = Path(
@@ -73,7 +75,7 @@ def demo(
     for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
         preview(textured.trimesh(), file_to_be, up=UP, front=FRONT, views=VIEW, device=device)
         notify(f"{file_to_be}")
-    circles_picture = rasterize("circles", 2048, device=device)
+    circles_picture = rasterize("circles", PICTURE_WIDTH, device=device)
     comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)
     notify(f"{comparison_file}: the conformal map beside the area-preserving one")
     if as_json:

@@ -96,6 +96,8 @@ ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
 THREE = wp.constant(wp.float64(3.0))
 PI = wp.constant(wp.float64(3.141592653589793))
+# In place of infinity: minima begin with it, and what is larger has overflowed.
+LARGE = wp.constant(wp.float64(1.0e300))
 
 
-__all__ = ["HALF", "KERNEL_OPTIONS", "ONE", "PI", "THREE", "TWO", "ZERO", "wp"]
+__all__ = ["HALF", "KERNEL_OPTIONS", "LARGE", "ONE", "PI", "THREE", "TWO", "ZERO", "wp"]

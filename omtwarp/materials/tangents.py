@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from omtwarp.materials.base import Floats, Ints
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import ROUND_OFF, TINY
+
+# Of a normal's x: another axis helps where it is larger. Below 1/sqrt(2) an axis is 45 degrees or more from the normal.
+MOST_ALONG = 0.7
 
 
 def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) -> Floats:
@@ -40,10 +43,10 @@ def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) 
     flat = total - normal * (total * normal).sum(axis=1, keepdims=True)
     length = np.linalg.norm(flat, axis=1, keepdims=True)
     # Where triangles have no area in the picture any tangent will do.
-    helper = np.where(np.abs(normal[:, :1]) < 0.7, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    helper = np.where(np.abs(normal[:, :1]) < MOST_ALONG, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     other = np.cross(normal, helper)
     other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), TINY)
-    degenerate = length <= 1e-12 * max(float(length.max(initial=0.0)), TINY)
+    degenerate = length <= ROUND_OFF * max(float(length.max(initial=0.0)), TINY)
     unit = np.where(degenerate, other, flat / np.maximum(length, TINY))
     return np.concatenate([unit, np.repeat(sign, 3)[:, None]], axis=1).reshape(-1, 3, 4)
 

@@ -66,7 +66,7 @@ class TargetDensity:
         corners = sphere[faces]
         centres = corners.sum(axis=1)
         centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), np.finfo(float).tiny)
-        return 0.75 * self.at(centres) + self.at(sphere)[faces].sum(axis=1) / 12.0
+        return 3.0 / 4.0 * self.at(centres) + self.at(sphere)[faces].sum(axis=1) / 12.0
 
     def goal(self, surface: Surface, sphere: NDArray[np.float64]) -> Surface:
         """Give every triangle the area m / ρ that it is to cover where it is now; stages then treat ρ as uniform.

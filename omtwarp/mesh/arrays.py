@@ -17,6 +17,10 @@ SMALLEST, LARGEST = 1e-75, 1e75
 # Least divisor: a quotient by less is that of a length or an area that is zero. The smallest normal float64 is 2e-308.
 TINY = 1e-300
 
+# Relative: what differs by less is equal but for rounding. Some five thousand times float64's round-off, as much as a
+# few thousand roundings in a row leave at worst, and a millionth of the least digit that any figure is given to.
+ROUND_OFF = 1e-12
+
 Shape = tuple[int | None, ...]
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
 
@@ -234,6 +238,7 @@ def _require_shape(array: NDArray[np.generic], name: str, shape: Shape) -> None:
 
 
 __all__ = [
+    "ROUND_OFF",
     "TINY",
     "Layout",
     "fitting_arrays",

@@ -16,6 +16,10 @@ LARGEST_HOLE = 64
 CRUMBS = 8
 """Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners."""
 
+# Rounds of exchanged edges, so that they end: each round mends one triangle of every row of flat ones.
+MOST_ROUNDS = 1000
+LEAST_AREA = 1e-12  # twice the area of a triangle that fills a hole, in units of the hole's size squared: less is none
+
 
 class Repaired(NamedTuple):
     """A repaired mesh.
@@ -149,7 +153,7 @@ class _Work:
     def flip_flat_faces(self) -> None:
         """Flip the longest edge of every triangle without area, so that the neighbour is split at the vertex on it."""
         flipped = 0
-        for _ in range(1000):
+        for _ in range(MOST_ROUNDS):
             used = np.unique(self.faces)
             if not len(used):
                 break
@@ -358,7 +362,7 @@ def _patch(
             between = np.arange(i + 1, j)
             area = np.linalg.norm(np.cross(corners[between] - corners[i], corners[j] - corners[i]), axis=1)
             # A triangle without area would be another defect.
-            cost = best[i, between] + best[between, j] + np.where(area > 1e-12, area, np.inf)
+            cost = best[i, between] + best[between, j] + np.where(area > LEAST_AREA, area, np.inf)
             split[i, j] = between[np.argmin(cost)]
             best[i, j] = cost.min()
     if not np.isfinite(best[0, n - 1]):

@@ -24,6 +24,11 @@ GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 HIPPOCAMPUS_TAPER = 0.45
 HIPPOCAMPUS_BEND = 1.8
 
+# In cells: a node nearer to the surface is moved inside, as triangles around it would have no area; and the step of
+# one-sided differences, whose error is that part of a slope's change over a cell.
+NODE_CLEARANCE, DIFFERENCE = 1e-6, 1e-4
+LEAST_SLOPE = 1e-12  # squared, of a signed distance, whose slope is 1: where it has none a point stays
+
 
 # Spheres, and what is made by moving their vertices -----------------------------------------------------------------
 
@@ -347,7 +352,7 @@ def implicit_surface(value: Callable[[Points], Points], low: ArrayLike, high: Ar
     nodes = low + cell * grid
     values = value(nodes)
     # A node exactly on the surface would make triangles of no area.
-    values = np.where(np.abs(values) < 1e-6 * cell, -1e-6 * cell, values)
+    values = np.where(np.abs(values) < NODE_CLEARANCE * cell, -NODE_CLEARANCE * cell, values)
 
     stride = np.array([shape[1] * shape[2], shape[2], 1])
     cubes = np.arange(len(grid))[(grid < shape - 1).all(axis=1)]
@@ -426,11 +431,11 @@ def _average_of_neighbours(surface: Surface, points: Points) -> Points:
 
 def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float, steps: int) -> Points:
     """Run Newton's method along the gradient, with steps of at most half a cell."""
-    step = 1e-4 * cell
+    step = DIFFERENCE * cell
     for _ in range(steps):
         here = value(points)
         slope = np.stack([value(points + step * axis) - here for axis in np.eye(3)], axis=1) / step
-        move = -here[:, None] * slope / np.maximum((slope**2).sum(axis=1), 1e-12)[:, None]
+        move = -here[:, None] * slope / np.maximum((slope**2).sum(axis=1), LEAST_SLOPE)[:, None]
         far = np.linalg.norm(move, axis=1)
         points = points + move * np.minimum(1.0, 0.5 * cell / np.maximum(far, TINY))[:, None]
     return points

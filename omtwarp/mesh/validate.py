@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, real_numbers, whole_numbers
 
 REPAIR = "--repair (omtwarp.mesh.repair in Python)"
 """How the remedies name the package's own repair."""
@@ -417,7 +417,7 @@ def _signed_volume(points: NDArray[np.float64], faces: NDArray[np.int64]) -> flo
     p0, p1, p2 = (unit_coordinates(points)[faces[:, k]] for k in range(3))
     each = np.einsum("ij,ij->i", p0, np.cross(p1, p2)) / 6.0
     volume = float(each.sum())
-    return volume if abs(volume) > 1e-12 * float(np.abs(each).sum()) else 0.0
+    return volume if abs(volume) > ROUND_OFF * float(np.abs(each).sum()) else 0.0
 
 
 def number(count: int | np.integer, one: str, many: str = "") -> str:

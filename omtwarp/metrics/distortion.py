@@ -27,6 +27,8 @@ from omtwarp.metrics.kernels import not_finite, pick_values, triangle_distortion
 
 WEIGHTINGS = ("mean", "surface", "sphere")
 
+HIGH = 95  # percentile that stands for the worst triangles but for a few, which may be slivers; by convention
+
 
 class Aggregates(TypedDict):
     """The fields of :class:`Distortion` that are no arrays."""
@@ -185,7 +187,7 @@ def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> Aggregates:
     wp.launch(weighted_distortions, dim=count, inputs=inputs, outputs=[area, terms], device=where)
     sums = RowSums(count, terms.shape[1], where)(terms).numpy().sum(axis=0).tolist()
 
-    at = 0.95 * (count - 1)
+    at = HIGH / 100 * (count - 1)
     places = [(count - 1) // 2, count // 2, int(at), min(int(at) + 1, count - 1), count - 1]
     chosen = wp.array(places, dtype=wp.int32, device=where)
     # The radix sort of Warp needs a workspace of twice the keys.
@@ -240,7 +242,7 @@ def summarize(
             out = {name: float((weight * values).sum()) for name, weight in weights.items()}
         return out | {
             "median": float(np.median(values)),
-            "p95": float(np.percentile(values, 95)),
+            "p95": float(np.percentile(values, HIGH)),
             "max": float(values.max()),
         }
 

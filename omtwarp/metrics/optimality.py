@@ -65,6 +65,8 @@ GOOD_ENOUGH = 1e-4
 TRIALS = 6  # lengths of an ascent step that are tried, each SHORTER times the one before
 SHORTER, LONGER = 0.4, 1.6  # factors of a step that has not raised the bound, and of one that has
 
+MOST_PIVOTS = 10_000_000  # of the network simplex: POT's default of 100,000 ends too soon above some thousand points
+
 
 class SphereMaps(Protocol):
     """Attributes of a finished map, such as :class:`omtwarp.MapResult`."""
@@ -338,7 +340,7 @@ def exact_transport(
     a, b = (np.asarray(w, dtype=np.float64) / np.sum(w) for w in (source_masses, target_masses))
     squared = 2.0 * np.arcsin(np.clip(np.sqrt(np.maximum(2.0 - 2.0 * (x @ z.T), 0.0)) / 2.0, 0.0, 1.0))
     squared *= squared
-    plan, log = ot.emd(a, b, squared, numItermax=10_000_000, log=True)
+    plan, log = ot.emd(a, b, squared, numItermax=MOST_PIVOTS, log=True)
     if log.get("warning"):
         raise OmtwarpError(f"the exact optimum was not found: {log['warning']}")
     mean = plan @ z

@@ -9,7 +9,7 @@ of its edges. Triangles are the leaves of a complete binary tree in heap order, 
 2k + 1.
 """
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import geodesic_distance, logarithm
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -20,13 +20,27 @@ vec6d = wp.types.vector(length=6, dtype=wp.float64)
 # the largest coordinate along both axes, and the largest distance from its centre.
 vec11d = wp.types.vector(length=11, dtype=wp.float64)
 
-LARGE = wp.constant(wp.float64(1.0e300))  # in place of infinity, which minima begin with
 # Relative, added to the diagonal of the normal equations of a fit, which few or collinear points leave singular.
 RIDGE = wp.constant(wp.float64(1.0e-10))
 SLACK = wp.constant(wp.float64(1.0e-14))  # lowers bounds of numbers of size 1 by fifty times float64's round-off
 SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
 # Triangles of a node that its paraboloid is fitted to; the level that makes it a bound uses all of them.
 FITTED = wp.constant(4)
+
+# Squared, of a least-squares system in units of its node: the ridge keeps pivots above.
+SMALLEST_PIVOT = wp.constant(wp.float64(1.0e-30))
+# Squared radius: a node of one point is no smaller, so that it can be divided by.
+SMALLEST_NODE = wp.constant(wp.float64(1.0e-30))
+# Length of the sum of a node's directions: less where they cancel, as over a whole great circle.
+NO_MIDDLE = wp.constant(wp.float64(1.0e-9))
+# Of a unit vector's x: another axis helps to make a frame where it is larger. Anything from 0.58 to 1 leaves one to
+# take.
+MOST_ALONG = wp.constant(wp.float64(0.6))
+# Second derivatives of a fit: more is a fit through rounding, and a constant bounds better.
+STEEPEST = wp.constant(wp.float64(1.0e12))
+# 1 - cos θ, a thousandth of a radian short of the antipode, where the squared distance has no second derivative.
+ANTIPODE = wp.constant(wp.float64(1.999999))
+SMALLEST_SINE = wp.constant(wp.float64(1.0e-12))  # below, θ / sin θ is 1 to the last digit
 
 
 @wp.func
@@ -166,7 +180,7 @@ def solve_definite(matrix: mat66d, right: vec6d) -> vec6d:
     for j in range(6):
         for k in range(j):
             low[j, j] = low[j, j] - low[j, k] * low[j, k]
-        low[j, j] = wp.sqrt(wp.max(low[j, j], wp.float64(1.0e-30)))
+        low[j, j] = wp.sqrt(wp.max(low[j, j], SMALLEST_PIVOT))
         for i in range(j + 1, 6):
             for k in range(j):
                 low[i, j] = low[i, j] - low[i, k] * low[j, k]
@@ -314,16 +328,16 @@ def build_nodes(
         f = first + ((2 * k + 1) * count) // (2 * fitted)
         total += places[SAMPLES * f] + places[SAMPLES * f + 1] + places[SAMPLES * f + 2]
     c = wp.normalize(total)
-    if wp.length(total) < wp.float64(1.0e-9):
+    if wp.length(total) < NO_MIDDLE:
         c = places[SAMPLES * first]
     u = wp.vec3d(ONE, ZERO, ZERO)
-    if wp.abs(c[0]) > wp.float64(0.6):
+    if wp.abs(c[0]) > MOST_ALONG:
         u = wp.vec3d(ZERO, ONE, ZERO)
     u = wp.normalize(wp.cross(u, c))
     v = wp.cross(c, u)
 
     # The first axis is the direction in which the node is longest.
-    size = wp.float64(1.0e-30)
+    size = wp.float64(SMALLEST_NODE)
     stretch = wp.vec2d()
     for k in range(fitted):
         f = first + ((2 * k + 1) * count) // (2 * fitted)
@@ -357,7 +371,7 @@ def build_nodes(
     fit = solve_definite(gram, right)
     for k in range(3):
         fit[3 + k] = fit[3 + k] / (size * size)
-    if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < wp.float64(1.0e12)):
+    if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < STEEPEST):
         fit = vec6d()
 
     level = -LARGE
@@ -411,12 +425,12 @@ def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: 
     radius = model[10]
     cosine = wp.dot(x, c)
     v = HALF * wp.length_sq(x - c)
-    if radius > ONE or v > wp.float64(1.999999):
+    if radius > ONE or v > ANTIPODE:
         return -LARGE  # next to the antipode the slope is infinite
     sine = wp.sqrt(v * (TWO - v))
     angle = TWO * wp.asin(wp.sqrt(HALF * v))
     kappa = ONE
-    if sine > wp.float64(1.0e-12):
+    if sine > SMALLEST_SINE:
         kappa = angle / sine
     t0 = wp.dot(x, axis)
     t1 = wp.dot(x, wp.cross(c, axis))

@@ -26,6 +26,10 @@ RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with no
 MOST_RAYS = 6_000_000  # of one picture of ambient occlusion; a core casts about a million in a second
 SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
 
+# Of the extent: how far off the surface rays begin. Single precision resolves 1e-7 of it.
+RAY_START = 1e-4
+LEAST_RANGE = 1e-9  # of a binary logarithm: a map that keeps areas to round-off still has a range of colours
+
 
 @dataclass(frozen=True)
 class Target:
@@ -79,8 +83,7 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     scale = float((high - low).max())
     normal = rows[known, 3:]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
-    # Single precision resolves 1e-7 of the extent: rays start a thousand times farther off the surface.
-    origins = ((rows[known, :3] - low) / scale + 1e-4 * normal).astype(np.float32)
+    origins = ((rows[known, :3] - low) / scale + RAY_START * normal).astype(np.float32)
     where = wp.get_device(target.device)
     mesh = wp.Mesh(
         points=wp.array(((vertices - low) / scale).astype(np.float32), dtype=wp.vec3, device=where),
@@ -155,7 +158,7 @@ def object_normals(target: Target) -> Bytes:
     """Return the normals in the mesh's own axes as colours: red, green and blue from -1 to 1 along x, y and z."""
     picture = bake_corners(target.uv, target.normals, target.size, device=target.device).reshape(-1, 3)
     length = np.linalg.norm(picture, axis=1, keepdims=True)
-    return _as_picture(np.where(length > 0, picture / np.maximum(length, 1e-30), 0.0), target.size)
+    return _as_picture(np.where(length > 0, picture / np.maximum(length, np.finfo(np.float32).tiny), 0.0), target.size)
 
 
 def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
@@ -215,7 +218,7 @@ def scalar(what: str | Path, vertices: Floats, faces: Ints, sphere: Floats) -> S
         return Scalar("curvature", values, "coolwarm", -most, most)
     if what == "area":
         values = np.log2(area_ratio(vertices, faces, sphere))
-        most = max(float(np.percentile(np.abs(values), SPREAD)), 1e-9)
+        most = max(float(np.percentile(np.abs(values), SPREAD)), LEAST_RANGE)
         return Scalar("area (binary logarithm)", values, "coolwarm", -most, most)
     path = Path(what)
     if not path.suffix:

@@ -18,6 +18,9 @@ MARGIN = 1.0 / 128.0
 FARTHEST = np.deg2rad(87.0)
 """From the middle of a chart: what lies 90 degrees away lies on no plane in front of it."""
 
+ASPECTS, MOST_MARGIN = (0.1, 10.0), 0.1
+"""Widths of the picture over its height, and free room in heights of it: beyond these charts have next to no room."""
+
 
 def unwrap_uv(
     result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike], *, aspect: float = 1.0, margin: float = MARGIN
@@ -54,7 +57,7 @@ def unwrap_uv(
         (True, True)
     """
     vertices, faces, sphere = as_map(result)
-    if not 0.1 <= aspect <= 10.0 or not 0.0 <= margin <= 0.1:
+    if not ASPECTS[0] <= aspect <= ASPECTS[1] or not 0.0 <= margin <= MOST_MARGIN:
         raise OmtwarpError(f"aspect {aspect}, margin {margin}: give 0.1 to 10, and 0 to 0.1")
     corners = sphere[faces]
     middle = corners.sum(axis=1)

@@ -36,6 +36,10 @@ MIN_GAIN_SHARE = 0.15  # of the gain of the last new matrix: where a corrected s
 # tolerance decides.
 RELATIVE_TOLERANCE = 0.01
 
+# Share of the gain that the quadratic model promised: above the first, more of the matrix's negative curvature is
+# kept, and below the second less (Nocedal & Wright, Numerical Optimization, algorithm 4.1, has 3/4 and 1/4).
+TRUSTED, DISTRUSTED = 0.75, 0.5
+
 
 @dataclass(frozen=True)
 class RefineResult:
@@ -110,9 +114,9 @@ class _MatrixPolicy:
         """Choose the next matrix by the gain of a step relative to the quadratic model's, half the decrement."""
         fresh, trust = self.renew, 2.0 * gain / decrement
         if fresh:
-            if step.length == 1.0 and step.mended <= self._trusted_repairs and 0.75 < trust:
+            if step.length == 1.0 and step.mended <= self._trusted_repairs and TRUSTED < trust:
                 self.curvature_share = max(self.curvature_share / 3.0, MIN_CURVATURE_SHARE)
-            elif step.length < 1.0 or trust < 0.5:
+            elif step.length < 1.0 or trust < DISTRUSTED:
                 self.curvature_share = min(1.0, 3.0 * self.curvature_share)
             self._last_gain = gain
         too_little = gain < MIN_GAIN_SHARE * self._last_gain

@@ -6,10 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import TINY
 from omtwarp.render.colors import parse_color
 from omtwarp.render.scene import Arrows, Part, SurfaceView, normalisation, welded_normals
 
 _SIDES = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
+
+# Bisections of the width of a grid's cells, in radii, between the first two: 2000 to 1 in powers of two, to 0.003 %.
+CELLS, BISECTIONS = (1e-3, 2.0), 18
+ACROSS = 1e-6  # sine: an arrow that stands on the surface at right angles to within this takes another side
+BASE = 100_003  # a prime above the number of cells along an axis, which are 4000 at most
 
 
 def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
@@ -34,7 +40,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
     if len(vectors) != len(vertices):
         positions = positions[faces].mean(axis=1)
         normals = normals[faces].mean(axis=1)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), TINY)[:, None]
     lengths = np.linalg.norm(vectors, axis=1)
     longest = lengths.max(initial=0.0)
     if longest == 0.0:
@@ -60,7 +66,7 @@ def _thin_out(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 
     def occupied(width: float) -> NDArray[np.intp]:
         cells = np.floor((points + 2.0) / width).astype(np.int64)
-        keys = (cells[:, 0] * 100003 + cells[:, 1]) * 100003 + cells[:, 2]
+        keys = (cells[:, 0] * BASE + cells[:, 1]) * BASE + cells[:, 2]
         # Of the points in a cell the one nearest its middle, so that neighbours keep their distance.
         offset = np.abs((points + 2.0) / width - cells - 0.5).max(axis=1)
         order = np.lexsort((offset, keys))
@@ -68,8 +74,8 @@ def _thin_out(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
         first[1:] = keys[order][1:] != keys[order][:-1]
         return order[first]
 
-    narrow, wide = 1e-3, 2.0
-    for _ in range(18):
+    narrow, wide = CELLS
+    for _ in range(BISECTIONS):
         middle = np.sqrt(narrow * wide)
         narrow, wide = (middle, wide) if len(occupied(middle)) > count else (narrow, middle)
     return np.sort(occupied(wide))
@@ -85,7 +91,7 @@ def _solid_arrows(
 ) -> Part:
     """Return a round shaft and a cone for every arrow, by broadcasting one template."""
     side = np.cross(normal, way)
-    weak = np.linalg.norm(side, axis=1) < 1e-6
+    weak = np.linalg.norm(side, axis=1) < ACROSS
     side[weak] = np.cross(way[weak], np.eye(3)[np.argmin(np.abs(way[weak]), axis=1)])
     side /= np.linalg.norm(side, axis=1)[:, None]
     over = np.cross(way, side)

@@ -23,6 +23,11 @@ VIEWS: dict[str, tuple[float, float]] = {
 SIX_VIEWS = ("front", "back", "left", "right", "top", "bottom")
 DEFAULT_FRONT = {"x": "+z", "y": "+z", "z": "-y"}
 
+# In radii of the subject: how far in front of it the camera stands at least, and so its nearest plane of drawing.
+CLEARANCE = 1e-3
+FAR_ROOM = 1.2, 0.1  # factor and addition, by which the farthest plane of drawing lies behind the subject
+SMALLEST_VIEW = 1e-9  # radii: half the height of a view of a single point
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -227,13 +232,13 @@ def frame(
     for camera, axes, shift, _ in placed:
         depth = points @ axes[:, 2]
         perspective = camera.projection == "perspective"
-        half_height = np.tan(np.radians(camera.field_of_view) / 2.0) if perspective else max(shared, 1e-9)
+        half_height = np.tan(np.radians(camera.field_of_view) / 2.0) if perspective else max(shared, SMALLEST_VIEW)
         half_height = half_height / camera.zoom
-        distance = max(shared, float(depth.max()) + 1e-3) if perspective else 3.0
+        distance = max(shared, float(depth.max()) + CLEARANCE) if perspective else 3.0
         pose = np.eye(4)
         pose[:3, :3] = axes
         pose[:3, 3] = axes @ np.array([shift[0], shift[1], distance])
-        near = max((distance - float(depth.max())) * 0.5, 1e-3)
-        far = (distance - float(depth.min())) * 1.2 + 0.1
+        near = max((distance - float(depth.max())) * 0.5, CLEARANCE)
+        far = (distance - float(depth.min())) * FAR_ROOM[0] + FAR_ROOM[1]
         shots.append(Shot(pose, perspective, float(half_height * aspect), float(half_height), near, far))
     return shots

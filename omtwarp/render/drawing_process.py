@@ -16,6 +16,8 @@ import struct
 import sys
 from typing import TYPE_CHECKING, BinaryIO, cast
 
+GARBAGE_THRESHOLD = 200_000  # objects made between searches for garbage, as in omtwarp.cli
+
 if TYPE_CHECKING:
     from omtwarp.render.scene import RenderJob
 
@@ -53,7 +55,7 @@ def _waiting(stream: BinaryIO) -> bool:
 
 def main() -> None:
     """Serve until standard input ends."""
-    gc.set_threshold(200_000)  # the imports leave little garbage, and collection takes time
+    gc.set_threshold(GARBAGE_THRESHOLD)  # the imports leave little garbage, and collection takes time
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and closes the pipe
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a driver prints must not mix with the replies

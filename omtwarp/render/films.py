@@ -53,6 +53,11 @@ CAPTIONS = ("conformal map", "to the optimal map", "optimal map", "to its sphere
 # Texels around the sphere of a pattern: two to a pixel of the picture, of which a ball fills about a half.
 PICTURE_WIDTHS = (512, 4096)
 
+NEAR = 1e-6  # radians: between points nearer than this the great circle is a straight line
+SMALLEST_SINE = 1e-12  # of points next to their antipodes, between which no great circle is the shortest
+STILL = 1e-6  # added to a film's motion in its whole time, so that time never stands still
+LEAST_WEIGHT = 1e-9  # of the mean, of a vertex without area: turns the sphere as little as that
+
 
 @dataclass(frozen=True)
 class _Story:
@@ -125,12 +130,12 @@ def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
         return last
     cosine = np.einsum("ij,ij->i", first, last)
     angle = np.arctan2(np.linalg.norm(np.cross(first, last), axis=1), cosine)[:, None]
-    sine = np.maximum(np.sin(angle), 1e-12)
-    near = angle < 1e-6
+    sine = np.maximum(np.sin(angle), SMALLEST_SINE)
+    near = angle < NEAR
     ahead = np.where(near, time, np.sin(time * angle) / sine)
     behind = np.where(near, 1.0 - time, np.sin((1.0 - time) * angle) / sine)
     points = behind * first + ahead * last
-    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
+    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), SMALLEST_SINE)
 
 
 def film(
@@ -272,7 +277,7 @@ def _story_of(
         np.repeat(triangle_areas(surface, np.asarray(result.faces)), 3),
         minlength=len(surface),
     )
-    turn, _ = Rotation.align_vectors(surface, np.asarray(result.sphere), weights=areas + areas.mean() * 1e-9)
+    turn, _ = Rotation.align_vectors(surface, np.asarray(result.sphere), weights=areas + areas.mean() * LEAST_WEIGHT)
     to_ball = math.sqrt(areas.sum() / 3.0 / (4.0 * math.pi)) * turn.as_matrix().T
     ball = np.asarray(result.sphere) @ to_ball
     faces = np.asarray(result.faces, dtype=np.int32)
@@ -341,7 +346,7 @@ class _Studio:
             moving = max(whole - (len(parts) + 1) * rest, 1)
         found = [parts[0][0]] * max(rest, 1)
         for moments, swept in curves:
-            count = max(round(moving * swept[-1] / max(total, 1e-12)), 1)
+            count = max(round(moving * swept[-1] / max(total, STILL)), 1)
             way = _eased(np.arange(1, count + 1) / count) * swept[-1]
             found += [float(time) for time in np.interp(way, swept, moments)]
             found[-1] = moments[-1]
@@ -376,7 +381,7 @@ class _Studio:
             look([0.5 * (a + b) for a, b in wide])
         times = sorted(seen)
         # A small number is added so that time always increases.
-        steps = [swept(a, b) + 1e-6 * (b - a) for a, b in itertools.pairwise(times)]
+        steps = [swept(a, b) + STILL * (b - a) for a, b in itertools.pairwise(times)]
         return times, np.concatenate([[0.0], np.cumsum(steps)])
 
     def frames(

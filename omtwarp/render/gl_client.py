@@ -27,6 +27,8 @@ IDLE_SECONDS = 60.0  # after which the drawing process ends, and frees its memor
 _PACKAGE_ROOT = str(Path(__file__).resolve().parents[2])
 _COMMAND = "import sys; sys.path.insert(0, sys.argv[1]); from omtwarp.render.drawing_process import main; main()"
 
+LAST_BYTES = 2000  # of the drawing process's log, in which its last line is looked for
+
 
 class DrawingFailed(Exception):
     """The drawing process gave no picture; the text says why. ``lasting``: the next attempt would fail too."""
@@ -125,7 +127,7 @@ class DrawingProcess:
         except subprocess.TimeoutExpired:
             code = None
         self._log.seek(0, os.SEEK_END)
-        self._log.seek(max(0, self._log.tell() - 2000))
+        self._log.seek(max(0, self._log.tell() - LAST_BYTES))
         lines = self._log.read().decode(errors="replace").strip().splitlines()
         return f"exit status {code}" + (f": {lines[-1].strip()}" if lines else "")
 

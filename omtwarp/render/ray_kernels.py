@@ -16,6 +16,20 @@ KIND_COLOR = wp.constant(0)
 KIND_UV = wp.constant(1)
 KIND_SPHERE = wp.constant(2)
 
+SMALLEST = wp.constant(wp.float32(1.0e-12))  # texels: footprints are divided by their length
+POLE = wp.constant(wp.float32(1.0e-20))  # squared distance from the axis: the poles have no longitude
+# Least cosine towards the viewer in the highlight's shadowing, whose quotient it keeps finite.
+FACING = wp.constant(wp.float32(0.001))
+# Squared length of the sum of the ways to light and viewer: they are opposite.
+OPPOSITE = wp.constant(wp.float32(1.0e-6))
+NO_DETERMINANT = wp.constant(wp.float32(1.0e-20))  # in place of zero, of a ray along the triangle's plane
+# Squared slope of a weight over pixels: an edge seen so large is as if it lay nowhere.
+FLAT = wp.constant(wp.float32(1.0e-20))
+BESIDE_X, BESIDE_Y = (
+    wp.constant(wp.float32(1.1e-3)),
+    wp.constant(wp.float32(0.7e-3)),
+)  # pixels: beside a vertex, off its edges
+
 
 @wp.struct
 class View:
@@ -69,6 +83,7 @@ class Look:
 
 @wp.func
 def to_linear(c: wp.float32):
+    """Light of an sRGB value (IEC 61966-2-1), as :func:`omtwarp.srgb.to_linear`."""
     linear = c / 12.92
     if c > 0.04045:
         linear = wp.pow((c + 0.055) / 1.055, 2.4)
@@ -77,6 +92,7 @@ def to_linear(c: wp.float32):
 
 @wp.func
 def to_srgb(c: wp.float32):
+    """The sRGB value of light (IEC 61966-2-1), as :func:`omtwarp.srgb.to_srgb`."""
     clamped = wp.clamp(c, 0.0, 1.0)
     encoded = clamped * 12.92
     if clamped > 0.0031308:
@@ -152,7 +168,7 @@ def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
     half_gap = 0.5 * (xx - yy)
     root = wp.sqrt(half_gap * half_gap + xy * xy)
     longest = wp.sqrt(0.5 * (xx + yy) + root)
-    shortest = wp.abs(ax * by - ay * bx) / wp.max(longest, 1.0e-12)
+    shortest = wp.abs(ax * by - ay * bx) / wp.max(longest, SMALLEST)
     axis = wp.vec2(xy, root - half_gap)
     if half_gap >= 0.0:
         axis = wp.vec2(half_gap + root, xy)
@@ -178,7 +194,7 @@ def sphere_color(picture: Picture, p: wp.vec3, px: wp.vec3, py: wp.vec3):
     """Return the equirectangular image at a point of the sphere; derivatives by the chain rule, hence no seam."""
     across = wp.max(wp.dot(px, px), wp.dot(py, py))
     flat2 = p[0] * p[0] + p[1] * p[1]
-    rho2 = wp.max(flat2, wp.max(0.0625 * across, 1.0e-20))
+    rho2 = wp.max(flat2, wp.max(0.0625 * across, POLE))
     rho = wp.sqrt(rho2)
     r2 = rho2 + p[2] * p[2]
     longitude_x = (p[0] * px[1] - p[1] * px[0]) / rho2
@@ -200,7 +216,7 @@ def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
     alpha2 = wp.pow(look.roughness, 4.0)
     k = (look.roughness + 1.0) * (look.roughness + 1.0) / 8.0
     facing = wp.dot(n, v)
-    shadow = wp.clamp(wp.abs(facing), 0.001, 1.0) * (1.0 - k) + k
+    shadow = wp.clamp(wp.abs(facing), FACING, 1.0) * (1.0 - k) + k
     gloss = alpha2 / (4.0 * PI_F)
     high = 0.5 + 0.5 * n[1]
     diffuse = look.ground * (1.0 - high) + look.sky * high
@@ -210,7 +226,7 @@ def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
         incident = wp.dot(n, way)
         nl = wp.clamp(incident, 0.0, 1.0)
         both = 1.0 + wp.dot(v, way)
-        scale = 1.0 / wp.sqrt(wp.max(2.0 * both, 1.0e-6))
+        scale = 1.0 / wp.sqrt(wp.max(2.0 * both, OPPOSITE))
         nh = wp.clamp((incident + facing) * scale, 0.0, 1.0)
         fresnel = 0.04 + 0.96 * wp.pow(1.0 - wp.clamp(both * scale, 0.0, 1.0), 5.0)
         spread = nh * nh * (alpha2 - 1.0) + 1.0
@@ -254,14 +270,14 @@ def weights_on_plane(origin: wp.vec3, way: wp.vec3, p0: wp.vec3, e1: wp.vec3, e2
     if facing < 0.0:
         determinant = wp.min(determinant, 0.1 * facing)
     if determinant == 0.0:
-        determinant = 1.0e-20
+        determinant = wp.float32(NO_DETERMINANT)
     to = origin - p0
     return wp.vec3(wp.dot(to, across) / determinant, wp.dot(way, wp.cross(to, e1)) / determinant, determinant)
 
 
 @wp.func
 def line_strength(weight: float, gradient_x: float, gradient_y: float, width: float, ramp: float):
-    height = 1.0 / wp.sqrt(wp.max(gradient_x * gradient_x + gradient_y * gradient_y, 1.0e-20))
+    height = 1.0 / wp.sqrt(wp.max(gradient_x * gradient_x + gradient_y * gradient_y, FLAT))
     line = wp.clamp((0.5 * width - weight * height) / ramp + 0.5, 0.0, 1.0)
     return line * wp.clamp((height - width) / (5.0 * width), 0.12, 1.0)
 
@@ -274,8 +290,8 @@ def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look,
     hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
     if not hit.result:
         # Rays exactly at a vertex can miss; a thousandth of a pixel next to it they do not.
-        origin = ray_origin(view, x + 1.1e-3, y + 0.7e-3)
-        way = ray_way(view, x + 1.1e-3, y + 0.7e-3)
+        origin = ray_origin(view, x + BESIDE_X, y + BESIDE_Y)
+        way = ray_way(view, x + BESIDE_X, y + BESIDE_Y)
         hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
     color = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if hit.result:

@@ -18,6 +18,9 @@ CLAY = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
 SMOOTH_FACES = 150_000  # parts that triangles are divided into: at 1024 x 1024 pixels one covers six or so
 MOST_PARTS = 8  # that an edge is divided into: with eight, a quarter circle is drawn to 0.5 % of its radius
 
+OUTSIDE = 1e-6  # of a picture's height: coordinates that exceed it by less are rounded, not repeated
+ONE_VALUE = 1e-3  # by which the range of a constant is widened both ways, relative to it
+
 
 @dataclass(eq=False)
 class ScalarField:
@@ -51,8 +54,10 @@ class ScalarField:
                 raise OmtwarpError(f"the scalar has no {kind} value among {values.size}: there is nothing to colour")
             low, high = float(shown.min()), float(shown.max())
             if low == high:  # a constant sits in the middle of the map
-                step = abs(low) * 1e-3 or 1e-3
-                low, high = (low / (1 + 1e-3), high * (1 + 1e-3)) if self.logarithmic else (low - step, high + step)
+                step = abs(low) * ONE_VALUE or ONE_VALUE
+                low, high = (
+                    (low / (1 + ONE_VALUE), high * (1 + ONE_VALUE)) if self.logarithmic else (low - step, high + step)
+                )
         else:
             low, high = float(self.range[0]), float(self.range[1])
         if not (np.isfinite(low) and np.isfinite(high) and low < high) or (self.logarithmic and low <= 0):
@@ -465,7 +470,7 @@ def _look_of(view: SurfaceView) -> _Look:
             return _Look("sphere", np.asarray(view.sphere), picture, tint)
         value = np.asarray(view.uv)
         # Tiling upwards is rare; without it the top row must not be filtered with the bottom one.
-        repeat_rows = bool(value[..., 1].min() < -1e-6 or value[..., 1].max() > 1.0 + 1e-6)
+        repeat_rows = bool(value[..., 1].min() < -OUTSIDE or value[..., 1].max() > 1.0 + OUTSIDE)
         return _Look("uv", value, picture, tint, repeat_rows=repeat_rows)
     if view.scalar is not None:
         image, value = _scalar_lookup(view.scalar)

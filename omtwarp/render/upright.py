@@ -29,6 +29,8 @@ FLAT = 0.01  # of the extent: a flat sheet, which has no front of its own, is se
 LONG = 1.5  # length over width of bodies with a head at one end
 HEAD = 0.7  # of the height: where the head begins
 
+LEAST_DETAIL = 1e-9  # added to both sides' bends and areas, in extents, so that a side without a face can be compared
+
 
 def posed(view: SurfaceView, up: str | None = None, front: str | None = None) -> SurfaceView:
     """Return the view with its axes upwards and towards the viewer filled in, from what is given or from the shape.
@@ -141,7 +143,7 @@ def _detail(places: Floats, faces: NDArray[np.int32], normal: Floats, area: Floa
     for sign in (1.0, -1.0):
         facing = sign * normal[:, axis] > 0.5
         edges = sign * (normal[one, axis] + normal[other, axis]) > 1.0
-        sides.append((bend[edges].sum() + 1e-9) / (area[facing].sum() + 1e-9))
+        sides.append((bend[edges].sum() + LEAST_DETAIL) / (area[facing].sum() + LEAST_DETAIL))
     return float(sides[0] / sides[1])
 
 

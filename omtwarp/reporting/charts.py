@@ -9,11 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.mesh.arrays import ROUND_OFF, TINY
 from omtwarp.reporting.markup import Markup, element, html
 
 Floats = NDArray[np.float64]
 
 WIDTH = 560.0  # of a chart in its own units, which the page scales to the column
+
+ROUND = 1e-9  # steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick
 
 
 @dataclass(frozen=True)
@@ -53,9 +56,9 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
         return left + (value - low) / (high - low) * (right - left)
 
     parts = []
-    for exponent in np.arange(math.ceil(low / step) * step, high + 1e-9, step):
+    for exponent in np.arange(math.ceil(low / step) * step, high + ROUND, step):
         at = x(float(exponent))
-        kind = "axis-one" if abs(exponent) < 1e-9 else "grid"
+        kind = "axis-one" if abs(exponent) < ROUND else "grid"
         ends = {"x1": f"{at:.1f}", "x2": f"{at:.1f}", "y1": f"{top:.0f}", "y2": f"{bottom:.0f}"}
         parts.append(element("line", class_=kind, **ends))
         anchor = "start" if at < left + 12 else "end" if at > right - 12 else "middle"
@@ -65,7 +68,7 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
     for k, row in enumerate(rows):
         base = top + (k + 1) * (height + gap) - gap + 14
         shares, edges = np.histogram(np.clip(row.values, low, high), bins, (low, high), weights=row.weights)
-        peak = max(float(shares.max()), 1e-12)
+        peak = max(float(shares.max()), TINY)
         path = [f"M{x(low):.1f},{base:.1f}"]
         for share, begin, end in zip(shares, edges[:-1], edges[1:], strict=True):
             level = base - share / peak * height
@@ -106,11 +109,11 @@ def power_name(exponent: float) -> str:
     """Return two to the power of the exponent in a few characters: 1/4, 1, 1.4, 64, 10³, 10⁻⁶."""
     value = 2.0**exponent
     decimal = math.log10(value)
-    if abs(decimal - round(decimal)) < 1e-9 and abs(decimal) > 2.5:
+    if abs(decimal - round(decimal)) < ROUND and abs(decimal) > 2.5:
         return f"10{_superscript(round(decimal))}"
     if exponent < 0:
         return f"1/{power_name(-exponent)}"
-    return f"{value:.0f}" if abs(value - round(value)) < 1e-9 else f"{value:.1f}"
+    return f"{value:.0f}" if abs(value - round(value)) < ROUND else f"{value:.1f}"
 
 
 def _superscript(number: int) -> str:
@@ -214,17 +217,17 @@ class _Plot:
 
 def nice_ticks(low: float, high: float, count: int) -> list[float]:
     """Round numbers from at or below ``low`` to at or above ``high``."""
-    span = max(high - low, 1e-12, 1e-9 * max(abs(low), abs(high)))
+    span = max(high - low, ROUND_OFF, ROUND * max(abs(low), abs(high)))
     raw = span / count
     unit = 10.0 ** math.floor(math.log10(raw))
-    step = next(unit * m for m in (1, 2, 2.5, 5, 10) if unit * m >= raw * (1 - 1e-9))
-    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    step = next(unit * m for m in (1, 2, 2.5, 5, 10) if unit * m >= raw * (1 - ROUND))
+    first, last = math.floor(low / step + ROUND), math.ceil(high / step - ROUND)
     return [k * step for k in range(first, max(last, first + 1) + 1)]
 
 
 def log_ticks(low: float, high: float) -> list[float]:
     """Return the powers of ten that enclose an interval, at most about six of them."""
-    first, last = math.floor(math.log10(low) + 1e-9), math.ceil(math.log10(high) - 1e-9)
+    first, last = math.floor(math.log10(low) + ROUND), math.ceil(math.log10(high) - ROUND)
     last = max(last, first + 1)
     step = max(1, math.ceil((last - first) / 5))
     return [10.0**k for k in range(first, last + step, step)]

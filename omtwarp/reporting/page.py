@@ -51,6 +51,8 @@ _WARNING = html(
 )
 _ICON = "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 24 24'><circle cx='12' cy='12' r='10.4' fill='%231f6f78'/><g fill='none' stroke='%23fff' stroke-width='1.3' opacity='.9'><ellipse cx='12' cy='12' rx='4.6' ry='10.4'/><path d='M1.6 12h20.8M3.2 6.8h17.6M3.2 17.2h17.6'/></g></svg>"  # noqa: E501
 
+PICTURE_WIDTH = 2048  # texels around the sphere of the texture of still pictures: more than their pixels show
+
 
 def write_report(
     result: MapResult | TorusMap,
@@ -277,7 +279,7 @@ def _stills(
     device: str,
 ) -> dict[str, str]:
     """Return the pictures of the first and the last stage as data URIs, by key: the surface, and ``sphere KEY``."""
-    picture = rasterize(texture, 2048, device=device) if isinstance(texture, Pattern) else texture
+    picture = rasterize(texture, PICTURE_WIDTH, device=device) if isinstance(texture, Pattern) else texture
     found = {}
     for stage in (stages[0], stages[-1])[: len(stages)]:
         view = SurfaceView(result.vertices, result.faces, image=picture, sphere=stage.sphere, up=up)

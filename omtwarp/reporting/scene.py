@@ -30,6 +30,14 @@ from omtwarp.texturing.baking import Source, bake
 from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.textured import vertex_normals
 
+LARGEST_SPHERE = 0.8  # radius beside the surface's of 1: folds make a surface's area large
+UNBOUNDED = 1e18  # in place of an infinite angle distortion, 2^60: the colours end at 2^3
+LEAST_RADIUS = 1e-12  # of a vertex at the centre, which no direction leads to
+# Colours in a sixteenth of the texels: a pattern of flat colours and its blended borders has fewer, and a photograph
+# more.
+PHOTOGRAPH = 4096
+INT16 = 32767.0  # the largest of a coordinate that is written as int16
+
 if TYPE_CHECKING:
     from PIL.Image import Image
 
@@ -119,7 +127,7 @@ def make_scene(
         arrays[f"angle-{stage.key}"] = _levels(angle[used], 0.0, ANGLE_RANGE)
 
     # A sphere of the surface's own area, unless folds make that too large for the view.
-    radius = min(float(np.sqrt(triangle_areas(placed, triangles).sum() / (4.0 * np.pi))), 0.8)
+    radius = min(float(np.sqrt(triangle_areas(placed, triangles).sum() / (4.0 * np.pi))), LARGEST_SPHERE)
 
     blob, places = bytearray(), {}
     for name, array in arrays.items():
@@ -179,13 +187,13 @@ def log2_area_ratio(stage: Stage) -> Floats:
 
 def log2_angle_ratio(stage: Stage) -> Floats:
     """Return log2 of the larger over the smaller singular value, shape [F]: from their sum of ratios, s + 1 / s."""
-    half = np.maximum(np.nan_to_num(stage.distortion.face_angle, nan=2.0, posinf=1e18), 2.0) / 2.0
+    half = np.maximum(np.nan_to_num(stage.distortion.face_angle, nan=2.0, posinf=UNBOUNDED), 2.0) / 2.0
     return np.minimum(np.arccosh(half) / np.log(2.0), 60.0)
 
 
 def alignment(directions: Floats, placed: Floats) -> Floats:
     """Return the rotation [3, 3] that best aligns points of the sphere with the surface (Kabsch 1976)."""
-    radial = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), 1e-12)
+    radial = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), LEAST_RADIUS)
     u, _, vt = np.linalg.svd(radial.T @ directions)
     flip = np.sign(np.linalg.det(u @ vt))
     return u @ np.diag([1.0, 1.0, flip]) @ vt
@@ -203,7 +211,7 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
 
     atlas = Cube(size, gutter=0)
     baked = as_bytes(bake(texture, atlas, device=device))[..., :3]
-    photograph = len(np.unique(baked[::4, ::4].reshape(-1, 3), axis=0)) > 4096
+    photograph = len(np.unique(baked[::4, ::4].reshape(-1, 3), axis=0)) > PHOTOGRAPH
     uris = []
     for normal, right, down in _GL_FACES:
         # Both have equiangular faces, so that one is the other's turned by quarters.
@@ -236,7 +244,7 @@ def colour_ramp(name: str, part: float = 1.0, count: int = 64) -> str:
 
 
 def _signed(values: Floats) -> NDArray[np.int16]:
-    return np.rint(np.clip(values, -1.0, 1.0) * 32767.0).astype(np.int16)
+    return np.rint(np.clip(values, -1.0, 1.0) * INT16).astype(np.int16)
 
 
 def _levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:

@@ -16,6 +16,11 @@ from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
 from omtwarp.result import MapReport
 
+NINE_TENTHS = (0.05, 0.95)  # quantiles between which nine tenths of a distribution lie, as the words say
+NEAR_END = 1.01  # of the final cost: the iteration that reaches it is named
+PLAIN = (1e-3, 1e5)  # sizes of numbers that are written without a power of ten
+AS_MILLISECONDS, AS_SECONDS = 0.1, 120  # seconds below which a time is written in these
+
 
 def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
     """Return the most important numbers."""
@@ -74,7 +79,7 @@ def pictures(stages: Sequence[Stage], stills: dict[str, str], shown: str) -> Mar
 
 def _picture_caption(stage: Stage) -> Markup:
     ratio = log2_area_ratio(stage)
-    low, high = _weighted_quantiles(ratio, stage.weights, (0.05, 0.95))
+    low, high = _weighted_quantiles(ratio, stage.weights, NINE_TENTHS)
     spread = 2.0 ** (high - low)
     times = f"{spread:.2f}" if spread < 10 else f"{spread:,.0f}" if spread < 1e6 else _number(spread)
     return html("Scale of area varies by a factor of {} over nine tenths of the surface.", times)
@@ -119,7 +124,7 @@ def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Sta
     if len(history) > 1:
         iterations = [float(entry.get("iteration", k)) for k, entry in enumerate(history)]
         costs = [float(entry["cost"]) for entry in history]
-        near = next((k for k, cost in enumerate(costs) if cost <= 1.01 * costs[-1]), len(costs) - 1)
+        near = next((k for k, cost in enumerate(costs) if cost <= NEAR_END * costs[-1]), len(costs) - 1)
         bound = optimality.get("lower_bound")
         name = "squared geodesic" if report.get("cost") != "geodesic" else "geodesic"
         chart = charts.curve(
@@ -301,7 +306,7 @@ def _number(value: float | None) -> str:
     value = math.nan if value is None else float(value)
     if not math.isfinite(value):
         return "∞" if value > 0 else "undefined"
-    if value != 0 and not 1e-3 <= abs(value) < 1e5:
+    if value != 0 and not PLAIN[0] <= abs(value) < PLAIN[1]:
         mantissa, exponent = f"{value:.1e}".split("e")
         return html("{}\u202f×\u202f10<sup>{}</sup>", mantissa, int(exponent))
     return f"{value:.4f}" if abs(value) < 100 else f"{value:,.0f}"
@@ -309,8 +314,8 @@ def _number(value: float | None) -> str:
 
 def seconds_text(value: float) -> str:
     value = float(value)
-    if value < 0.1:
+    if value < AS_MILLISECONDS:
         return f"{1000 * value:.0f} ms"
-    if value < 120:
+    if value < AS_SECONDS:
         return f"{value:.2g} s" if value < 1 else f"{value:.1f} s"
     return f"{value / 60:.1f} min"

@@ -26,6 +26,8 @@ FEWEST = 5  # shapes; with four there are six labellings, and no p value below a
 # Scatter of a point below this part of the largest is round-off: there is no direction in which groups could differ.
 LEAST_SCATTER = 1e-10
 
+EQUAL = 1e-9  # relative: statistics of two permutations that differ by less are the same one, summed in another order
+
 
 @dataclass(frozen=True, eq=False)
 class PrincipalComponents:
@@ -282,7 +284,7 @@ def hotelling(
         if k == 0:
             observed = squared
     # Equal up to round-off counts as at least as large.
-    p_values = (extremes[:, None] >= observed * (1.0 - 1e-9)).mean(axis=0)
+    p_values = (extremes[:, None] >= observed * (1.0 - EQUAL)).mean(axis=0)
     return observed, np.asarray(p_values)
 
 

@@ -13,6 +13,8 @@ _INFEASIBLE = wp.constant(wp.float64(1.0e300))  # energy of a ring with a flippe
 _SAFE_DETERMINANT = wp.constant(wp.float64(1.0e-12))
 _SUFFICIENT_DECREASE = wp.constant(wp.float64(1.0e-4))
 
+_HALVINGS = wp.constant(12)  # of a step of Newton's method at one vertex: shorter than 1/4096 of it is not worth a try
+
 
 @wp.func
 def least_dot(x: wp.vec3d, normals: wp.array[wp.vec3d], begin: wp.int32, count: wp.int32) -> wp.float64:
@@ -223,7 +225,7 @@ def relax_vertices(
     direction = s1 * t1 + s2 * t2
     bound = wp.min(_SAFE_DETERMINANT, HALF * least)
     step = ONE / wp.max(ONE, wp.length(direction))
-    for _ in range(12):
+    for _ in range(_HALVINGS):
         trial = wp.normalize(x + step * direction)
         value = star_energy(trial, begin, end, heads, thirds, coefficients, sphere, area_weight, bound)
         if value < energy + _SUFFICIENT_DECREASE * step * descent:

@@ -47,6 +47,8 @@ CUBE_FRAMES = np.array(
     dtype=np.float64,
 )
 
+SIZE, OCTAHEDRAL_SIZE = 2048, 1536  # texels where no size is given: of about the same size on the sphere in all atlases
+
 
 def _triple(values: Floats) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
@@ -283,7 +285,7 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
     if not isinstance(name, str) or name not in ATLASES:
         raise OmtwarpError(f"unknown atlas '{name}': use {', '.join(ATLASES[:-1])} or {ATLASES[-1]}")
     if size is None:
-        size = 1536 if name == "octahedral" else 2048
+        size = OCTAHEDRAL_SIZE if name == "octahedral" else SIZE
     pair = check_size(size)
     if len(pair) == 2 and name != "equirectangular":
         raise OmtwarpError(f"texture size {size!r}: the {name} atlas takes a width only")

@@ -23,6 +23,7 @@ from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
+from omtwarp.limits import LONGEST_SIDE
 from omtwarp.texturing import kernels, smooth_kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.image import PictureLike, as_floats, read_image
@@ -452,8 +453,10 @@ def _own_uv(uv: ArrayLike, faces: NDArray, uv_faces: ArrayLike | None) -> Floats
 
 def _picture_size(size: int | tuple[int, int]) -> tuple[int, int]:
     pair = tuple(size) if isinstance(size, (tuple, list)) else (size, size)
-    if len(pair) != 2 or not all(isinstance(n, (int, np.integer)) and 1 <= n <= 32768 for n in pair):
-        raise OmtwarpError(f"texture size {size!r}: give one side, or width and height, from 1 to 32768 texels")
+    if len(pair) != 2 or not all(isinstance(n, (int, np.integer)) and 1 <= n <= LONGEST_SIDE for n in pair):
+        raise OmtwarpError(
+            f"texture size {size!r}: give one side, or width and height, from 1 to {LONGEST_SIDE} texels"
+        )
     return int(pair[0]), int(pair[1])
 
 

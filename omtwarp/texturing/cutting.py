@@ -16,12 +16,17 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
+from omtwarp.mesh.arrays import ROUND_OFF
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-ON_CUT = (
-    1e-9  # sine of the angle below which a point counts as lying on a cut: far below any texel, far above round-off
-)
+# Sine of the angle below which a point counts as lying on a cut: far below any texel, far above round-off.
+ON_CUT = 1e-9
+
+NEAR = 0.9  # cosine of the angle around a direction in which its triangle is looked for first: 26 degrees
+# Barycentric: a point nearer to an edge divides the edge, as parts of a triangle beside it would have no area.
+ON_EDGE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -145,19 +150,19 @@ class CutMesh:
         bary = np.zeros((len(self.faces), 3))
         inside = np.zeros(len(self.faces), dtype=bool)
         # The triangle is sought near the direction first, and among all only where triangles are huge.
-        near = (along > 0.9)[self.faces].any(axis=1)
+        near = (along > NEAR)[self.faces].any(axis=1)
         for which in (np.flatnonzero(near), np.flatnonzero(~near)):
             p0, p1, p2 = (self.points[self.faces[which, k]] for k in range(3))
             normals = np.cross(p1, p2), np.cross(p2, p0), np.cross(p0, p1)
             share = np.stack([n @ d for n in normals], axis=1)
             share *= np.sign(np.einsum("ij,ij->i", p0, normals[0]))[:, None]
             total = share.sum(axis=1)
-            found = (total > 0) & np.all(share >= -1e-12 * np.abs(total)[:, None], axis=1)
+            found = (total > 0) & np.all(share >= -ROUND_OFF * np.abs(total)[:, None], axis=1)
             bary[which[found]] = share[found] / total[found, None]
             inside[which[found]] = True
             if found.any():
                 break
-        on_edge = inside & (bary.min(axis=1) < 1e-10)
+        on_edge = inside & (bary.min(axis=1) < ON_EDGE)
         interior = np.flatnonzero(inside & ~on_edge)
         if len(interior):
             count, size = len(interior), len(self.points)

@@ -17,6 +17,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import MARK, as_path, companion, staged
 from omtwarp.texturing.gltf import GltfFile, flipped_rows, single_precision
 from omtwarp.texturing.image import png_bytes
+from omtwarp.texturing.mesh import ROUGHNESS
 
 SUFFIXES = (".glb", ".obj", ".ply")
 
@@ -112,7 +113,7 @@ def glb_bytes(textured: Exportable) -> bytes:
             "baseColorTexture": file.texture(textured.image, "texture"),
             "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
             "metallicFactor": 0.0,
-            "roughnessFactor": 0.65,
+            "roughnessFactor": ROUGHNESS,
         },
         "alphaMode": "OPAQUE" if textured.image.shape[2] == 3 else "BLEND",
         "doubleSided": False,
@@ -160,7 +161,7 @@ def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] 
         "Ks 0.000 0.000 0.000",
         "d 1.0",
         "illum 1",
-        "Pr 0.65",
+        f"Pr {ROUGHNESS}",
         "Pm 0.0",
         f"map_Kd {picture.name}",  # no options: several readers take them as a part of the name
         "",

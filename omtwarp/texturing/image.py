@@ -17,6 +17,9 @@ from omtwarp.files import MARK
 from omtwarp.inputs import open_input
 from omtwarp.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 
+# Bytes of pixels: above, a tenth more bytes than at Pillow's level 6 save two thirds of the time.
+LARGE_PICTURE = 30_000_000
+
 if TYPE_CHECKING:
     from PIL.Image import Image
 
@@ -148,7 +151,7 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
     from PIL.PngImagePlugin import PngInfo
 
     stream = io.BytesIO()
-    level = 4 if image.size < 30_000_000 else 3  # a tenth more bytes than at Pillow's 6, in a third of the time
+    level = 4 if image.size < LARGE_PICTURE else 3
     origin = PngInfo()
     origin.add_text("Software", MARK.decode())  # marks the file as one that a later run may replace
     Image.fromarray(image).save(stream, format="PNG", compress_level=level, pnginfo=origin)

@@ -13,6 +13,8 @@ from omtwarp.texturing.atlas import Atlas
 from omtwarp.texturing.baking import sample
 from omtwarp.texturing.image import as_bytes
 
+ROUGHNESS = 0.65  # of the material: half matt, so that a pattern is not lost in highlights; by convention
+
 if TYPE_CHECKING:
     import trimesh
     from PIL.Image import Image
@@ -107,7 +109,7 @@ class TexturedMesh:
             baseColorTexture=self.pil(),
             baseColorFactor=[255, 255, 255, 255],
             metallicFactor=0.0,
-            roughnessFactor=0.65,
+            roughnessFactor=ROUGHNESS,
         )
         return trimesh.Trimesh(
             vertices=self.vertices,

@@ -11,6 +11,8 @@ from omtwarp.texturing.openness_kernels import vertex_openness
 RAYS = 24  # from a vertex: openness in steps of 4 %
 RAY_BUDGET = 400_000  # about half a second on one CPU core
 
+RAY_START = 1e-4  # of the extent, off the surface: single precision resolves 1e-7 of it
+
 
 def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return the openness of every face, 0 (enclosed) to 1 (open in all directions), shape [F].
@@ -30,7 +32,7 @@ def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
         points=wp.array(x.astype(np.float32), dtype=wp.vec3, device=device),
         indices=wp.array(np.ascontiguousarray(faces.ravel(), dtype=np.int32), dtype=wp.int32, device=device),
     )
-    origins = (p[chosen].mean(axis=1) + 1e-4 * normal[chosen]).astype(np.float32)
+    origins = (p[chosen].mean(axis=1) + RAY_START * normal[chosen]).astype(np.float32)
     out = wp.zeros(len(chosen), dtype=wp.float32, device=device)
     wp.launch(
         vertex_openness,

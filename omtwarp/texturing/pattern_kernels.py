@@ -8,6 +8,9 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
+# Squared degrees, that are divided by: a shorter piece of coast is a point.
+SMALLEST_PIECE = wp.constant(wp.float64(1.0e-12))
+
 
 @wp.func
 def longitude(d: wp.vec3d):
@@ -205,7 +208,7 @@ def piece_distance(px: wp.float64, py: wp.float64, stretch: wp.float64, a: wp.ve
     ey = a[3] - a[1]
     dx = (px - a[0]) * stretch
     dy = py - a[1]
-    t = wp.clamp((dx * ex + dy * ey) / wp.max(ex * ex + ey * ey, wp.float64(1.0e-12)), ZERO, ONE)
+    t = wp.clamp((dx * ex + dy * ey) / wp.max(ex * ex + ey * ey, SMALLEST_PIECE), ZERO, ONE)
     dx = dx - t * ex
     dy = dy - t * ey
     return wp.sqrt(dx * dx + dy * dy)

@@ -30,6 +30,13 @@ from omtwarp.texturing.projection import direction_from_angles, longitude_latitu
 
 Floats = NDArray[np.float64]
 
+REPULSIONS = 120  # rounds: with 30 to 240 the nearest two of 150 points are 0.272 to 0.277 apart
+MOST_CIRCLES = 20_000  # whose repulsion takes 6.5 s
+BESIDE = 1e-7  # degrees beside a multiple of the data's hundredth: no parallel goes through a vertex of a coast
+NO_REACH = 1e-6  # degrees that an edge of the map, which is no coast, is seen from
+WITHIN = 1e-9  # chord that is added to a circle's reach, so that rounding leaves no cell's list without it
+SAME_PLACE = 1e-6  # chord: places on the two sides of an edge are the same, or a quarter of a side apart
+
 
 def _colours(*names: str) -> Floats:
     return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names]) / 255.0
@@ -132,7 +139,7 @@ class Circles(Pattern):
     _kernel = kernels.circle_colours
 
     def __init__(self, count: int = 162, coverage: float = 0.56):
-        if not 4 <= count <= 20_000 or not 0 < coverage < 1:
+        if not 4 <= count <= MOST_CIRCLES or not 0 < coverage < 1:
             raise OmtwarpError(f"circles: count {count}, coverage {coverage}: give 4 to 20000 circles, a share below 1")
         self.count = int(count)
         self.centres = _even_points(self.count)
@@ -167,7 +174,7 @@ class Circles(Pattern):
         reach = self.radius + np.pi / rows  # the farthest point of a cell from its centre
         from scipy.spatial import cKDTree
 
-        chord = 2.0 * np.sin(min(reach, np.pi) / 2.0) + 1e-9
+        chord = 2.0 * np.sin(min(reach, np.pi) / 2.0) + WITHIN
         lists = cKDTree(self.centres).query_ball_point(cells, chord, return_sorted=True)
         offsets = np.concatenate([[0], np.cumsum([len(x) for x in lists])]).astype(np.int32)
         members = np.concatenate([np.asarray(x, dtype=np.int32) for x in lists] + [np.zeros(1, dtype=np.int32)])
@@ -245,7 +252,7 @@ class Puzzle(Pattern):
         tab = (rng.integers(0, 2, len(own))[first] ^ (own > other)).astype(np.int32)
         # The two pieces may run along their common side in opposite ways.
         quarter = on_edge(0.25).reshape(-1, 3)
-        same_way = np.linalg.norm(quarter - quarter[other], axis=1) < 1e-6
+        same_way = np.linalg.norm(quarter - quarter[other], axis=1) < SAME_PLACE
         shift = rng.uniform(-0.07, 0.07, len(own))[first]
         shift = np.where((own > other) & ~same_way, -shift, shift)
         return (other // 4).reshape(-1, 4).astype(np.int32), tab.reshape(-1, 4), shift.reshape(-1, 4)
@@ -338,7 +345,7 @@ def _even_points(count: int) -> Floats:
         points = direction_from_angles(k * np.pi * (3.0 - 5.0**0.5), np.arcsin(1.0 - 2.0 * k / count))
     # Repulsion by the inverse fourth power of the distance to the nearest few: the closest pair moves apart first.
     spacing = (4.0 * np.pi / count) ** 0.5
-    for _ in range(120):
+    for _ in range(REPULSIONS):
         near, _ = _neighbours(points, min(7, count - 1))
         apart = points[:, None, :] - points[near]
         distance = np.linalg.norm(apart, axis=2, keepdims=True)
@@ -411,7 +418,7 @@ def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
     centre = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
     land = np.zeros((rows, columns), dtype=np.int32)
     for row in range(rows):
-        y = (row + 0.5) * height - 90.0 + 1e-7  # between the hundredths of a degree of the data
+        y = (row + 0.5) * height - 90.0 + BESIDE
         cut = (a[:, 1] < y) != (b[:, 1] < y)
         x = a[cut, 0] + (y - a[cut, 1]) / (b[cut, 1] - a[cut, 1]) * (b[cut, 0] - a[cut, 0])
         land[row] = np.searchsorted(np.sort(x), centre) & 1
@@ -425,7 +432,7 @@ def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
     low, high = pieces.min(axis=1), pieces.max(axis=1)
     farthest = np.minimum(np.maximum(np.abs(low[:, 1]), np.abs(high[:, 1])) + reach, 88.0)
     wide = reach / np.cos(np.deg2rad(farthest))
-    wide, tall = np.where(real == 1, wide, 1e-6), np.where(real == 1, reach, 1e-6)
+    wide, tall = np.where(real == 1, wide, NO_REACH), np.where(real == 1, reach, NO_REACH)
     first = np.stack([(low[:, 0] - wide + 180.0) * columns / 360.0, (low[:, 1] - tall + 90.0) / height], axis=1)
     last = np.stack([(high[:, 0] + wide + 180.0) * columns / 360.0, (high[:, 1] + tall + 90.0) / height], axis=1)
     limit = np.array([columns - 1, rows - 1])

@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import ROUND_OFF
 
 Floats = NDArray[np.float64]
 
 PROJECTIONS = ("equirectangular", "sinusoidal")
+
+ORTHONORMAL = 1e-6  # of a rotation's entries: matrices written with seven digits pass
 
 
 def check_projection(projection: str) -> str:
@@ -69,7 +72,7 @@ def image_to_direction(uv: ArrayLike, projection: str = "equirectangular") -> Fl
     if projection == "sinusoidal":
         with np.errstate(divide="ignore", invalid="ignore"):
             stretched = lon / np.cos(lat)
-        inside = np.abs(stretched) <= np.pi * (1 + 1e-12)
+        inside = np.abs(stretched) <= np.pi * (1 + ROUND_OFF)
         lon, lat = np.where(inside, stretched, np.nan), np.where(inside, lat, np.nan)
     return direction_from_angles(lon, lat)
 
@@ -92,7 +95,7 @@ def rotation_matrix(rotate: ArrayLike | None) -> Floats:
     except (TypeError, ValueError):
         given = np.empty(0)
     if given.shape == (3, 3):
-        if not np.allclose(given @ given.T, np.eye(3), atol=1e-6) or np.linalg.det(given) < 0:
+        if not np.allclose(given @ given.T, np.eye(3), atol=ORTHONORMAL) or np.linalg.det(given) < 0:
             raise OmtwarpError(
                 "rotate: the 3x3 matrix is not a rotation: its rows must be orthonormal, its determinant 1"
             )

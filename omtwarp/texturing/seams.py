@@ -26,6 +26,11 @@ PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 
 MOST_PASSES = 24
 LONGEST_EDGE = 0.25  # radians: above this the probes could miss how far from linear the coordinates are
 
+# Faces that are added to four times the mesh's, at most: room for coarse meshes, while a folded or collapsed map is not
+# refined without end.
+ADDED_FACES = 100_000
+LEAST_OPENNESS = 0.1  # added to every face's: where nothing is hidden the shortest seam wins; 0 lets it wander in folds
+
 
 @dataclass
 class Unwrapped:
@@ -93,7 +98,7 @@ def _refine(mesh: CutMesh, atlas: Atlas, tolerance: float) -> None:
     """Divide triangles until texture coordinates are linear over each to within an angle."""
     if not np.isfinite(tolerance):
         return
-    limit = 4 * len(mesh.faces) + 100_000  # a folded or collapsed map must not be refined without end
+    limit = 4 * len(mesh.faces) + ADDED_FACES
     fresh = np.ones(len(mesh.faces), dtype=bool)
     for _ in range(MOST_PASSES):
         which = np.flatnonzero(fresh)
@@ -168,7 +173,7 @@ def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats, *, can
         sphere: the map, in the frame in which longitude is meant, shape [V, 3].
         candidates: how many meridians are compared, evenly spaced.
     """
-    weight = 0.1 + face_openness(vertices, faces)
+    weight = LEAST_OPENNESS + face_openness(vertices, faces)
     scale = np.ptp(vertices, axis=0).max()
     x = (vertices - vertices.min(axis=0)) / scale
     longitudes = (np.arange(candidates) + 1) / candidates * 2.0 * np.pi - np.pi

@@ -28,6 +28,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.arrays import ROUND_OFF
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -46,6 +47,9 @@ FILTER_STRENGTH, FILTER_POWER = 10.0, 6
 FILTER_DEGREE = 24  # of the polynomial that approximates it to 0.0002
 FARTHEST = 0.3  # mean edges of a vertex on the sphere by which its image is moved at most
 COTANGENTS = (0.1, 5.0)  # weights of edges are kept in these bounds, so that all are positive
+
+# Of an edge's length: where its part in a vertex's tangent plane is shorter it has no direction there.
+LEAST_TANGENT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -231,7 +235,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
         flat = np.stack([np.einsum("ij,ij->i", edge, axes[ends[:, side]]) for axes in (first, second)], axis=1)
         size = np.linalg.norm(flat, axis=1, keepdims=True)
         way[:, side] = np.where(
-            size > 1e-9 * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
+            size > LEAST_TANGENT * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
         )
     rows, columns, values = [], [], []
     for a, b, factor in ((0, 0, 2.0), (1, 1, 2.0), (0, 1, 1.0), (1, 0, 1.0)):
@@ -275,7 +279,7 @@ def _solve(matrix: sparse.csr_matrix, right: Floats) -> Floats:
     above = matrix.diagonal(1)[::2]
     blocks[:, 0, 1] = blocks[:, 1, 0] = above
     # Vertices without two directions of edges: undetermined derivatives are 0.
-    blocks += np.maximum(1e-12 * np.trace(blocks, axis1=1, axis2=2), 1e-12)[:, None, None] * np.eye(2)
+    blocks += np.maximum(ROUND_OFF * np.trace(blocks, axis1=1, axis2=2), ROUND_OFF)[:, None, None] * np.eye(2)
     inverse = np.linalg.inv(blocks)
 
     def conditioned(residual: Floats) -> Floats:
@@ -345,7 +349,7 @@ def _inside(
     mean /= np.maximum(number, 1)[:, None]
     inwards = sign[..., None] * mean[edge_of]
     # Derivative from the middle of each side towards the middle of the triangle, and the control point that gives it.
-    speed = 0.75 * (np.roll(value, -1, axis=1) + before - after - value)
+    speed = 3.0 / 4.0 * (np.roll(value, -1, axis=1) + before - after - value)
     wanted = along[..., None] * speed + height[..., None] * inwards
     ahead = np.roll(near, -1, axis=1)
     outer = 0.5 * (value + after), 0.5 * (before + np.roll(value, -1, axis=1))

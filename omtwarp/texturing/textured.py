@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import real_number, real_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, real_number, real_numbers
 from omtwarp.mesh.checks import as_faces
 from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
 from omtwarp.texturing.baking import bake, bake_on_map
@@ -34,6 +34,12 @@ Ints = NDArray[np.int32]
 LEAST_BENT = 12.0
 GRID_STEP = 4.0  # texels between points of the smooth map, which is linear from one to the next
 MOST_PARTS = 8  # 45 points in every triangle; more would turn by less than 5 degrees from one to the next
+
+SHORTEST_DIRECTION = 1e-6  # of a map's point: shorter, it lies at the centre of the sphere, and names no direction
+# Texels of a picture's own size: at least what shows a pattern, at most what browsers and game engines load (WebGL 2).
+LEAST_SIDE, MOST_SIDE = 384, 16384
+# Of the picture's width: the octahedral texture then has as many texels, 0.56 widths squared beside 0.5.
+OCTAHEDRAL_SHARE, LEAST_OCTAHEDRAL = 0.75, 256
 
 
 @dataclass(repr=False)
@@ -286,12 +292,12 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
     sphere = real_numbers(parts[2], "sphere points", (len(vertices), 3))
     faces = as_faces(parts[1], len(vertices))
     length = np.linalg.norm(sphere, axis=1)
-    bad = np.flatnonzero(length < 1e-6)
+    bad = np.flatnonzero(length < SHORTEST_DIRECTION)
     if len(bad):
         raise OmtwarpError(
             f"{len(bad)} points of the map lie at the centre of the sphere, first vertex {bad[0]}: remake the map"
         )
-    if np.any(np.abs(length - 1.0) > 1e-12):
+    if np.any(np.abs(length - 1.0) > ROUND_OFF):
         sphere = sphere / length[:, None]
     return vertices, faces, sphere
 
@@ -311,5 +317,5 @@ def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
     if atlas == "equirectangular":
         return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))
     if atlas == "octahedral":
-        return int(min(max(0.75 * width, 256), 16384))
-    return int(min(max(width, 384), 16384))
+        return int(min(max(OCTAHEDRAL_SHARE * width, LEAST_OCTAHEDRAL), MOST_SIDE))
+    return int(min(max(width, LEAST_SIDE), MOST_SIDE))

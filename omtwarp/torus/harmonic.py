@@ -22,7 +22,7 @@ from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import ROUND_OFF, TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
@@ -184,7 +184,7 @@ def _reduced(values: Floats, jumps: NDArray[np.int64], lattice: Floats) -> FlatT
     """Change to the shortest vectors of the torus's lattice, the first along the x axis (Gauss's reduction)."""
     change = np.eye(2, dtype=np.int64)
     while True:
-        if lattice[1] @ lattice[1] < lattice[0] @ lattice[0] * (1.0 - 1e-12):
+        if lattice[1] @ lattice[1] < lattice[0] @ lattice[0] * (1.0 - ROUND_OFF):
             turn = np.array([[0, 1], [-1, 0]])
         else:
             whole = round(float(lattice[1] @ lattice[0] / (lattice[0] @ lattice[0])))

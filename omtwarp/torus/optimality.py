@@ -28,6 +28,11 @@ Floats = NDArray[np.float64]
 
 NARROWEST = 1e-3  # of an edge's lengths and of the median interval: turned triangles make empty ones
 
+SHORTER_WAY = 1e-9  # relative, of squared lengths: as many lattices are symmetric, two ways may be equally long
+# Relative: makes the Laplacian definite, whose kernel is the constants; a vertex that is held takes those out.
+REGULARISATION = 1e-12
+STILL = 1e-24  # squared displacement over the area: a map that moves points by less than 1e-12 has no curl to speak of
+
 
 @dataclass(frozen=True)
 class TorusOptimality:
@@ -104,7 +109,7 @@ def torus_optimality(
     gap = cost / lower - 1.0 if lower > 0.0 else (0.0 if cost == 0.0 else float("inf"))
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
     other = ((moved[:, None] + steps) ** 2).sum(axis=2).min(axis=1)
-    wrapped = int((other < (moved**2).sum(axis=1) * (1.0 - 1e-9)).sum())
+    wrapped = int((other < (moved**2).sum(axis=1) * (1.0 - SHORTER_WAY)).sum())
     return TorusOptimality(curl, cost, lower, gap, wrapped, taken)
 
 
@@ -123,7 +128,7 @@ def _edge_ends(surface: Surface, shift: Floats) -> tuple[NDArray[np.int64], NDAr
 
 def _factorise(factor: MeshFactor, diagonal: Floats, off_diagonal: Floats) -> None:
     """Factorise a graph Laplacian with one vertex fixed."""
-    held = diagonal * (1.0 + 1e-12)
+    held = diagonal * (1.0 + REGULARISATION)
     held[0] *= 2.0
     factor.factorise(held, off_diagonal)
 
@@ -258,7 +263,7 @@ def _relative_curl(surface: Surface, corner: Floats, moved: Floats) -> float:
     areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
     field = moved[surface.faces].mean(axis=1)
     norm = float(areas @ (field**2).sum(axis=1))
-    if norm <= 1e-24 * SPHERE_AREA:
+    if norm <= STILL * SPHERE_AREA:
         return 0.0
     # J times the gradient of a hat function is half the opposite side over the area, turned: the side itself.
     sides = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)

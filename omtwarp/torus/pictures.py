@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing.atlas import check_size
 from omtwarp.texturing.export import export
+from omtwarp.texturing.mesh import ROUGHNESS
+
+MOST_TUBE = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
+KEPLER_STEPS = 40  # of Newton's method, at most: from the mean anomaly, seven reach round-off with MOST_TUBE
 
 if TYPE_CHECKING:
     import trimesh
@@ -90,7 +94,7 @@ class TexturedTorus:
         from PIL import Image
 
         material = trimesh.visual.material.PBRMaterial(
-            name="texture", baseColorTexture=Image.fromarray(self.image), metallicFactor=0.0, roughnessFactor=0.65
+            name="texture", baseColorTexture=Image.fromarray(self.image), metallicFactor=0.0, roughnessFactor=ROUGHNESS
         )
         return trimesh.Trimesh(
             vertices=self.vertices,
@@ -229,10 +233,10 @@ def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
         lattice: the vectors, as rows, shape [2, 2].
     """
     along = np.linalg.norm(lattice, axis=1)
-    share = min(float(along.min() / along.max()), 0.8)
+    share = min(float(along.min() / along.max()), MOST_TUBE)
     tube, ring = (coordinates.T if along[0] <= along[1] else coordinates.T[::-1]) * (2.0 * np.pi)
     angle = tube.copy()
-    for _ in range(40):  # Newton's method on Kepler's equation; convex enough for every share below 1
+    for _ in range(KEPLER_STEPS):  # Newton's method on Kepler's equation; convex enough for every share below 1
         angle -= (angle + share * np.sin(angle) - tube) / (1.0 + share * np.cos(angle))
     reach = 1.0 + share * np.cos(angle)
     turned = -1.0 if along[0] <= along[1] else 1.0  # keeps triangles counter-clockwise from outside

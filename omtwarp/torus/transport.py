@@ -37,6 +37,7 @@ from omtwarp.optimal.solver import (
     MOST_DAMPING,
     PENALTY,
     REGULARISATION,
+    RENEWED,
     SHAPE_WEIGHT,
     STIFFER,
 )
@@ -69,6 +70,8 @@ REFINED = 1e-4  # least expected gain of a step of a refinement
 REFINEMENTS = 100  # most steps of a refinement
 NO_PENALTY = 1e-9  # in place of zero, so that the matrix keeps its form
 EXACT = 1e-6  # largest relative error of the areas, with which they count as right
+
+AREA_DECREASE = 0.1  # share of the areas' errors that a full step towards right areas has to take away
 
 
 @dataclass(frozen=True)
@@ -287,7 +290,7 @@ class _Newton:
             if fresh:
                 change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
                 self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
-            renew = bool(length < 1.0 or held > MOST_HELD * len(points) or gained < 0.3 * length * decrement)
+            renew = bool(length < 1.0 or held > MOST_HELD * len(points) or gained < RENEWED * length * decrement)
         return TorusTransport(points, self.multipliers, history, converged, ended, self.energy.shape_weight)
 
     def _reached(self, terms: PlaneTerms, decrement: float) -> bool:
@@ -368,7 +371,7 @@ def restore_areas(energy: TorusEnergy, points: Floats, rounds: int = RESTORATION
         before, length = _error(energy, terms), 1.0
         for _ in range(HALVINGS):
             found = _held_back(energy, points, terms, length * step)
-            if found is not None and _error(energy, found[1]) <= (1.0 - 0.1 * length) * before:
+            if found is not None and _error(energy, found[1]) <= (1.0 - AREA_DECREASE * length) * before:
                 points, terms = found[0], found[1]
                 break
             length *= 0.5

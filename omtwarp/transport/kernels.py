@@ -1,6 +1,6 @@
 """Kernels of the Lagrangian transport flow: its cost, its force and the motion along a stream function."""
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import logarithm, triple_product
 from omtwarp.transport.descent_kernels import FlowState
 from omtwarp.wavelets.sampling_kernels import spherical_coordinates
@@ -8,6 +8,8 @@ from omtwarp.wavelets.sampling_kernels import spherical_coordinates
 wp.set_module_options(KERNEL_OPTIONS)
 
 SIXTH = wp.constant(wp.float64(1.0 / 6.0))
+
+LEAST_RATIO = wp.constant(wp.float64(1e-150))  # of areas: its reciprocal, and that times an area, stay finite
 
 
 @wp.func
@@ -58,7 +60,7 @@ def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, lar
     """Return area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
     p0 = points[face[0]]
     image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
-    ratio = wp.max(image / area, wp.float64(1e-150))
+    ratio = wp.max(image / area, LEAST_RATIO)
     return area * wp.min(ratio + ONE / ratio - TWO, largest)
 
 
@@ -114,7 +116,7 @@ def find_triangle(
     midpoints that separate it from the other three.
     """
     face = int(0)
-    best = wp.float64(-1.0e300)
+    best = -LARGE
     for f in range(level_starts[1]):
         w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
         inside = wp.min(w[0], wp.min(w[1], w[2]))

@@ -67,6 +67,8 @@ SMALLEST_MASS = 1e-12  # of the mean: velocities are divided by masses, and a tr
 RESOLVED_DISPLACEMENT = 1e-8  # radians: the sine of a smaller angle is lost in the round-off of a cross product
 STALLED = 1e-6  # of the first step: a level whose step has become shorter is left out
 
+LEAST_DISPLACEMENT = 1e-12  # radians: of a map that is its own start, which is divided by
+
 
 @dataclass(frozen=True)
 class FlowResult:
@@ -367,7 +369,7 @@ class _Descent:
         self._flow, self._resolutions = flow, resolutions
         # The gradient of the distance has length one, so that its flow is faster than that of the squared distance, by
         # a factor of the displacement.
-        scale = FIRST_STEP * (0.5 if flow.squared else max(flow.mean_displacement, 1e-12))
+        scale = FIRST_STEP * (0.5 if flow.squared else max(flow.mean_displacement, LEAST_DISPLACEMENT))
         self._steps = {r: scale * flow.wavelets.hierarchy.node_spacing(r + 1) ** 2 for r in set(resolutions)}
         self._least = {r: STALLED * step for r, step in self._steps.items()}
         self._cost, self._area = flow.cost_of(flow.dual_map), flow.area_of(flow.map)

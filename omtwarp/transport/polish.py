@@ -53,6 +53,8 @@ NEGLIGIBLE_CURL = 1e-3
 MAX_COUNTED_ERROR = 10.0
 AREA_SLACK = 1e-4
 
+LEAST_SIZE = 1e-150  # of the displacements: its square is a normal number; a map that is its own start has none
+
 
 @blas_threads(1)
 def polish_transport(
@@ -135,7 +137,7 @@ def polish_transport(
         vertex_sums.dot(curl, solved[0], squares[:1])
         vertex_sums.total(energy, squares[1:])
         removable, size = np.sqrt(np.maximum(squares.numpy(), 0.0)).tolist()
-        relative = removable / max(size, 1e-150)
+        relative = removable / max(size, LEAST_SIZE)
         cost, *errors = measure()
         slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, TINY))
         tried = step

@@ -1,7 +1,7 @@
 """Warp kernels between points anywhere on the sphere and the nodes of a subdivided sphere."""
 
 # mypy: ignore-errors
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ZERO, wp
 from omtwarp.geometry.spherical import TINY, hat_gradient, tangential, triple_product
 from omtwarp.location.kernels import spherical_coordinates
 
@@ -45,7 +45,7 @@ def locate_points(
     )
     if wp.min(w) <= ZERO:
         face = int(0)
-        best = wp.float64(-1.0e300)
+        best = -LARGE
         for f in range(level_starts[1]):
             w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
             inside = wp.min(w[0], wp.min(w[1], w[2]))

@@ -22,6 +22,9 @@ CUT_WINDOW = 0.2  # how far from the middle of a part it may be cut
 # Other directions are tried where a cut crosses more edges than this times √(vertices of the part); scans have 2 to 4.
 MAX_CUT_RATIO = 5.0
 
+# Of a unit that a part's positions take: less than 1, so that rounding puts none into the next part.
+WITHIN_PART = 0.999
+
 
 @dataclass(frozen=True, eq=False)
 class Dissection:
@@ -265,7 +268,7 @@ def _halves(
     along = np.einsum("ij,ij->i", positions, directions[part])
     # Parts one after another, each on less than a unit: positions relative to their middles share one scale.
     lowest, highest = float(along.min()), float(along.max())
-    ranked = np.argsort((along - lowest) * (0.999 / max(highest - lowest, np.finfo(float).tiny)) + part)
+    ranked = np.argsort((along - lowest) * (WITHIN_PART / max(highest - lowest, np.finfo(float).tiny)) + part)
     rank = np.empty(count, dtype=np.int64)
     rank[ranked] = np.arange(count)
     one, other = rank[edges[:, 0]], rank[edges[:, 1]]

@@ -1,6 +1,6 @@
 """Kernels of conjugate gradients whose scalars stay on the device; they finish the sums that they need."""
 
-from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ZERO, wp
 from omtwarp.device.sum_kernels import column_sum
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -31,7 +31,7 @@ def cg_start(
     counters[ACTIVE] = wp.int32(0)
     counters[DONE] = wp.int32(0)
     counters[BROKEN] = wp.int32(0)
-    if energy > ZERO and energy < wp.float64(1e300):
+    if energy > ZERO and energy < LARGE:
         counters[ACTIVE] = wp.int32(1)
     elif not (energy == ZERO):
         counters[BROKEN] = wp.int32(1)
@@ -51,7 +51,7 @@ def cg_alpha(
     curvature = column_sum(products, 0)
     scalars[ALPHA] = ZERO
     if counters[ACTIVE] > 0:
-        if curvature > ZERO and curvature < wp.float64(1e300):
+        if curvature > ZERO and curvature < LARGE:
             scalars[ALPHA] = scalars[ENERGY] / curvature
         else:
             counters[ACTIVE] = wp.int32(0)
