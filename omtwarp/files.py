@@ -2,7 +2,7 @@
 
 Every file that the package writes for a user goes through :func:`staged`, from Python and from the command line alike:
 links are followed and kept, an existing file's mode is kept, directories, devices, pipes and read-only files are
-refused, and what is written beside the named file never replaces a file of the user's.
+refused, and companions of the named file never replace a file of the user's.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 PREFIX = ".omtwarp-"  # of the directories that files are written in before they are moved
-MARK = b"omtwarp"  # near the beginning of every file that is written beside a named one
+MARK = b"omtwarp"  # near the beginning of every companion of a named file
 MARK_WITHIN = 4096  # bytes of the beginning that are searched for it
 STALE_SECONDS = 3600.0  # age from which a staging directory that no process holds is removed
-STALE_UNKNOWN_SECONDS = 86400.0  # the same where it cannot be told whether a process holds it
+STALE_UNKNOWN_SECONDS = 86400.0  # the same where it is unknown whether a process holds it
 
 _places: dict[Path, Path] = {}  # staging directories of this process, and the files that they are for
 
@@ -143,7 +143,7 @@ def _is_one_of(path: Path, others: Iterable[Path | None]) -> bool:
 
 
 def written_by_omtwarp(path: Path) -> bool:
-    """Return whether a file carries the mark of those that the package writes beside a named one.
+    """Return whether a file has the mark of companions that the package writes.
 
     Raises:
         OSError: the file cannot be read.
@@ -155,7 +155,7 @@ def written_by_omtwarp(path: Path) -> bool:
 
 
 def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path:
-    """Return a name for a file that belongs beside another, such as the picture of a textured mesh.
+    """Return a name for a companion of a file, such as the picture of a textured mesh.
 
     The name is free, or that of a file which the package wrote there before; never that of a file of the user's.
 
@@ -187,15 +187,15 @@ def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path
 
 @contextlib.contextmanager
 def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> Iterator[Path]:
-    """Give a path of the same name in a new directory beside the target; at the end, move all that was written there.
+    """Yield a path of the same name in a new directory next to the target; at the end, move all that was written there.
 
-    Whatever is written beside the file under that path (materials, textures) moves with it. After an error or an
+    Companions written with the file (materials, textures) move with it. After an error or an
     interruption nothing is left, neither parts nor the directory, and an older file is as it was. Where the file is
     staged already, by a caller, the path itself is given.
 
     Args:
         path: the file to be; links are followed and kept, and so is the mode of a file that is replaced.
-        keep: files that what is written beside the file must not replace.
+        keep: files that companions must not replace.
 
     Raises:
         OmtwarpError: no place that can be written to, a full disk, a device or pipe, or a file beside the target that

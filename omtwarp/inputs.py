@@ -139,7 +139,7 @@ def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> 
     """Read an array after its header was found to fit the size of its entry.
 
     Raises:
-        OmtwarpError: objects, or a header that promises more or less than there is.
+        OmtwarpError: objects, or a header that announces another length than there is.
     """
     with archive.open(entry) as stream:
         _check_header(stream, entry.file_size, name)
@@ -151,7 +151,7 @@ def _check_header(stream: IO[bytes], length: int, name: str) -> None:
     """Make sure that an array's header fits so many bytes, and leave the stream behind it.
 
     Raises:
-        OmtwarpError: objects, or a header that promises more or less than there is.
+        OmtwarpError: objects, or a header that announces another length than there is.
     """
     version = np.lib.format.read_magic(stream)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

@@ -174,7 +174,7 @@ class SurfaceMap(MapResult):
 
 
 class _Arrays(TypedDict, total=False):
-    """The arrays that a map of a surface has beside those of :class:`MapResult`, in the types of ``_LAYOUT``."""
+    """The arrays that a map of a surface has in addition to those of :class:`MapResult`, typed as in ``_LAYOUT``."""
 
     disk: Array
     split_edges: NDArray[np.int64]

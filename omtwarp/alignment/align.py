@@ -38,15 +38,16 @@ class Alignment:
     """A sphere in its new position.
 
     Attributes:
-        rotation: what was done to the sphere, shape [3, 3]; its determinant is -1 if the shape was mirrored.
+        rotation: the rotation that was applied to the sphere, shape [3, 3]; its determinant is -1 if the shape was
+            mirrored.
         sphere: the sphere's points after it, float64, shape [V, 3].
         method: ``axes``, ``vertices`` (each vertex to that of the same number) or ``features``.
-        basis: in words, what the two were compared by, and why.
+        basis: in words, what was compared, and why.
         score: how well it fits: for features their correlation, for vertices 1 less half the mean squared distance, for
-            axes the smaller of the two skewnesses that settled the signs (near 0 the shape does not settle them).
+            axes the smaller of the two skewnesses that determine the signs (near 0 they are not determined).
         runner_up: the score of the next best position that is at least 5 degrees away; -1 if there is none.
         mirrored: whether the shape's mirror image was aligned; then the surface has to be mirrored in x and its faces
-            turned round as well.
+            reversed too.
         frame: for ``axes``, rows are the shape's main axes from the longest to the shortest, shape [3, 3]; else None.
     """
 
@@ -74,14 +75,14 @@ def mirror_image(points: SpherePoints) -> SpherePoints:
 
 
 def align_to_axes(given: PointsLike) -> Alignment:
-    """Turn a map's sphere by the main axes of its shape, as SPHARM has it.
+    """Rotate a map's sphere by the main axes of its shape, as in SPHARM.
 
     The part of degree 1 of the surface's coordinates, x ≈ c + A u, maps the sphere to the first-order ellipsoid. The
     sphere is turned so that the end of the ellipsoid's longest axis lies at longitude 0 on the equator (+x), that of
     the middle one at +y and that of the shortest at the north pole (+z) [1]_.
 
-    An ellipsoid leaves the ends open: of each axis that end is positive towards which the surface has its longer tail
-    (positive third moment of area). Three signs may make a mirror image; then the least certain one is turned round.
+    An ellipsoid does not determine the directions: each axis points to where the surface has its longer tail (positive
+    third moment of area). If the three signs make a mirror image, the least certain one is reversed.
 
     Args:
         given: a map with its surface (see :func:`omtwarp.resampling.as_points`).
@@ -122,18 +123,19 @@ def align(
     mirror: bool = False,
     degree: int = DEGREE,
 ) -> Alignment:
-    """Turn a map's sphere into the position of another's, or into that of its shape's own axes.
+    """Rotate a map's sphere to that of another map, or to the shape's own axes.
 
-    Two maps are brought together where the features of their surfaces agree best: distance from the surface's centre,
-    area over area on the sphere where a map does not preserve it; or what is given. Their spherical harmonics are
-    correlated over all rotations at once, and Newton's method ends at the maximum, for which features count the less
-    the more their values differ from neighbour to neighbour.
+    Two maps are aligned where the features of their surfaces agree best: distance from the surface's centre and, where
+        a
+    map does not preserve area, area over area on the sphere; or the given features. Their spherical harmonics are
+    correlated over all rotations at once, and Newton's method ends at the maximum, where noisy features, whose values
+    differ between neighbours, have less weight.
 
     Two maps of one surface need no search: each vertex is brought to the vertex of the same number by least squares
     [1]_. ``by="auto"`` does so where both have the same faces, no features are given, and the two surfaces are one up
-    to a similarity and noise, or a side is a sphere alone, of which no more is known. Equal faces do not do by
-    themselves: surfaces that were resampled to one grid have them, and correspond only if their spheres were aligned
-    before. Where different surfaces do correspond, such as a template that was deformed, ask for ``by="vertices"``.
+    to a similarity and noise, or a side is a sphere without a surface. Equal faces alone do not suffice:
+    surfaces that were resampled to one grid have them, and correspond only if their spheres were aligned before. Where
+    different surfaces correspond, such as a deformed template, use ``by="vertices"``.
 
     One function, as it is checks of options and one or two calls.
 
@@ -143,17 +145,17 @@ def align(
         features: numbers per vertex of the map, by name; with ``to_features`` of the same names they take the place of
             the surface's own.
         to_features: the same for the other map.
-        by: ``auto``, ``features`` or ``vertices``; what was taken, and why, stands in the result's ``method`` and
-            ``basis``.
-        mirror: try the mirror image of the shape too, and take it where it fits better.
+        by: ``auto``, ``features`` or ``vertices``; the result's ``method`` and ``basis`` say what was used
+            and why.
+        mirror: also try the mirror image of the shape, and take it if it fits better.
         degree: the highest degree of the harmonics, 1 to 64.
 
     Returns:
         The turned map, the rotation, and how well the two agree.
 
     Raises:
-        OmtwarpError: something that is not a map or sphere, features that do not belong together, or too little to go
-            by.
+        OmtwarpError: something that is not a map or sphere, features that do not belong together, or too few
+            features.
 
     Example:
         >>> from omtwarp import align, shapes
@@ -226,7 +228,7 @@ def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
 def turned_map(result: MapResult, alignment: Alignment) -> MapResult:
     """Turn all stages of a map to the position that an alignment found, and record it in the report.
 
-    After a mirror image has been aligned, the surface is mirrored in x and its faces are turned round as well.
+    After a mirror image has been aligned, the surface is mirrored in x and its faces are reversed too.
 
     Args:
         result: the map that was aligned.
@@ -271,7 +273,7 @@ def _by_features(
     a = complex_coefficients(feature_coefficients(ours, moving, degree))
     b = complex_coefficients(feature_coefficients(theirs, fixed, degree))
     best = best_rotation(a, b)
-    if len(ours) > 1:  # all features find the place; the exact position is for those that are known best
+    if len(ours) > 1:  # all features determine the region; the exact rotation is that of the least noisy ones
         errors = np.hypot(coefficient_errors(ours, moving), coefficient_errors(theirs, fixed))
         best = improved(a, b, best, errors.min() / np.maximum(errors, np.finfo(float).tiny))
     turned = moving.grid.points @ best.rotation.T

@@ -1,4 +1,4 @@
-"""Functions on the sphere that say where on a shape a point lies, as coefficients of spherical harmonics."""
+"""Features of shapes as functions on the sphere, by coefficients of spherical harmonics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from omtwarp.spheres import triangle_solid_angles
 
 Floats = NDArray[np.float64]
 
-# Standard deviation of the logarithm of area below which areas tell nothing: what area-preserving maps leave.
+# Standard deviation of the logarithm of area below which areas carry no information, as in area-preserving maps.
 LEAST_AREA_SPREAD = 0.1
 _AT_ONCE = 16384
 
@@ -34,11 +34,9 @@ def sphere_weights(points: SpherePoints) -> Floats:
 
 
 def own_features(points: SpherePoints) -> dict[str, Floats]:
-    """Return the features that every surface has.
+    """Return the default features: distance from the centre, and area on the surface over area on the sphere.
 
-    Distance from its centre, and area on the surface over area on the sphere.
-
-    Neither depends on how the surface is turned or scaled. Areas are left out where the map preserves them.
+    Neither depends on rotation or scale. Areas are left out where the map preserves them.
 
     Raises:
         OmtwarpError: there is a sphere alone.
@@ -100,11 +98,9 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
 
 
 def coefficient_errors(features: Mapping[str, Floats], points: SpherePoints) -> Floats:
-    """Return how uncertain each feature's coefficients are, by how far its values lie from those of their neighbours.
+    """Estimate the noise of each feature's coefficients from the differences between neighbours, shape [K].
 
-    [K].
-
-    What is independent from vertex to vertex enters a coefficient with the vertex's area on the sphere.
+    Noise that is independent between vertices enters a coefficient with the vertex's area on the sphere.
     """
     weights = sphere_weights(points)
     faces = points.grid.triangles

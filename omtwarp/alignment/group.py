@@ -1,4 +1,4 @@
-"""A group of maps in one position, and the mean of their surfaces."""
+"""Alignment of a group of maps, and the mean of their surfaces."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from omtwarp.spheres import SphereGrid
 Floats = NDArray[np.float64]
 
 ROUNDS = 20  # at most
-# Radians, or parts of the mean's size: what no figure of a group shows.
+# Radians, or shares of the mean's size: invisible in pictures of a group.
 TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class GroupAlignment:
-    """Maps in one position, and their surfaces' mean.
+    """Aligned maps, and the mean of their surfaces.
 
     Attributes:
-        rotations: what was done to each sphere, shape [N, 3, 3].
+        rotations: of the spheres, shape [N, 3, 3].
         surfaces: each surface at the grid's points, moved and turned (and scaled, if asked for) onto the mean, float64,
             shape [N, V, 3].
         mean: their mean, float64, shape [V, 3].
@@ -57,14 +57,14 @@ def procrustes_mean(
 ) -> GroupAlignment:
     """Align the spheres of a group to their mean, resample the surfaces there and average them.
 
-    Spheres are turned to the mean of the surfaces' features (:func:`omtwarp.align`), which is made anew from the turned
-    ones until no sphere moves. The surfaces at the grid's points then are superposed on their mean by translations and
-    rotations, in the same manner [1]_.
+    Spheres are turned to the mean of the surfaces' features (:func:`omtwarp.align`), which is recomputed from the
+    rotated spheres until none moves. The surfaces at the grid's points then are superposed on their mean by
+    translations and rotations, in the same manner [1]_.
 
     Args:
         maps: at least two maps with their surfaces, in any form that :func:`omtwarp.align` takes.
         grid: a triangulated sphere, or its name.
-        scale: let surfaces grow or shrink to the mean's size.
+        scale: scale surfaces to the mean's size.
         degree: the highest degree of the harmonics.
         device: where the resampling runs.
         progress: called as ``progress("align", done, total, {})``.

@@ -5,7 +5,7 @@ With complex coefficients a and b of degree l up to L, f turned by R = Rz(α) Ry
     C(R) = Σ conj(b_lm) D^l_mm'(R) a_lm',    D^l = exp(-iα J_z) exp(-iβ J_y) exp(-iγ J_z)
 
 with g. In the eigenvectors of J_y it is a trigonometric polynomial in all three angles, so that one fast Fourier
-transform in three dimensions gives it on a grid of all rotations [1]_ [2]_. From the best places of the grid Newton's
+transform in three dimensions gives it on a grid of all rotations [1]_ [2]_. From the best grid points Newton's
 method climbs to the maximum; the derivatives are products with the matrices J.
 
 .. [1] T. Risbo, "Fourier transform summation of Legendre series and D-functions", J. Geodesy 70 (1996).
@@ -146,7 +146,7 @@ def best_rotation(a: Complex, b: Complex) -> Best:
 
 
 def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
-    """Climb on from a rotation with features that count by other weights.
+    """Continue from a rotation with other weights of the features.
 
     Args:
         a, b: as for :func:`best_rotation`.

@@ -6,7 +6,7 @@ Every vertex is to be the normalised positive-weighted mean of its neighbours,
 
 a quadratic system whose non-collapsed solutions are embeddings. Its solutions are the stationary points of the spring
 energy E = ½ Σ_ij w_ij |x_i - x_j|² / 2 on the product of V spheres. The least value of E is the collapse to a point,
-and an embedding is a saddle: E hardly changes, and in the end falls, as the map slides towards a point along the
+and an embedding is a saddle: E hardly changes, and finally falls, as the map slides towards a point along the
 Möbius transformations. Saba et al. start from a planar Tutte embedding put on the sphere, relax it, and solve the full
 system from there; so does this module, in two stages.
 
@@ -20,7 +20,7 @@ sphere would pull them about as λ's weight does a rope, and fold them (1042 fli
 ``balance="free"``: Newton's method on the full system from there, with three degrees of freedom pinned against
 rotation. It converges quadratically to round-off where there is a solution nearby. Where the system is balanced is then
 decided by the largest triangles of the image alone, which can be far from the centroid: area distortion suffers, and on
-some meshes there is no solution nearby at all; ``converged`` tells.
+some meshes there is no solution nearby at all; ``converged`` is then False.
 
 Mean-value weights (Floater 2003) are not symmetric. With weights that are not (up to a factor per row) the system has
 three equations more than unknowns, since Σ x_i × Σ w_ij x_j no longer vanishes identically, and has no solution in

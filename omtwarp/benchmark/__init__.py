@@ -1,4 +1,4 @@
-"""How fast the package is on a machine: every stage, mesh size and device, beside one sparse factorisation in SciPy."""
+"""Times of every stage by mesh size and device, compared with one sparse factorisation by SciPy."""
 
 from omtwarp.benchmark.runner import run
 from omtwarp.benchmark.tables import markdown

@@ -49,7 +49,7 @@ class PeakMemory:
             self.resettable = False
 
     def read(self) -> int | None:
-        """Return the bytes, or None where the system does not tell."""
+        """Return the bytes, or None where the system does not provide them."""
         peak = _resident("VmHWM")
         if not self.resettable or peak is None or self.base is None:
             return None

@@ -67,7 +67,7 @@ class FlowTimes(TypedDict):
 
 
 class KernelTable(TypedDict):
-    """The kernels of a map on a device, beside the rate of a plain copy in bytes per second."""
+    """The kernels of a map on a device, and the rate of a plain copy in bytes per second."""
 
     device: str
     faces: int

@@ -1,4 +1,4 @@
-"""Every kernel of a map beside the memory it has to move: bytes counted by formula over time measured.
+"""Bandwidth of every kernel of a map: the bytes that it has to move, by a formula, over the measured time.
 
 While :class:`LaunchRecorder` is active every launch is timed by itself (with events of the device on CUDA), and the
 bytes it cannot do without are counted from its arguments: each array once as a whole, but no more than sixteen elements

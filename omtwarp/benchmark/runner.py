@@ -1,4 +1,4 @@
-"""The measurement itself: maps of many meshes, stage by stage, beside one sparse factorisation of each."""
+"""Measurement of maps of many meshes, stage by stage, and of one sparse factorisation of each."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def run(
         devices: ``cpu``, ``cuda:0``, ...
         repeats: maps of which the median counts.
         refine: how maps are refined, see :func:`omtwarp.map_to_sphere`.
-        kernels: also time every kernel by itself, beside the memory it has to move, on the largest mesh.
+        kernels: also time every kernel by itself, and count the memory it has to move, on the largest mesh.
         cold: also measure compilation into an empty cache, and the start of the program.
         largest_reference: meshes with more faces are not factorised for comparison.
         progress: called with one line of text before each measurement.

@@ -168,7 +168,7 @@ _own = threading.local()
 
 
 def run_job(line: str) -> Record:
-    """Work on one job on a machine of a cluster, in a process of its own; the thread keeps its host for the next."""
+    """Compute one job on a machine of a cluster, in a process of its own; the thread keeps its host for the next."""
     if not hasattr(_own, "host"):
         _own.host = Host()
     job = Job.from_json(line)
@@ -178,7 +178,7 @@ def run_job(line: str) -> Record:
 
 
 def run_jobs(lines: list[str]) -> list[Record]:
-    """Work on several jobs one after the other, and leave nothing running."""
+    """Compute several jobs one after the other, and end all processes."""
     try:
         return [run_job(line) for line in lines]
     finally:

@@ -1,9 +1,9 @@
-"""A process that has everything loaded and forks once for every item: ``python -m omtwarp.cohort.host``.
+"""A process with all modules loaded that forks for every item: ``python -m omtwarp.cohort.host``.
 
-Loading Warp and the kernels takes seconds, a fork milliseconds. Jobs come as lines on standard input, and for each a
-line of JSON goes back: its exit status, and whether it ran out of time. When standard input ends, because the driver is
-done or dead, the item at work is ended too. Where there is no fork, and on CUDA, whose state a fork does not survive,
-the process works on one item itself and ends.
+Loading Warp and the kernels takes seconds, a fork milliseconds. Jobs are lines on standard input, and the answer to
+each is a line of JSON: its exit status, and whether it exceeded its time. When standard input ends, because the driver
+is done or dead, the item at work is ended too. Where there is no fork, and on CUDA, whose state a fork does not
+survive, the process works on one item itself and ends.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from omtwarp.mesh.write import write_mesh
 from omtwarp.options import MapKeywords
 from omtwarp.pipeline import map_to_sphere
 
-POLL = 0.02  # seconds between looks at an item, where the system cannot wait for it
+POLL = 0.02  # seconds between polls of an item, where the system cannot wait for it
 PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
@@ -37,7 +37,7 @@ def main() -> None:
     """Serve jobs until standard input ends."""
     forks = hasattr(os, "fork")
     answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # whatever prints belongs to no answer
+    os.dup2(2, 1)  # other output must not mix with the answers
     warm = False
     pending = b""
     while True:
@@ -61,7 +61,7 @@ def main() -> None:
 def _load(job: Job) -> None:
     """Load the readers, libraries and kernels that a job needs, and most likely all others of its cohort.
 
-    By a map that is small enough to start no thread, which a fork would lose.
+    A small map does this, which starts no thread, as a fork would lose it.
     """
     options = cast(MapKeywords, {name: value for name, value in job.options.items() if name != "repair"})
     surface = blob(0, sphere=320)
@@ -95,7 +95,7 @@ def _supervise(job: Job) -> dict[str, int | bool]:
             done, status = os.waitpid(child, os.WNOHANG)
             if done:
                 return {"exit": os.waitstatus_to_exitcode(status), "timeout": late}
-            gone = 0 in ready  # jobs come one by one: what is readable while one is at work is the end
+            gone = 0 in ready  # jobs come one by one: input during a job is the end of the stream
             if gone or time.monotonic() >= deadline:
                 late = not gone
                 with contextlib.suppress(ProcessLookupError):
@@ -110,7 +110,7 @@ def _supervise(job: Job) -> dict[str, int | bool]:
 
 
 def _work(job: Job, host: int) -> None:
-    """Be the process of an item, in a process group of its own, and end; also where the host has died already."""
+    """Run an item in a process group of its own, and exit; also where the host has died already."""
     status = 70
     try:
         os.setpgid(0, 0)

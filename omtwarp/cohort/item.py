@@ -1,4 +1,4 @@
-"""One item of a cohort: what is asked for, its record, its lock and the journal; without what loads Warp."""
+"""One item of a cohort: its job, record, lock and journal, without modules that load Warp."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OK, ERROR, TIMEOUT, MEMORY, CRASHED = "ok", "error", "timeout", "memory", "crash
 
 @dataclass(frozen=True)
 class Job:
-    """Everything that a process needs to know to work on an item.
+    """Everything that a process needs to compute an item.
 
     Attributes:
         id: the item's name.
@@ -46,12 +46,12 @@ class Job:
 
     @property
     def record_file(self) -> Path:
-        """Where the record of the item stands."""
+        """The path of the item's record."""
         return Path(self.folder) / "records" / f"{self.id}.json"
 
     @property
     def map_file(self) -> Path:
-        """Where the map stands."""
+        """The path of the map."""
         return Path(self.folder) / "maps" / f"{self.id}.npz"
 
     def to_json(self) -> str:
@@ -87,7 +87,7 @@ def read_record(job: Job) -> Row | None:
 
 
 def write_record(job: Job, status: str, message: str = "", **numbers: str | float | None) -> Row:
-    """Write what became of an item, in one step, and a line in the journal; the caller holds the item's lock.
+    """Write the record of an item atomically, and a line in the journal; the caller holds the item's lock.
 
     Where the process dies between the two, :func:`complete_journal` adds the line.
     """
@@ -154,7 +154,7 @@ def _append_to_journal(job: Job, status: str) -> None:
 
 @contextlib.contextmanager
 def locked(job: Job) -> Iterator[None]:
-    """Hold the item while it is worked on: another process waits, and then finds the record. Released by any death."""
+    """Lock the item while it is computed; another process waits, then finds the record. Any exit releases the lock."""
     try:
         import fcntl
     except ImportError:  # there is none on Windows, where two drivers on one folder are not kept apart

@@ -1,4 +1,4 @@
-"""Which surfaces a cohort has: a table, a pattern of file names, or names as BIDS has them."""
+"""The items of a cohort: from a table, a pattern of file names, or BIDS names."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _from_table(path: Path) -> list[Item]:
 
 
 def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[Item]:
-    """Return the items of a table's text; its columns are parted by tabs where the first line has one, unless told."""
+    """Return the items of a table's text; columns are separated by tabs where the first line has one, by default."""
     first = text.partition("\n")[0]
     rows = csv.DictReader(io.StringIO(text), delimiter=delimiter or ("\t" if "\t" in first else ","))
     names = rows.fieldnames or []
@@ -99,7 +99,7 @@ def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[
 
 
 def _named(found: list[tuple[Path, dict[str, str]]]) -> list[Item]:
-    """Name items after their files, with as many folders in front as it takes to tell them apart."""
+    """Name items after their files, with as many folders in front as make them distinct."""
     for depth in range(1, 8):
         names = [_safe("_".join(path.absolute().parts[-depth:-1] + (_stem(path),))) for path, _ in found]
         if len({name.casefold() for name in names}) == len(names):

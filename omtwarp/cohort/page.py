@@ -1,4 +1,4 @@
-"""The report page of a cohort: how many of each status, the failures, and pictures of what lies furthest out."""
+"""The report page of a cohort: how many of each status, the failures, and pictures of outliers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def write_page(rows: Sequence[Row], folder: Path) -> Path:
 def outliers(done: Sequence[Row], most: int = OUTLIERS) -> list[tuple[Row, str]]:
     """Return the items furthest above the median of a measure, in median absolute deviations, and why.
 
-    Each item is listed once, with the measure in which it lies furthest out.
+    Each item is listed once, with the measure in which it deviates most.
     """
     found: dict[str, tuple[float, Row, str]] = {}
     for name, words in MEASURES.items():

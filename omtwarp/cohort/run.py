@@ -1,4 +1,4 @@
-"""Run a cohort: what is not done yet is worked on, and everything ends up in one table and one page."""
+"""Run a cohort: compute the items without a record, and write one table and one page."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def run_cohort(
     repair: bool = False,
     **options: Unpack[MapKeywords],
 ) -> CohortResult:
-    """Map many surfaces, each in a process of its own; a surface that fails is a row of the table, never the end.
+    """Map many surfaces, each in a process of its own; a surface that fails becomes a row of the table.
 
     The run may be ended in any way and started again: items that have a record for the same input, options and version
     are not worked on twice.
@@ -143,7 +143,7 @@ def _asked(options: MapKeywords) -> dict[str, object]:
 
 
 def _follow(records: Iterable[Row], done: int, total: int, progress: Progress | None) -> None:
-    """Wait for the records of items that are worked on, and tell how far the cohort is after each."""
+    """Wait for the records of running items, and report progress after each."""
     failed = 0
     for count, record in enumerate(records, done + 1):
         failed += record["status"] != OK
@@ -162,7 +162,7 @@ def _row(item: Item, job: Job) -> Row:
 
 @contextlib.contextmanager
 def _only_driver(folder: Path, part: int, parts: int) -> Iterator[None]:
-    """Refuse to run twice on the same folder and shard at once."""
+    """Refuse a second run on the same folder and shard at the same time."""
     try:
         import fcntl
     except ImportError:  # on Windows

@@ -1,4 +1,4 @@
-"""Run an item in a process of its own: read, map, save, and record what became of it."""
+"""Run an item in a process of its own: read, map, save, and record the result."""
 
 from __future__ import annotations
 

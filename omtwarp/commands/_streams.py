@@ -113,7 +113,7 @@ def input_file(given: object) -> object:
     if given != STREAM or _current is None:
         return given
     if _current.taken:
-        raise OmtwarpError("'-' stands for two inputs: standard input can be only one")
+        raise OmtwarpError("'-' is given for two inputs: standard input can be only one")
     if sys.stdin is None or sys.stdin.isatty():
         raise OmtwarpError("standard input is a terminal: pipe a file into it, or name one")
     data = sys.stdin.buffer.read(LARGEST_MESH_FILE + 1)

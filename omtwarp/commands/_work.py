@@ -35,7 +35,7 @@ class Input:
             or after copies of vertices along seams were joined.
         vertex_of_file: the vertex that each of the file's is, shape [N], where copies were joined and nothing was
             repaired.
-        file_faces: the file's faces, in its own vertices, shape [F, 3], beside that.
+        file_faces: the file's faces, in its own vertices, shape [F, 3], in that case.
     """
 
     surface: Surface

@@ -77,7 +77,7 @@ def demo(
         notify(f"{file_to_be}")
     circles_picture = rasterize("circles", PICTURE_WIDTH, device=device)
     comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)
-    notify(f"{comparison_file}: the conformal map beside the area-preserving one")
+    notify(f"{comparison_file}: the conformal and the area-preserving map")
     if as_json:
         print(report_text(facts | {"output": str(output), "files": [str(file) for file in files]}), end="")
 

@@ -288,7 +288,7 @@ def save(
         file: where to.
         like: the mesh that was mapped.
         radius: of the sphere, as a mesh.
-        beside: write the surface, with the sphere beside it.
+        beside: write the surface, with the sphere at its vertices.
         file_faces: the faces of ``like`` where copies of its vertices were joined: a mesh is written with the copies.
     """
     from omtwarp.mesh.write import write_mesh

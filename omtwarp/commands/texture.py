@@ -217,7 +217,7 @@ def texture_mesh(
 
 
 def _with_files(files: list[Path]) -> str:
-    """Return the files that lie beside the one that was asked for, which is the last."""
+    """Return the companions of the requested file, which is the last."""
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 

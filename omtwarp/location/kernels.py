@@ -17,7 +17,7 @@ BOX_MARGIN = wp.constant(wp.float64(1e-6))
 
 @wp.func
 def spherical_coordinates(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.vec3d:
-    """Return barycentric coordinates, not yet normalised, of the place where the ray through ``p`` meets the triangle.
+    """Return unnormalised barycentric coordinates of the point where the ray through ``p`` meets the triangle.
 
     The triple products are those of p, b, c and so on, with the corners seen from p: of a small triangle near p no
     digits are lost, and at a corner the coordinates of the other two are exactly zero.
@@ -30,12 +30,12 @@ def spherical_coordinates(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) ->
 def spherical_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     """Return the barycentric coordinates of the point where the ray through p meets the plane of a, b, c.
 
-    Sum to one.
+    They sum to one.
     """
     weights = spherical_coordinates(a, b, c, p)
     total = weights[0] + weights[1] + weights[2]
     if total <= ZERO:
-        # The plane is behind the point: keep the signs, which steer the walk, and no scale.
+        # The plane is behind the point: only the signs, which steer the walk, are kept.
         return weights
     return (ONE / total) * weights
 
@@ -56,7 +56,7 @@ def walk(
     faces: wp.array[wp.vec3i],
     neighbours: wp.array[wp.vec3i],
 ):
-    """Go from a face to the face that holds p, across the edge that p lies furthest beyond: for points that move."""
+    """Walk from a face to the face that holds p, across the edge that p lies furthest beyond; for moving points."""
     f = int(start)
     weights = wp.vec3d()
     for _ in range(WALK_LIMIT):
@@ -122,9 +122,7 @@ def find_faces(
 ):
     """Compute the triangle that each point lies deepest in (of equals the first), and its coordinates there.
 
-    -1 for none.
-
-    Single precision only says which triangles to look at; float64 decides.
+    The triangle is -1 for none. Single precision only selects candidates; float64 decides.
     """
     i, _compiled_once = wp.tid()
     p = wp.normalize(queries[i])
@@ -197,7 +195,7 @@ def find_closest(
 ):
     """Compute the flat triangle nearest to each point, and the coordinates of its nearest point.
 
-    The triangle that holds the point (``found`` and ``coordinates`` coming in) bounds how far there is to look.
+    The triangle that holds the point (``found`` and ``coordinates`` as inputs) bounds the search.
     """
     i, _compiled_once = wp.tid()
     best_face = found[i]

@@ -1,4 +1,4 @@
-"""A search structure over a triangulated sphere, and what it finds."""
+"""A search structure over a triangulated sphere, and its results."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Found:
 class Locator:
     """Finds where on a triangulated sphere points lie.
 
-    A hierarchy of boxes in single precision says which triangles to look at, and barycentric coordinates in double
+    A hierarchy of boxes in single precision selects candidate triangles, and barycentric coordinates in double
     precision decide. Unlike a walk from triangle to triangle, which can go in circles where the triangulation is not
     Delaunay, the search always ends, and triangles may be of any shape.
 

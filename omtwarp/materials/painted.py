@@ -43,7 +43,7 @@ class PaintedMesh(PaintedArrays):
         """Write the mesh with its materials.
 
         ``.glb`` holds a primitive for every material, its pictures embedded; ``.obj`` is written with its ``.mtl`` and
-        a ``.png`` for every picture beside it.
+        a ``.png`` for every picture in the same folder.
 
         Args:
             path: the file to write.

@@ -1,4 +1,4 @@
-"""Measures other than area: weights on a surface, and a density on the sphere that a map is to reach."""
+"""Measures other than area: weights on a surface, and a prescribed density on the sphere."""
 
 from omtwarp.measures.target import TargetDensity
 from omtwarp.measures.weights import weighted_surface

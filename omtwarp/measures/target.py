@@ -1,4 +1,4 @@
-"""A density on the sphere that a map is to reach, in place of the uniform one."""
+"""A prescribed density of the image on the sphere, in place of the uniform one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class TargetDensity:
         mass: the integral over the sphere before scaling, in the density's own unit.
 
     Raises:
-        OmtwarpError: the density is not positive and finite everywhere it was asked for, or returns another shape.
+        OmtwarpError: the density is not positive and finite at every point tested, or returns another shape.
 
     Example:
         >>> import numpy as np

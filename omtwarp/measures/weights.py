@@ -20,8 +20,8 @@ def weighted_surface(surface: Surface, weights: ArrayLike | None) -> Surface:
     Args:
         surface: V vertices and F triangles.
         weights: positive and finite, shape [V] or [F]; a triangle takes the mean of its vertices. Only ratios count:
-            a part of weight 2 among parts of weight 1 covers twice as much of the sphere for its area. None keeps the
-            surface as it is.
+            a part of weight 2 among parts of weight 1 covers twice as much of the sphere for its area. None returns the
+            surface itself.
 
     Returns:
         The surface with its measure, of total 4π; see :class:`omtwarp.Surface`.

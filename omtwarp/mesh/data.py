@@ -6,7 +6,7 @@
 ``.annot``                                         FreeSurfer's labels with their table
 ``.curv``, ``.sulc``, ``.thickness``, ``.area``,   FreeSurfer's curv format
 ``.volume``
-``.ply``                                           properties of the vertices beside their position
+``.ply``                                           properties of the vertices besides their position
 =================================================  ==================================================================
 """
 
@@ -242,7 +242,7 @@ def _write_annot(file: Path, data: VertexData) -> None:
         colors[place] = red, green, blue, 255 - alpha
     # FreeSurfer identifies labels by their colours: two labels of one colour would become one.
     if len(np.unique(colors[:, :3], axis=0)) < len(keys):
-        raise OmtwarpError("two labels have the same colour, by which the .annot format tells them apart")
+        raise OmtwarpError("two labels have the same colour, by which the .annot format identifies them: change one")
     names = [data.table[key][0] for key in keys]
     nibabel_module().freesurfer.write_annot(file, places, colors, names, fill_ctab=True)
 

@@ -33,7 +33,7 @@ class Patches:
     """The freed vertices of a surface, in pieces that share no edge, and the triangles around them.
 
     Attributes:
-        vertices: of the surface, the freed ones first, then those that stay beside them, shape [P].
+        vertices: of the surface, the freed ones first, then their fixed neighbours, shape [P].
         free: how many of them are freed.
         triangles: of the surface, those with a freed corner, shape [T].
         faces: their corners by place in ``vertices``, int32, shape [T, 3].

@@ -303,7 +303,7 @@ def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     after = (corner // 3) * 3 + (corner + 1) % 3  # the corner of the same face at the edge's other end
     low, high = np.minimum(tail, head), np.maximum(tail, head)
-    # Of every edge and each of its ends, the corners there of the faces beside it.
+    # Of every edge and each of its ends, the corners there of its faces.
     keys = np.concatenate([low * count + high, low * count + high])
     ends = np.concatenate([tail, head])
     places = np.concatenate([corner, after])

@@ -42,7 +42,8 @@ def load_scene(data: bytes, file: Path, suffix: str) -> trimesh.Scene:
         A ``trimesh.Scene`` with vertices as the file has them.
 
     Raises:
-        OmtwarpError: compressed geometry, an archive that inflates too far, or a file beside it that cannot be read.
+        OmtwarpError: compressed geometry, an archive that inflates too far, or a file that it names and that cannot be
+            read.
         Exception: what trimesh raises on a damaged file.
     """
     import trimesh

@@ -33,7 +33,7 @@ def write_mesh(
         vertices: float64, shape [V, 3].
         faces: shape [F, 3].
         beside: further numbers per vertex by name, each shape [V]; for .ply alone.
-        spherical: it is a sphere, which GIFTI wants to be told.
+        spherical: it is a sphere, which GIFTI records.
         like: the file that the mesh comes from; GIFTI keeps its metadata, FreeSurfer's format its volume geometry.
 
     Raises:

@@ -64,7 +64,7 @@ def unwrap_uv(
     chart = np.argmax(middle @ CUBE_FRAMES[:, 0].T, axis=1)
     angle = _angles(corners, chart)
     far = np.abs(angle).max(axis=(1, 2)) > FARTHEST
-    if far.any():  # a long triangle may lie better on the chart beside that of its middle
+    if far.any():  # a long triangle may fit better on a neighbouring chart
         at = np.flatnonzero(far)
         reach = [np.abs(_angles(corners[at], np.full(len(at), k))).max(axis=(1, 2)) for k in range(len(CUBE_FRAMES))]
         chart[at] = np.argmin(reach, axis=0)

@@ -49,7 +49,7 @@ def _exactly(stream: BinaryIO, count: int) -> bytes:
 
 
 def _waiting(stream: BinaryIO) -> bool:
-    """Return whether something can be read already, where that can be told: of pipes not on Windows."""
+    """Return whether input is available, where that can be tested, which Windows cannot for pipes."""
     return os.name == "nt" or bool(select.select([stream], [], [], 0.0)[0])
 
 

@@ -28,7 +28,7 @@ from omtwarp.render.upright import posed
 View: TypeAlias = str | tuple[float, float] | Camera
 Function = TypeVar("Function", bound=Callable[..., object])
 
-MOST_SAMPLES = 4  # along a pixel's side, beside the 4 to 8 samples of OpenGL itself
+MOST_SAMPLES = 4  # along a pixel's side, in addition to the 4 to 8 samples of OpenGL itself
 SMALLEST_VIEW = 16  # pixels along a side, below which neither captions nor a colour bar can be drawn
 
 

@@ -284,7 +284,7 @@ def line_strength(weight: float, gradient_x: float, gradient_y: float, width: fl
 
 @wp.func
 def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look, x: float, y: float, spacing: float):
-    """Colour and coverage seen at a place of the picture; ``spacing`` is the width of the area it stands for."""
+    """Return colour and coverage at a point of the picture; ``spacing`` is the width of the area it represents."""
     origin = ray_origin(view, x, y)
     way = ray_way(view, x, y)
     hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)

@@ -30,7 +30,7 @@ class ScalarField:
         values: shape [V] or [F]; NaN is drawn grey.
         colormap: name of the colour map, see :func:`omtwarp.render.colors.colormap_table`.
         range: (low, high) values at the ends of the map; None takes the smallest and largest finite value.
-        label: text beside the colour bar.
+        label: text at the colour bar.
         logarithmic: colours follow the logarithm of the values, as ratios want it; the range must be positive.
     """
 

@@ -28,7 +28,7 @@ class Row:
         colour: CSS variable.
         values: log2 of a ratio, shape [N].
         weights: shape [N], sum 1.
-        remark: a few words beside it.
+        remark: a short text next to it.
     """
 
     label: str

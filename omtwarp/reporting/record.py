@@ -39,7 +39,7 @@ REPORT: dict[str, object] = {
         }
     ],
 }
-"""Fields of a report and their kinds; ``*`` stands for any name, and a list for any number of entries."""
+"""Fields of a report and their kinds; ``*`` is any name, and a list for any number of entries."""
 
 HISTORY: list[object] = [{"iteration": NUMBER, "cost": NUMBER}]
 

@@ -1,4 +1,4 @@
-"""Data and surfaces carried from one sphere to another, each way of doing it one sparse matrix."""
+"""Resampling of data and surfaces from one sphere to another by sparse matrices."""
 
 from __future__ import annotations
 

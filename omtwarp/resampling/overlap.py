@@ -12,7 +12,7 @@ from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.resampling.overlap_kernels import box_polygons, count_overlaps, list_overlaps
 from omtwarp.spheres import SphereGrid
 
-# Where cells only touch, round-off makes overlaps of some 1e-16 of a cell; what is left out here stays below 1e-13.
+# Where cells only touch, round-off makes overlaps of some 1e-16 of a cell; the overlaps dropped stay below 1e-13.
 SMALLEST_SHARE = 1e-14
 
 

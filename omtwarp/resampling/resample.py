@@ -1,4 +1,4 @@
-"""Resampling from one map or sphere to another: the matrix, what it was made between, and what to do with it."""
+"""Resampling from one map or sphere to another: the matrix, its two ends, and its application."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
 
     Args:
         given: a :class:`~omtwarp.MapResult`; the name of a grid (see :mod:`omtwarp.spheres`); a file: a map in
-            ``.npz``, a ``.ply`` with the sphere beside the surface as px, py and pz, or a mesh that is a sphere about
+            ``.npz``, a ``.ply`` with the sphere as px, py and pz at the vertices, or a mesh that is a sphere about
             the origin, of any radius; ``(points, faces)``; anything with ``vertices`` and ``faces``; or a grid.
         name: how messages call it.
 
@@ -111,7 +111,7 @@ def file_points(given: str | os.PathLike[str], surface: Path | None) -> SpherePo
 
 
 def _sphere_beside(path: Path) -> Floats | None:
-    """Return the sphere that a .ply has beside its surface as px, py and pz, shape [V, 3]."""
+    """Return the sphere that a .ply holds with its surface as px, py and pz, shape [V, 3]."""
     if path.suffix.lower() != ".ply" or b" px\n" not in read_bytes(path, LARGEST_MESH_FILE, "mesh file")[:4096]:
         return None
     data = read_data(path)
@@ -120,7 +120,7 @@ def _sphere_beside(path: Path) -> Floats | None:
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """A way of carrying data from the points of one sphere to those of another.
+    """A linear map of data at the points of one sphere to those of another.
 
     Attributes:
         matrix: sparse float64, shape [T, S]; rows sum to 1.
@@ -137,7 +137,7 @@ class Resampling:
         return f"Resampling({self.source.grid.name} -> {self.target.grid.name}, {self.method})"
 
     def apply(self, values: ArrayLike) -> Floats:
-        """Carry numbers per source point over.
+        """Resample numbers at the source points.
 
         Args:
             values: finite numbers, shape [S] or [S, K].
@@ -160,7 +160,7 @@ class Resampling:
         return np.asarray(self.matrix @ array)
 
     def labels(self, keys: ArrayLike) -> NDArray[np.int64]:
-        """Carry labels over: each target point takes the label that its weights give most to.
+        """Resample labels: each target point takes the label with the largest sum of weights.
 
         With conservative weights that is the label of largest overlap with its cell. Of equals, the smallest key wins.
 
@@ -189,7 +189,7 @@ class Resampling:
     def surface(self) -> Floats:
         """Return the source's surface at the target's points, float64, shape [T, 3].
 
-        With the target's faces it is the same surface on another mesh: the same one for all subjects.
+        With the target's faces it is the same surface on another mesh, which is common to all subjects.
 
         Raises:
             OmtwarpError: the source is a sphere alone.
@@ -223,9 +223,9 @@ def resample(
     target_areas: ArrayLike | None = None,
     device: str | None = "auto",
 ) -> Resampling:
-    """Prepare to carry data from one map or sphere to another.
+    """Prepare the resampling of data from one map or sphere to another.
 
-    Both spheres are taken as they are: bring them into the same position first (:func:`omtwarp.align`).
+    The spheres are not rotated: align them first (:func:`omtwarp.align`).
 
     Args:
         source: a map, a sphere, a file or the name of a grid (:func:`as_points`).
@@ -240,7 +240,7 @@ def resample(
         device: ``auto``, ``cpu`` or ``cuda:N``.
 
     Returns:
-        What carries data from the source to the target.
+        The resampling from the source to the target.
 
     Raises:
         OmtwarpError: an unknown method or grid, a file that cannot be read, or something that is not a sphere.

@@ -42,7 +42,7 @@ def adaptive(
 
     Connectome Workbench's ADAP_BARY_AREA: each target point takes its own barycentric weights, or those of the source
     points that lie in the triangles around it where these are more. Weights are then scaled so that each source point
-    gives away its area, and rows are brought to a sum of 1.
+    distributes its area, and rows are normalised to sum 1.
 
     Args:
         source, target: grids.
@@ -51,7 +51,7 @@ def adaptive(
     """
     forward = barycentric(source, target, device)
     backward = barycentric(target, source, device).T.tocsr()
-    # Where every source point that looks back is among those looked at, the forward weights see more.
+    # Where the forward weights include every source point that refers to the target point, they include more.
     looked_at = forward.copy()
     looked_at.data[:] = 1.0
     looking = backward.copy()

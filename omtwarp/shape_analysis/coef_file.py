@@ -62,7 +62,7 @@ def read_coef(path: str | os.PathLike[str]) -> Expansion:
 
 
 def _order(degree: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the our row for each of the file's, and what it is multiplied by."""
+    """Return our row for each of the file's rows, and its factor."""
     rows, factors = [], []
     for n in range(degree + 1):
         rows.append(n * n + n)

@@ -25,18 +25,18 @@ from omtwarp.transport import optimal_transport, transport_cost
 
 Floats = NDArray[np.float64]
 
-DEGREE = 12  # 169 coefficients: what meshes of a few hundred vertices determine
+DEGREE = 12  # 169 coefficients, which meshes of a few hundred vertices determine
 
 
 @dataclass(frozen=True)
 class ShapeDistance:
-    """How far two shapes are apart.
+    """The distances of two shapes.
 
     Attributes:
         coefficients: root mean square distance of corresponding points, in the surfaces' unit.
         transport: distance of the densities, in radians: the mean of the two below.
         there: from the first density to the second.
-        back: from the second to the first; its difference from ``there`` is what the meshes leave uncertain.
+        back: from the second to the first; its difference from ``there`` estimates the error due to the meshes.
         score: how well the spheres agree in the position in which they were compared (:func:`omtwarp.align`).
     """
 
@@ -71,7 +71,7 @@ def shape_distance(
         first: a map with its conformal map, as :func:`omtwarp.map_to_sphere` makes them.
         second: the same.
         degree: the highest degree of the surfaces' harmonics.
-        scale: bring both to the root mean square distance 1 from their centres before coefficients are compared.
+        scale: scale both to the root mean square distance 1 from their centres before coefficients are compared.
         device: where transport is computed.
         progress: called as ``progress("distance", done, 3, {})`` after coefficients and each direction of transport.
 
@@ -172,7 +172,7 @@ def distance_matrix(spheres: list[Floats], maps: Sequence[HasTriangles], degree:
         spheres: of the maps, in one position, each shape [V, 3].
         maps: with ``vertices`` and ``faces``.
         degree: the highest degree.
-        scale: bring all shapes to the root mean square distance 1 from their centres.
+        scale: scale all shapes to the root mean square distance 1 from their centres.
 
     Raises:
         OmtwarpError: too few vertices for the degree.

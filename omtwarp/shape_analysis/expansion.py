@@ -107,7 +107,7 @@ def expand(
             quadrature.
         method: ``least-squares``: the sum nearest to the data at the points, as SPHARM-PDM and most others have it;
             ``quadrature``: integrals over the spherical triangles of the data, linear on each, times every harmonic
-            (Dunavant's rule of degree 4): needs no system to be solved, and sees the surface between its vertices.
+            (Dunavant's rule of degree 4): needs no linear system, and uses the surface between its vertices.
 
     Raises:
         OmtwarpError: arrays that do not fit together, or more coefficients than the points determine.

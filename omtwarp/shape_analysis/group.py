@@ -19,7 +19,7 @@ from omtwarp.shape_analysis.distance import DEGREE, distance_matrix, transport_m
 Floats = NDArray[np.float64]
 
 PERMUTATIONS = 999  # the smallest p value is then 0.001
-# Highest degree of the features that spheres are aligned by: coarse form tells positions, detail varies. Tubes
+# Highest degree of the features that spheres are aligned by: coarse form determines positions, detail varies. Tubes
 # that vary by 5 % end within 2 to 4 degrees of one another with degree 4.
 ALIGNING_DEGREE = 4
 FEWEST = 5  # shapes; with four there are six labellings, and no p value below a sixth
@@ -56,7 +56,7 @@ class GroupDifference:
         outward: its part along the mean surface's normal, shape [V].
         statistic: Student's two-sample t of displacements along the normal, shape [V].
         p_values: share of the permutations whose largest t in size over all points is at least as large as that here:
-            corrected for looking at all points; shape [V].
+            corrected for the number of points; shape [V].
     """
 
     names: tuple[str, str]
@@ -125,10 +125,10 @@ def study_group(
         maps: at least two maps with their surfaces.
         labels: which of two groups each shape belongs to; no difference is sought without them.
         grid: a triangulated sphere by name, whose points are compared.
-        components: the most principal components.
-        scale: let shapes grow or shrink to the same size.
-        degree: the highest degree of the harmonics that distances are taken of.
-        permutations: random exchanges of labels that t is judged by.
+        components: the largest number of principal components.
+        scale: scale shapes to the same size.
+        degree: the highest degree of the harmonics in distances.
+        permutations: number of random exchanges of labels for the test.
         seed: of these.
         transport: also measure the transport distances of all pairs (:func:`omtwarp.shape_analysis.shape_distance`);
             a pair of shapes with 700 vertices takes half a second.
@@ -137,7 +137,7 @@ def study_group(
             ``transport``.
 
     Returns:
-        All of it.
+        The findings.
 
     Raises:
         OmtwarpError: fewer than two maps, labels that do not fit, or too few vertices for the degree.
@@ -194,7 +194,7 @@ def principal_components(moved: Floats, shares: Floats, most: int) -> PrincipalC
 
     Args:
         moved: shapes less their mean, shape [N, V, 3].
-        shares: of the sphere that points stand for, sum 1, shape [V].
+        shares: of the sphere that points represent, sum 1, shape [V].
         most: how many components; no more than N - 1 exist.
     """
     count = len(moved)
@@ -224,7 +224,7 @@ def group_difference(
     """Test at every point whether one group lies outside the other, by t and permutations of the labels.
 
     Displacements along the mean surface's normal are compared. Those within it are left out: where a part grows,
-    an area-preserving map makes room for it on the whole sphere, and points move along the surface everywhere.
+    an area-preserving map moves points along the surface everywhere.
 
     Args:
         surfaces: corresponding points, shape [N, V, 3].
@@ -245,7 +245,7 @@ def group_difference(
 def hotelling(
     values: Floats, chosen: NDArray[np.bool_], permutations: int = PERMUTATIONS, seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Compute Hotelling's two-sample T² at every point, and p values corrected for looking at all of them.
+    """Compute Hotelling's two-sample T² at every point, and p values corrected for the number of points.
 
     The largest T² over all points is compared with that of permuted labels, so that the chance of any false finding is
     bounded [1]_. The scatter about the common mean does not depend on labels: in coordinates in which it is 1 the share

@@ -49,11 +49,11 @@ class TexturedSurface(TexturedMesh):
     def export(self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
         """Write the textured surface.
 
-        ``.glb`` embeds the texture in a PBR material; ``.obj`` is written with its ``.mtl`` and ``.png`` beside it;
-        ``.ply`` holds the input's vertices and faces unchanged, with the texture's colour at every vertex.
+        ``.glb`` embeds the texture in a PBR material; ``.obj`` is written with its ``.mtl`` and ``.png`` in the same
+        folder; ``.ply`` holds the input's vertices and faces unchanged, with the texture's colour at every vertex.
 
         Args:
-            path: the file to write. The files beside an ``.obj`` take its name where that is free or theirs already,
+            path: the file to write. The files of an ``.obj`` take its name where that is free or theirs already,
                 and another name (``NAME-texture.png``) where a file of that name is not the package's own.
             keep: more files that must not be replaced, such as the mesh that the surface came from.
 

@@ -233,7 +233,7 @@ def _on_host(values: Floats, dtype: type) -> wp.array:
 
 
 class _EdgeFit:
-    """The least-squares problem for ψ, whose matrix also stands for the second derivative of the bound.
+    """The least-squares problem for ψ, whose matrix also approximates the second derivative of the bound.
 
     On each edge the target of ψ's difference is the middle of the interval in which swapping partners gains nothing;
     the weight is one over the width of that interval.

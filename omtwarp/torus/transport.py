@@ -113,7 +113,7 @@ def transport_on_torus(
         surface: of genus 1; its vertex areas, total 4π, are the masses.
         torus: the conformal map, from which distances are measured; triangles may be turned over there.
         start: a map without flips to begin with; the conformal map by default.
-        shape_weight: weight of the triangles' distortion beside the mean squared distance; by default as on the
+        shape_weight: weight of the triangles' distortion relative to the mean squared distance; by default as on the
             sphere, less for maps that move little.
         iterations: most steps.
         progress: called as ``progress(done, most, record)``.

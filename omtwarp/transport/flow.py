@@ -106,7 +106,7 @@ class TransportMap:
         history: one record per iteration, the start first: ``iteration``, ``cost`` (the paper's M, total mass 4π),
             ``curl`` (relative size of the removable part), ``step``, ``held`` (vertices held back from a flip) and
             ``area_error``.
-        converged: whether the map is optimal as far as its curl tells: steps no longer gain, and no more than
+        converged: whether the map is optimal as far as its curl shows: steps no longer gain, and no more than
             ``OPTIMAL_CURL`` of the displacement is curl, of which no scale is left out.
         ended: why there were no more steps, in words.
     """
@@ -133,7 +133,7 @@ def transport_cost(
 
     The total area is 4π; distances are in radians, from centre to centre.
 
-    Centres of triangles stand for the paper's dual vertices; a mesh has twice as many of them as vertices, and large
+    Centres of triangles replace the paper's dual vertices; a mesh has twice as many of them as vertices, and large
     triangles count where they are.
 
     Args:

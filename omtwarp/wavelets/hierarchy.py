@@ -115,7 +115,7 @@ class SphereHierarchy:
         return float(np.sqrt(4 * np.pi / len(self.level_faces[level]) * 4 / np.sqrt(3)))
 
     def refinement_matrix(self, level: int, *, butterfly: bool = False) -> sparse.csr_matrix:
-        """Return values at K(level) to values at K(level + 1) by subdivision, as a matrix (section 3.1, refinement)."""
+        """Return the subdivision matrix from values at K(level) to those at K(level + 1) (section 3.1, refinement)."""
         stencil, weights = predict_stencil(self, level, butterfly=butterfly)
         coarse, added = self.node_counts[level], len(stencil)
         rows = np.concatenate([np.arange(coarse), coarse + np.repeat(np.arange(added), len(weights))])

@@ -109,7 +109,7 @@ def dense_product(
     # Data out:
     product: wp.array[wp.float64],
 ):
-    """Compute the small dense matrix times the first entries of ``values``."""
+    """Multiply the first entries of ``values`` by a small dense matrix."""
     i = wp.tid()
     total = wp.float64(0.0)
     for j in range(matrix.shape[1]):

@@ -18,7 +18,7 @@ RANK = 1e-10  # relative, of eigenvalues that are zero but for rounding: that of
 
 
 def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) -> NDArray[np.float64]:
-    """Return Dirichlet energy ∫ |grad psi|^2 of every wavelet, shape [N]; zero at the solid's nodes, which hold none.
+    """Return the Dirichlet energy ∫ |grad psi|^2 of every wavelet, shape [N]; zero at the solid's nodes.
 
     Measured with the cotangent Laplacian of the level on which the wavelet is linear.
     """
@@ -93,7 +93,7 @@ class WaveletPreconditioner:
         self._coarse = wp.empty(solid, dtype=wp.float64, device=self.device)
 
     def apply(self, right_hand_side: wp.array, out: wp.array | None = None) -> wp.array:
-        """Return the right-hand side (weak form, one value per node) to H, shape [N] -> [N], NumPy or Warp as given.
+        """Apply the approximate inverse to a right-hand side (weak form), shape [N] -> [N], NumPy or Warp as given.
 
         The constant part of the right-hand side is ignored, and H is defined up to a constant. With Warp arrays, H can
         be written to ``out``.

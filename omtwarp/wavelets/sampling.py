@@ -253,14 +253,14 @@ class SphereSampler:
         self._launch_parts(level_face_gradients, self.face_count, [], [self._faces], whole, self._face_vectors)
 
     def _gather_corners(self, out: wp.array) -> None:
-        """Sum at every node what the three numbers of every triangle have for it."""
+        """Sum at every node the numbers that its triangles hold for it."""
         rows, whole = self._corner_rows, [self._face_vectors]
         self._launch_parts(gather_corners_to_nodes, self.node_count, rows, [], whole, out)
 
     def node_gradient(self, values: ArrayLike | wp.array) -> wp.array:
         """Return area-weighted means of the gradients around each node, Warp vec3d [N]: what ``smooth`` interpolates.
 
-        The array is the sampler's own and holds until the next call.
+        The array is the sampler's own and valid until the next call.
         """
         source, _ = self._take(values, wp.float64)
         self._face_gradients(source, weighted=True)

@@ -37,7 +37,7 @@ def locate_points(
 ):
     i = wp.tid()
     p = wp.normalize(points[i])
-    # Points seldom leave their triangle from one time to the next.
+    # Points seldom leave their triangle between two steps.
     face = point_faces[i]
     finest = level_starts[level_starts.shape[0] - 2]
     w = spherical_coordinates(
@@ -59,7 +59,7 @@ def locate_points(
             face = 4 * face + child_of(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
         g = finest + face
         w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-    # Round-off may leave a point on an edge a hair outside: never extrapolate.
+    # Round-off may put a point on an edge slightly outside: coordinates are clamped.
     w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
     point_faces[i] = face
     coordinates[i] = w / (w[0] + w[1] + w[2])

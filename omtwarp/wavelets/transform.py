@@ -179,7 +179,7 @@ class SphericalWavelets:
     def truncate(self, coefficients: wp.array, resolution: int) -> None:
         """Clear the coefficients of levels j > ``resolution``, in place (Algorithm 1, lines 11 to 13).
 
-        What is left is a function of the nodes K(resolution + 1); -1 leaves the solid's scaling functions alone.
+        The result is a function of the nodes K(resolution + 1); -1 leaves the solid's scaling functions alone.
         """
         first = self.hierarchy.node_counts[min(max(int(resolution) + 1, 0), self.hierarchy.level)]
         if first < self.hierarchy.node_count:
