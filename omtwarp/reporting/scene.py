@@ -25,9 +25,10 @@ from omtwarp.render.upright import posed
 from omtwarp.reporting.stages import Stage
 from omtwarp.result import MapResult
 from omtwarp.start.decimation import simplify
+from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
-from omtwarp.texturing.baking import Source, bake
-from omtwarp.texturing.image import as_bytes
+from omtwarp.texturing.baking import Source
+from omtwarp.texturing.bending import Look
 from omtwarp.texturing.textured import vertex_normals
 
 LARGEST_SPHERE = 0.8  # radius beside the surface's of 1: folds make a surface's area large
@@ -210,7 +211,7 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
     from PIL import Image as pil
 
     atlas = Cube(size, gutter=0)
-    baked = as_bytes(bake(texture, atlas, device=device))[..., :3]
+    baked = bake_bytes(texture, Look(atlas, resolve_device(device)))[..., :3]
     photograph = len(np.unique(baked[::4, ::4].reshape(-1, 3), axis=0)) > PHOTOGRAPH
     uris = []
     for normal, right, down in _GL_FACES:

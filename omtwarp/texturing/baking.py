@@ -24,26 +24,24 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import LONGEST_SIDE
-from omtwarp.texturing import kernels, smooth_kernels
+from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.image import PictureLike, as_floats, read_image
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection
 from omtwarp.texturing.seams import Unwrapped, unwrap
-from omtwarp.texturing.smooth import SmoothMap
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
 NOBODY = 2**31 - 1  # the largest int32, in place of the number of a triangle: the least number owns a texel
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
-CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more get more samples
-LEAST_MOVED = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
+CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more are worth more samples; a soft gradient is not
 GROW = 1e-6  # texels by which a triangle may claim a centre outside it
 RING = 1.5  # texels around the charts in which the function itself is continued, for filtering
 
 
-class _Source(ABC):
+class ValueSource(ABC):
     """Values of directions, on a device."""
 
     channels: int
@@ -53,21 +51,27 @@ class _Source(ABC):
         """Write the values, float64 [N, channels], of directions, vec3d [N]."""
 
 
-Source: TypeAlias = "_Source | Pattern | Callable[[Floats], ArrayLike] | PictureLike"
+Source: TypeAlias = "ValueSource | Pattern | Callable[[Floats], ArrayLike] | PictureLike"
 """What can be baked: the name of a pattern, a pattern, a function of directions, or a picture."""
 
 
-class _PatternSource(_Source):
+class PatternSource(ValueSource):
+    """A pattern, which also says how far there is no edge."""
+
     channels = 3
 
     def __init__(self, given: Pattern):
         self._pattern = given
 
     def values(self, directions: wp.array, out: wp.array) -> None:
-        self._pattern.launch(directions, out)
+        self.reach(directions, out)
+
+    def reach(self, directions: wp.array, out: wp.array) -> wp.array:
+        """Write the values of directions, and return the angles within which there is no edge, float64 [N]."""
+        return self._pattern.launch(directions, out)
 
 
-class _PictureSource(_Source):
+class _PictureSource(ValueSource):
     """A picture of the sphere in one of the atlases or projections."""
 
     def __init__(self, picture: NDArray[np.generic], kind: int, offset: float, gutter: float, device: wp.Device):
@@ -85,7 +89,7 @@ class _PictureSource(_Source):
         )
 
 
-class _CallableSource(_Source):
+class _CallableSource(ValueSource):
     def __init__(self, function: Callable[[Floats], ArrayLike]):
         self._function = function
         self.channels = self._call(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])).shape[1]
@@ -103,14 +107,19 @@ class _CallableSource(_Source):
         wp.copy(out, wp.array(np.ascontiguousarray(got), dtype=wp.float64, device=out.device), count=got.size)
 
 
-def _source(given: Source, projection: str, device: wp.Device) -> _Source:
+def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource:
+    """Return what gives values to directions, for anything that can be baked.
+
+    Raises:
+        OmtwarpError: an unknown projection, or a picture that cannot be read.
+    """
     check_projection(projection)
-    if isinstance(given, _Source):
+    if isinstance(given, ValueSource):
         return given
     if isinstance(given, Pattern):
-        return _PatternSource(given)
+        return PatternSource(given)
     if isinstance(given, str) and given in ("circles", "puzzle", "globe", "checker"):
-        return _PatternSource(pattern(given))
+        return PatternSource(pattern(given))
     if callable(given) and not hasattr(given, "__array__"):
         return _CallableSource(given)
     return _PictureSource(
@@ -150,91 +159,10 @@ def bake(
     """
     where = resolve_device(device)
     target = _target(atlas, size)
-    return _bake(_source(source, projection, where), target, supersample, None, where)
+    return _bake(source_of(source, projection, where), target, supersample, where)
 
 
-def bake_on_map(
-    source: Source,
-    atlas: Atlas,
-    cut: Unwrapped,
-    smooth: SmoothMap,
-    faces: NDArray[np.int32],
-    *,
-    rotation: Floats,
-    projection: str = "equirectangular",
-    supersample: int = 3,
-    device: str | wp.Device | None = "auto",
-) -> Picture:
-    """Bake a function on the sphere into the picture of an atlas as a mesh shows it through its smooth map.
-
-    The mesh's texture coordinates are linear on its triangles. The picture is shifted everywhere by
-    the difference of the smooth map from the linear one, so that the mesh itself shows smooth lines.
-
-    Args:
-        source: as in :func:`bake`.
-        atlas: the picture's layout.
-        cut: the mesh unwrapped onto it.
-        smooth: the mesh's map, divided evenly.
-        faces: the mesh's triangles, shape [F, 3].
-        rotation: turns the function on the sphere, shape [3, 3].
-        projection, supersample, device: as in :func:`bake`.
-
-    Returns:
-        float32, shape [H, W, C].
-    """
-    where = resolve_device(device)
-    bend = _Bend(atlas, cut, smooth, faces, rotation, where)
-    return _bake(_source(source, projection, where), atlas, supersample, bend, where)
-
-
-class _Bend:
-    """Moves directions on a picture from the linear map of a mesh to its smooth one."""
-
-    def __init__(
-        self,
-        atlas: Atlas,
-        cut: Unwrapped,
-        smooth: SmoothMap,
-        faces: NDArray[np.int32],
-        rotation: Floats,
-        where: wp.Device,
-    ):
-        turned, given = smooth.sphere @ rotation, smooth.given @ rotation
-        layout, part = sphere_layout(cut, atlas, given, None, where)
-        linear = smooth.weights @ given
-        linear /= np.maximum(np.linalg.norm(linear, axis=1, keepdims=True), np.finfo(float).tiny)
-        moved = np.linalg.norm(turned - linear, axis=1)[smooth.grid].max(axis=1) > LEAST_MOVED * atlas.texel_angle
-        offset, gutter = atlas.parameters
-        self._picture = [atlas.kind, atlas.width, atlas.height, wp.float64(offset), wp.float64(gutter)]
-        self._owner = layout.owner
-        self._tables: list[wp.array] = [
-            wp.array(np.ascontiguousarray(given), dtype=kind, device=where)
-            for given, kind in (
-                (np.where(moved, np.arange(len(faces)), NOBODY)[cut.source_face[part]], wp.int32),
-                (faces, wp.int32),
-                (given, wp.vec3d),
-                (smooth.grid, wp.int32),
-                (turned, wp.vec3d),
-            )
-        ]
-        self._parts = smooth.parts
-
-    def bent(self, directions: wp.array) -> wp.array:
-        """Return the moved directions."""
-        out = wp.empty_like(directions)
-        launch_parts(
-            smooth_kernels.bend_directions,
-            len(directions),
-            lambda part: (
-                [*self._picture, self._owner, *self._tables, self._parts, directions[part]],
-                [out[part]],
-            ),
-            directions.device,
-        )
-        return out
-
-
-def _bake(given: _Source, target: Atlas, supersample: int, bend: _Bend | None, where: wp.Device) -> Picture:
+def _bake(given: ValueSource, target: Atlas, supersample: int, where: wp.Device) -> Picture:
     picture = wp.empty((target.width * target.height, given.channels), dtype=wp.float32, device=where)
     offset, gutter = target.parameters
     numbers = [target.kind, target.width, target.height, wp.float64(offset), wp.float64(gutter)]
@@ -250,7 +178,7 @@ def _bake(given: _Source, target: Atlas, supersample: int, bend: _Bend | None, w
                 ),
                 where,
             )
-            return directions if bend is None else bend.bent(directions)
+            return directions
 
         _fill(given, texels, samples, look, picture, where)
 
@@ -261,7 +189,7 @@ def _bake(given: _Source, target: Atlas, supersample: int, bend: _Bend | None, w
 
 
 def _fill(
-    given: _Source,
+    given: ValueSource,
     texels: NDArray[np.int32],
     samples: int,
     look: Callable[[wp.array, wp.array], wp.array],
@@ -357,6 +285,32 @@ def resample(
     return bake(picture_source(array, atlas, where), to, size=size, supersample=supersample, device=device)
 
 
+def claimed(corners: wp.array, width: int, height: int, grow: float, where: wp.Device) -> NDArray[np.int32]:
+    """Return the triangle that owns each texel of a picture, row by row, :data:`NOBODY` where there is none.
+
+    Args:
+        corners: of the triangles, in texels, y down, vec2d [F, 3].
+        width, height: of the picture.
+        grow: texels outside of a triangle up to which it owns what no other does.
+        where: the device.
+    """
+    owner = wp.full(width * height, NOBODY, dtype=wp.int32, device=where)
+
+    def claim(rows: tuple[int, int]) -> None:
+        wp.launch(
+            kernels.own_texels,
+            dim=len(corners),
+            inputs=[corners, width, wp.float64(grow), *rows, owner],
+            device=where,
+        )
+
+    parts = launch_parts_of(where, height, core_count(), 1)
+    if parts > 1:
+        load(kernels.own_texels, where)
+    run_all(claim, [(height * k // parts, height * (k + 1) // parts) for k in range(parts)])
+    return owner.numpy()
+
+
 class Layout:
     """Triangles laid out on a picture: which one owns each texel, and values linear over it."""
 
@@ -365,29 +319,12 @@ class Layout:
         self._atlas: Atlas | None = None
         texels = np.stack([corner_uv[..., 0] * width, (1.0 - corner_uv[..., 1]) * height], axis=-1)
         self.corners = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
-        owner = self._claim(GROW)
+        owner = claimed(self.corners, width, height, GROW, where)
         if padding:
-            ring = self._claim(RING if padding < 0 else min(RING, float(padding)))
+            ring = claimed(self.corners, width, height, RING if padding < 0 else min(RING, float(padding)), where)
             owner = np.where(owner == NOBODY, ring, owner)
         self.owner = wp.array(owner, dtype=wp.int32, device=where)
         self.known = owner != NOBODY
-
-    def _claim(self, grow: float) -> NDArray[np.int32]:
-        owner = wp.full(self.width * self.height, NOBODY, dtype=wp.int32, device=self.where)
-
-        def claim(rows: tuple[int, int]) -> None:
-            wp.launch(
-                kernels.own_texels,
-                dim=len(self.corners),
-                inputs=[self.corners, self.width, wp.float64(grow), *rows, owner],
-                device=self.where,
-            )
-
-        parts = launch_parts_of(self.where, self.height, core_count(), 1)
-        if parts > 1:
-            load(kernels.own_texels, self.where)
-        run_all(claim, [(self.height * k // parts, self.height * (k + 1) // parts) for k in range(parts)])
-        return owner.numpy()
 
     def owned(self) -> NDArray[np.int32]:
         return np.flatnonzero(self.known).astype(np.int32)
@@ -498,7 +435,7 @@ def bake_to_uv(
     layout = Layout(_own_uv(uv, faces, uv_faces), width, height, where, padding)
     if isinstance(source, VertexValues):
         return _bake_linear(layout, source.corner_values(faces), supersample, padding)
-    given = _source(source, projection, where)
+    given = source_of(source, projection, where)
     turned = s if rotation is None else s @ np.asarray(rotation, dtype=np.float64)
     points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
     picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)

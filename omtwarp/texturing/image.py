@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import io
 import os
+import struct
 import threading
 import warnings
+import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import MARK
 from omtwarp.inputs import open_input
@@ -27,6 +31,12 @@ PictureLike: TypeAlias = "str | os.PathLike[str] | Image | ArrayLike"
 """A picture in any of the forms that public functions take: a path, a PIL image, or an array [H, W] or [H, W, C]."""
 # Formats that Pillow decodes itself; it would pass others, such as EPS, to programs of the system.
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")
+
+# Bytes of an image above which it is compressed on all cores: below, Pillow takes a tenth of a second or two.
+MOST_FOR_ONE_CORE = 4_000_000
+STRIP = 64  # rows; what lies more than 32 kB back is not looked at by the compression anyway
+STRIP_LEVEL = 1  # of zlib: on textures a twentieth more bytes than at 4, in half of the time
+COLOUR_TYPES = {3: 2, 4: 6}  # of the format, by the number of channels
 
 _pillow = threading.Lock()  # over Pillow's own limit, which is one number for the whole process
 
@@ -147,15 +157,52 @@ def as_bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:
     """Return an image as a PNG file."""
+    if image.size > MOST_FOR_ONE_CORE and image.shape[2] in COLOUR_TYPES:
+        return _png_in_strips(image)
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
     stream = io.BytesIO()
-    level = 4 if image.size < LARGE_PICTURE else 3
     origin = PngInfo()
     origin.add_text("Software", MARK.decode())  # marks the file as one that a later run may replace
-    Image.fromarray(image).save(stream, format="PNG", compress_level=level, pnginfo=origin)
+    # A tenth more bytes than at Pillow's 6, in a third of the time.
+    Image.fromarray(image).save(stream, format="PNG", compress_level=4, pnginfo=origin)
     return stream.getvalue()
+
+
+def _png_in_strips(image: NDArray[np.uint8]) -> bytes:
+    """Return a large image as a PNG file, strips of rows compressed side by side, which Pillow cannot.
+
+    Every row is stored as its difference from the one above, filter 2 of the format. The strips' streams end at whole
+    bytes, so that they make one stream.
+    """
+    height, width, channels = image.shape
+    rows = image.reshape(height, width * channels)
+    bounds = [*range(0, height, STRIP), height]
+
+    def compressed(which: int) -> tuple[bytes, memoryview]:
+        first, end = bounds[which], bounds[which + 1]
+        lines = np.empty((end - first, width * channels + 1), dtype=np.uint8)
+        lines[:, 0] = 2
+        lines[1:, 1:] = rows[first + 1 : end] - rows[first : end - 1]
+        lines[0, 1:] = rows[first] - (rows[first - 1] if first else np.uint8(0))
+        packer = zlib.compressobj(STRIP_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+        content = lines.data.cast("B")
+        last = which == len(bounds) - 2
+        return packer.compress(content) + packer.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH), content
+
+    check, strips = 1, [b"\x78\x01"]  # the header of a zlib stream that was compressed fast
+    with ThreadPoolExecutor(core_count()) as threads:
+        for strip, content in threads.map(compressed, range(len(bounds) - 1)):
+            strips.append(strip)
+            check = zlib.adler32(content, check)
+    strips.append(struct.pack(">I", check))
+    header = struct.pack(">IIBBBBB", width, height, 8, COLOUR_TYPES[channels], 0, 0, 0)
+    parts = [(b"IHDR", header), (b"tEXt", b"Software\0" + MARK), (b"IDAT", b"".join(strips)), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(body, zlib.crc32(name)))
+        for name, body in parts
+    )
 
 
 def _first_line(error: BaseException) -> str:

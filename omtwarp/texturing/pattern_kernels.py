@@ -1,7 +1,10 @@
 # mypy: ignore-errors
 """Kernels that colour directions on the sphere with the built-in patterns.
 
-Every pattern is a function of the direction alone, exact at any resolution and independent of texels.
+Every pattern is a function of the direction alone, exact at any resolution: nothing here knows of texels.
+
+With its colour every direction gets its reach: an angle in radians within which the colour changes gradually, without
+an edge. It is never too large; beyond some angle, which is small beside a pattern's cells, edges are not looked for.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
@@ -29,6 +32,12 @@ def cell_of(value: wp.float64, low: wp.float64, high: wp.float64, count: int):
     return wp.clamp(k, 0, count - 1)
 
 
+@wp.func
+def near_multiple(value: wp.float64, step: wp.float64):
+    """Distance to the nearest multiple of a step."""
+    return wp.abs(value - step * wp.floor(value / step + HALF))
+
+
 @wp.kernel
 def checker_colours(
     directions: wp.array[wp.vec3d],
@@ -37,68 +46,20 @@ def checker_colours(
     colours: wp.array[wp.vec3d],
     # Data out:
     out: wp.array2d[wp.float64],
+    reach: wp.array[wp.float64],
 ):
-    i = wp.tid()
+    i, _compiled_once = wp.tid()
     d = directions[i]
-    column = cell_of(longitude(d), -PI, PI, columns)
-    row = cell_of(-latitude(d), -HALF * PI, HALF * PI, rows)
+    lon = longitude(d)
+    lat = latitude(d)
+    column = cell_of(lon, -PI, PI, columns)
+    row = cell_of(-lat, -HALF * PI, HALF * PI, rows)
     colour = colours[(column + row) & 1]
     for c in range(3):
         out[i, c] = colour[c]
-
-
-@wp.kernel
-def circle_colours(
-    directions: wp.array[wp.vec3d],
-    columns: int,
-    rows: int,
-    offsets: wp.array[wp.int32],
-    candidates: wp.array[wp.int32],
-    centres: wp.array[wp.vec3d],
-    inner: wp.array[wp.vec3d],
-    rim: wp.array[wp.vec3d],
-    outer: wp.float64,
-    rim_starts: wp.float64,
-    background: wp.vec3d,
-    # Data out:
-    out: wp.array2d[wp.float64],
-):
-    i, _compiled_once = wp.tid()
-    d = wp.normalize(directions[i])
-    # Only circles that reach this cell of a grid of longitude and latitude are tested.
-    cell = cell_of(latitude(d), -HALF * PI, HALF * PI, rows) * columns + cell_of(longitude(d), -PI, PI, columns)
-    colour = background
-    for k in range(offsets[cell], offsets[cell + 1]):
-        centre = candidates[k]
-        chord = wp.length_sq(d - centres[centre])  # squared, as the two limits are
-        if chord <= outer:
-            colour = inner[centre]
-            if chord > rim_starts:
-                colour = rim[centre]
-    for c in range(3):
-        out[i, c] = colour[c]
-
-
-@wp.func
-def smooth_union(a: wp.float64, b: wp.float64, k: wp.float64):
-    """Return the distance to a union of two shapes with the corner between them rounded (polynomial smooth minimum)."""
-    h = wp.max(k - wp.abs(a - b), ZERO) / k
-    return wp.min(a, b) - h * h * k * wp.float64(0.25)
-
-
-@wp.func
-def jigsaw_edge(s: wp.float64, t: wp.float64):
-    """Return the signed distance to a jigsaw edge: negative on the side of the piece that has the tab.
-
-    The edge runs along t = 0 for s in 0..1, the tab reaches into t > 0; lengths are in sides of a piece.
-    """
-    x = s - HALF
-    body = t
-    neck = wp.max(wp.abs(x) - wp.float64(0.055), t - wp.float64(0.16))
-    knob_x = x / wp.float64(1.16)  # a little wider than high
-    knob_t = t - wp.float64(0.185)
-    knob = wp.sqrt(knob_x * knob_x + knob_t * knob_t) - wp.float64(0.105)
-    return smooth_union(smooth_union(knob, neck, wp.float64(0.035)), body, wp.float64(0.05))
+    parallel = near_multiple(lat + HALF * PI, PI / wp.float64(rows))
+    meridian = near_multiple(lon + PI, (PI + PI) / wp.float64(columns))
+    reach[i] = wp.min(parallel, wp.asin(wp.min(wp.cos(lat) * wp.sin(wp.min(meridian, HALF * PI)), ONE)))
 
 
 @wp.func
@@ -123,6 +84,72 @@ def cube_face(d: wp.vec3d):
 
 
 @wp.kernel
+def circle_colours(
+    directions: wp.array[wp.vec3d],
+    side: int,
+    offsets: wp.array[wp.int32],
+    candidates: wp.array[wp.int32],
+    centres: wp.array[wp.vec3d],
+    inner: wp.array[wp.vec3d],
+    rim: wp.array[wp.vec3d],
+    outer: wp.float64,
+    rim_starts: wp.float64,
+    beyond: wp.float64,
+    background: wp.vec3d,
+    # Data out:
+    out: wp.array2d[wp.float64],
+    reach: wp.array[wp.float64],
+):
+    i, _compiled_once = wp.tid()
+    d = wp.normalize(directions[i])
+    # Only circles that reach this cell of the faces of a cube are looked at.
+    face = cube_face(d)
+    axis = face % 2
+    if face > 3:
+        axis = int(2)
+    scale = HALF * wp.float64(side) / wp.abs(d[axis])
+    column = wp.clamp(int((d[(axis + 1) % 3]) * scale + HALF * wp.float64(side)), 0, side - 1)
+    row = wp.clamp(int((d[(axis + 2) % 3]) * scale + HALF * wp.float64(side)), 0, side - 1)
+    cell = (face * side + row) * side + column
+    colour = background
+    near = beyond
+    for k in range(offsets[cell], offsets[cell + 1]):
+        centre = candidates[k]
+        chord = wp.length_sq(d - centres[centre])  # squared, as the two limits are
+        if chord <= outer:
+            colour = inner[centre]
+            if chord > rim_starts:
+                colour = rim[centre]
+        distance = wp.sqrt(chord)  # and a chord is shorter than its arc
+        near = wp.min(near, wp.min(wp.abs(distance - wp.sqrt(outer)), wp.abs(distance - wp.sqrt(rim_starts))))
+    for c in range(3):
+        out[i, c] = colour[c]
+    reach[i] = near
+
+
+@wp.func
+def smooth_union(a: wp.float64, b: wp.float64, k: wp.float64):
+    """The distance to a union of two shapes with the corner between them rounded (polynomial smooth minimum)."""
+    h = wp.max(k - wp.abs(a - b), ZERO) / k
+    return wp.min(a, b) - h * h * k * wp.float64(0.25)
+
+
+@wp.func
+def jigsaw_edge(s: wp.float64, t: wp.float64):
+    """Signed distance to a jigsaw edge: negative on the side of the piece that has the tab.
+
+    The edge runs along t = 0 for s in 0..1, the tab reaches into t > 0; lengths are in sides of a piece.
+    """
+    x = s - HALF
+    body = t
+    neck = wp.max(wp.abs(x) - wp.float64(0.055), t - wp.float64(0.16))
+    knob_x = x / wp.float64(1.16)  # a little wider than high
+    knob_t = t - wp.float64(0.185)
+    knob = wp.sqrt(knob_x * knob_x + knob_t * knob_t) - wp.float64(0.105)
+    return smooth_union(smooth_union(knob, neck, wp.float64(0.035)), body, wp.float64(0.05))
+
+
+@wp.kernel
 def puzzle_colours(
     directions: wp.array[wp.vec3d],
     frames: wp.array[wp.mat33d],
@@ -135,6 +162,7 @@ def puzzle_colours(
     line_colour: wp.vec3d,
     # Data out:
     out: wp.array2d[wp.float64],
+    reach: wp.array[wp.float64],
 ):
     i, _compiled_once = wp.tid()
     d = directions[i]
@@ -180,6 +208,10 @@ def puzzle_colours(
         colour = line_colour
     for c in range(3):
         out[i, c] = colour[c]
+    # Edges of other pieces are no nearer than half a tab; a piece's side is an angle of this, and the cube's faces
+    # shrink no length to less than half of it.
+    apart = wp.min(wp.abs(nearest - line), wp.abs(nearest - line - bevel))
+    reach[i] = wp.min(apart, wp.float64(0.1)) * HALF * HALF * PI / wp.float64(side)
 
 
 @wp.func
@@ -214,12 +246,6 @@ def piece_distance(px: wp.float64, py: wp.float64, stretch: wp.float64, a: wp.ve
     return wp.sqrt(dx * dx + dy * dy)
 
 
-@wp.func
-def near_multiple(value: wp.float64, step: wp.float64):
-    """Return the distance to the nearest multiple of a step."""
-    return wp.abs(value - step * wp.floor(value / step + HALF))
-
-
 @wp.kernel
 def globe_colours(
     directions: wp.array[wp.vec3d],
@@ -237,6 +263,7 @@ def globe_colours(
     line_width: wp.float64,
     # Data out:
     out: wp.array2d[wp.float64],
+    reach: wp.array[wp.float64],
 ):
     i, _compiled_once = wp.tid()
     d = directions[i]
@@ -293,3 +320,17 @@ def globe_colours(
         colour = colours[5]
     for c in range(3):
         out[i, c] = colour[c]
+    near = wp.abs(wp.min(coast, shelf_width) - HALF * coast_width)  # at the shelf's edge the slope alone changes
+    near = wp.min(near, wp.abs(near_multiple(lon, step) * stretch - HALF * line_width))
+    near = wp.min(near, wp.abs(parallel - HALF * line_width))
+    # Where the spacing of the lines, and the colours of land, change at once.
+    near = wp.min(near, wp.abs(wp.abs(lat) - line_width))
+    near = wp.min(near, wp.abs(lat + wp.float64(60.0)))
+    near = wp.min(near, wp.abs(wp.abs(lat) - wp.float64(66.0)))
+    near = wp.min(near, wp.abs(wp.abs(lat) - wp.float64(90.0) + step))
+    near = wp.min(near, wp.abs(wp.abs(lat) - wp.float64(89.0)))
+    near = wp.min(near, wp.abs(wp.abs(lat) - wp.float64(89.5)))
+    # Lengths along parallels are shortened as at the point's own latitude, which changes over the reach.
+    reach[i] = HALF * wp.min(near, shelf_width) / degree
+    if wp.abs(lat) > wp.float64(80.0):
+        reach[i] = ZERO

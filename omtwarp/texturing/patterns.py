@@ -36,6 +36,8 @@ BESIDE = 1e-7  # degrees beside a multiple of the data's hundredth: no parallel 
 NO_REACH = 1e-6  # degrees that an edge of the map, which is no coast, is seen from
 WITHIN = 1e-9  # chord that is added to a circle's reach, so that rounding leaves no cell's list without it
 SAME_PLACE = 1e-6  # chord: places on the two sides of an edge are the same, or a quarter of a side apart
+CELL = 0.7  # side, in radii of circles, of the cells of a cube on which circles are looked up
+MOST_CELLS = 128  # along the side of a face of that cube
 
 
 def _colours(*names: str) -> Floats:
@@ -60,11 +62,22 @@ class Pattern(ABC):
             self.launch(wp.array(d, dtype=wp.vec3d, device=where), out)
         return out.numpy()
 
-    def launch(self, directions: wp.array, out: wp.array) -> None:
-        """Colour an array of directions (vec3d, shape [N]) into ``out`` (float64, shape [>= N, 3]) on their device."""
+    def launch(self, directions: wp.array, out: wp.array) -> wp.array:
+        """Colour an array of directions (vec3d, shape [N]) into ``out`` (float64, shape [>= N, 3]) on their device.
+
+        Returns:
+            The reach of every direction, float64, shape [N]: an angle in radians within which there is no edge.
+        """
         device = directions.device
         inputs = self._inputs(device)
-        launch_parts(self._kernel, len(directions), lambda part: ([directions[part], *inputs, out[part]], []), device)
+        reach = wp.empty(len(directions), dtype=wp.float64, device=device)
+        launch_parts(
+            self._kernel,
+            len(directions),
+            lambda part: ([directions[part], *inputs], [out[part], reach[part]]),
+            device,
+        )
+        return reach
 
     _kernel: wp.Kernel
 
@@ -165,24 +178,26 @@ class Circles(Pattern):
         return np.where(distance <= 2.0 * np.sin(0.5 * self.radius), index, -1).astype(np.int64)
 
     def _tables(self) -> list[object]:
-        rows, columns = 48, 96
-        lat, lon = (
-            ((np.arange(rows) + 0.5) / rows - 0.5) * np.pi,
-            ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi,
-        )
-        cells = direction_from_angles(lon[None, :], lat[:, None]).reshape(-1, 3)
-        reach = self.radius + np.pi / rows  # the farthest point of a cell from its centre
+        side = int(np.clip(2.0 / (CELL * self.radius), 1, MOST_CELLS))
+        middle = (np.arange(side) + 0.5) * 2.0 / side - 1.0
+        cells = np.empty((6, side, side, 3))  # of the faces +x, +y, -x, -y, +z, -z of a cube
+        for face, (axis, sign) in enumerate(((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0), (2, 1.0), (2, -1.0))):
+            cells[face, :, :, axis] = sign
+            cells[face, :, :, (axis + 1) % 3] = middle[None, :]
+            cells[face, :, :, (axis + 2) % 3] = middle[:, None]
+        half = np.sqrt(2.0) / side  # no cell reaches farther than this from its middle
+        beyond = 0.5 * half  # and of circles outside of a cell's list no edge is nearer to it than this
         from scipy.spatial import cKDTree
 
-        chord = 2.0 * np.sin(min(reach, np.pi) / 2.0) + WITHIN
-        lists = cKDTree(self.centres).query_ball_point(cells, chord, return_sorted=True)
+        chord = 2.0 * np.sin(min(self.radius + half + beyond, np.pi) / 2.0) + WITHIN
+        tree = cKDTree(self.centres)
+        lists = tree.query_ball_point(normalised(cells.reshape(-1, 3)), chord, return_sorted=True)
         offsets = np.concatenate([[0], np.cumsum([len(x) for x in lists])]).astype(np.int32)
         members = np.concatenate([np.asarray(x, dtype=np.int32) for x in lists] + [np.zeros(1, dtype=np.int32)])
         inner = self.palette[self.groups]
         background = wp.vec3d(*self.background)
         return [
-            columns,
-            rows,
+            side,
             (offsets, wp.int32),
             (members, wp.int32),
             (self.centres, wp.vec3d),
@@ -190,6 +205,7 @@ class Circles(Pattern):
             (inner * 0.8, wp.vec3d),
             wp.float64(4.0 * np.sin(0.5 * self.radius) ** 2),
             wp.float64(4.0 * np.sin(0.455 * self.radius) ** 2),
+            wp.float64(beyond),
             background,
         ]
 

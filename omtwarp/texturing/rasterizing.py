@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import Equirectangular, check_size
-from omtwarp.texturing.baking import bake
+from omtwarp.texturing.bending import Look
 from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection, direction_from_angles
@@ -41,7 +43,7 @@ def rasterize(
     given = pattern(source)
     if projection == "equirectangular":
         target = Equirectangular(width, height)
-        return as_bytes(bake(given, target, supersample=supersample, device=device))
+        return bake_bytes(given, Look(target, resolve_device(device)), supersample=supersample)
     return as_bytes(_rasterize_sinusoidal(given, width, height, supersample, device))
 
 

@@ -20,8 +20,9 @@ Where a triangle of the grid would be flipped, the map is blended with the linea
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import scipy.sparse as sparse
@@ -59,17 +60,22 @@ class SmoothMap:
     Attributes:
         parts: n, into how many parts every edge is divided.
         sphere: unit vectors of all points: the mesh's vertices first, then those on edges and inside, shape [N, 3].
-        given: the map as it was at the mesh's vertices, unit vectors, shape [V, 3].
         grid: the points of every triangle, row by row as :func:`grid_points` lists them, int32, shape [F, K].
-        weights: sparse, shape [N, V]: every point as a combination of vertices; ``weights @ x`` carries over what is
-            linear on triangles, such as the surface itself.
+        combine: makes the weights.
     """
 
     parts: int
     sphere: Floats
-    given: Floats
     grid: Ints
-    weights: sparse.csr_matrix
+    combine: Callable[[], sparse.csr_matrix]
+
+    @cached_property
+    def weights(self) -> sparse.csr_matrix:
+        """Return every point as a combination of vertices, sparse, shape [N, V].
+
+        ``weights @ x`` carries over what is linear on triangles, such as the surface itself.
+        """
+        return self.combine()
 
     @property
     def faces(self) -> Ints:
@@ -121,23 +127,88 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, fil
         >>> smooth_map(ball.vertices, ball.faces, ball.vertices, 3).sphere.shape
         (92, 3)
     """
+    return smooth_curves(vertices, faces, sphere, filtered=filtered and parts > 1).divided(parts)
+
+
+def smooth_curves(vertices: Floats, faces: Ints, sphere: Floats, *, filtered: bool = True) -> SmoothCurves:
+    """Return the curves that the smooth map has over the edges of a mesh, from which it is known everywhere.
+
+    Args:
+        vertices, faces, sphere, filtered: as in :func:`smooth_map`.
+    """
     faces = np.asarray(faces, dtype=np.int32)
     tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
     keys, edge_of = np.unique(np.minimum(tails, heads) * len(vertices) + np.maximum(tails, heads), return_inverse=True)
     ends = np.stack(np.divmod(keys, len(vertices)), axis=1)
-    edge_of = edge_of.reshape(-1, 3)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     places = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
-    given = sphere
-    if filtered and parts > 1:
-        sphere = _without_waves(places, faces, sphere)
-    towards = _edge_derivatives(places, faces, sphere, ends)
+    still = _without_waves(places, faces, sphere) if filtered else sphere
+    towards = _edge_derivatives(places, faces, still, ends)
+    return SmoothCurves(places, faces, sphere, still, ends, edge_of.reshape(-1, 3), towards)
 
+
+@dataclass(frozen=True)
+class SmoothCurves:
+    """A smooth map by its cubic curves over the edges of a mesh.
+
+    Attributes:
+        places: the surface, in a box of length one, shape [V, 3].
+        faces: its triangles, shape [F, 3].
+        given: the map at its vertices, shape [V, 3].
+        sphere: the same, waves of a few edges taken out, shape [V, 3].
+        ends: the vertices of every edge, the lower number first, shape [E, 2].
+        edge_of: the edge from every corner of a triangle to the next, shape [F, 3].
+        towards: derivatives at both ends of every edge, from the first to the second, shape [E, 2, 3].
+    """
+
+    places: Floats
+    faces: Ints
+    given: Floats
+    sphere: Floats
+    ends: NDArray[np.int64]
+    edge_of: NDArray[np.int64]
+    towards: Floats
+
+    @cached_property
+    def bend(self) -> Floats:
+        """Return a bound on how far along the sphere the edges of every triangle leave straight ones, as angles, shape [F].
+
+        With the derivatives' differences from the chord, a and b, the two differ by t (1 - t)² a - t² (1 - t) b.
+        """
+        apart = self.towards - (self.sphere[self.ends[:, 1]] - self.sphere[self.ends[:, 0]])[:, None]
+        middle = self.sphere[self.ends].sum(axis=1)
+        middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), np.finfo(float).tiny)
+        apart -= np.einsum("esj,ej->es", apart, middle)[..., None] * middle[:, None]
+        largest: Floats = (4.0 / 27.0 * np.linalg.norm(apart, axis=2).sum(axis=1))[self.edge_of].max(axis=1)
+        return largest
+
+    def divided(self, parts: int, which: NDArray[np.int64] | None = None) -> SmoothMap:
+        """Return the map with triangles divided: all of them, or those of some numbers."""
+        faces, edge_of, ends, towards = self.faces, self.edge_of, self.ends, self.towards
+        if which is not None:
+            faces, edge_of = faces[which], edge_of[which]
+            kept = np.zeros(len(ends), dtype=bool)
+            kept[edge_of] = True
+            edge_of = (np.cumsum(kept) - 1)[edge_of]
+            ends, towards = ends[kept], towards[kept]
+        return _divided(self, faces, edge_of, ends, towards, parts)
+
+
+def _divided(
+    curves: SmoothCurves,
+    faces: Ints,
+    edge_of: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    towards: Floats,
+    parts: int,
+) -> SmoothMap:
+    """Divide triangles of a smooth map evenly, from their edges' ends and derivatives."""
+    places, sphere = curves.places, curves.sphere
     points = grid_points(parts)
     share = np.column_stack([parts - points.sum(axis=1), points]) / parts  # of the three corners
     on_edge = np.isclose(share, 0.0)
     inner = np.flatnonzero(~on_edge.any(axis=1))
-    count, steps = len(vertices), np.arange(1, parts)
+    count, steps = len(sphere), np.arange(1, parts)
     first_inner = count + len(ends) * (parts - 1)
     grid = np.empty((len(faces), len(points)), dtype=np.int32)
     grid[:, inner] = first_inner + np.arange(len(faces))[:, None] * len(inner) + np.arange(len(inner))
@@ -166,9 +237,8 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, fil
     owners = np.concatenate(
         [np.repeat(np.arange(len(ends)), parts - 1), len(ends) + np.repeat(np.arange(len(faces)), len(inner))]
     )
-    weights = _weights(ends, faces, steps / parts, share[inner], count)
     result = _without_flips(sphere, faces, lines, added, owners, edge_of, grid, parts)
-    return SmoothMap(parts, result, given, grid, weights)
+    return SmoothMap(parts, result, grid, partial(_weights, ends, faces, steps / parts, share[inner], count))
 
 
 def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:

@@ -1,60 +1,23 @@
 # mypy: ignore-errors
 """The kernel that turns directions of a picture into those that the smooth map gives to the same point of a surface."""
 
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.texturing.kernels import drawn_back, picture_point
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.location.kernels import clamped, spherical_coordinates
+from omtwarp.texturing.kernels import picture_direction, picture_point
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# How far outside of its triangle, in shares of it, a point may lie that is not drawn back.
-SLACK = wp.constant(wp.float64(1.0e-9))
+# From the triangle that holds the middle of a block of texels to that of a sample: the meshes of most surfaces have
+# fewer triangles across a block than this.
+MOST_STEPS = wp.constant(64)
+# How far outside of its triangle, in shares of it, a point may lie where the walk ends: ten times round-off's part of
+# the least triangle that a texel shows.
+SLACK = wp.constant(wp.float64(-1.0e-9))
 
 
-@wp.kernel
-def bend_directions(
-    kind: int,
-    width: int,
-    height: int,
-    offset: wp.float64,
-    gutter: wp.float64,
-    owner: wp.array[wp.int32],
-    source_face: wp.array[wp.int32],
-    faces: wp.array2d[wp.int32],
-    sphere: wp.array[wp.vec3d],
-    grid: wp.array2d[wp.int32],
-    points: wp.array[wp.vec3d],
-    parts: int,
-    directions: wp.array[wp.vec3d],
-    # Data out:
-    out: wp.array[wp.vec3d],
-):
-    """Add to a direction what the smooth map differs by from the linear one at that point of the surface.
-
-    ``owner`` names the triangle of the layout for every texel, ``source_face`` the triangle of the mesh for that, a
-    number above all others where nothing is to be added.
-    """
-    i, _compiled_once = wp.tid()
-    d = directions[i]
-    out[i] = d
-    place = picture_point(kind, d, width, height, offset, gutter)
-    column = wp.clamp(int(wp.floor(place[0])), 0, width - 1)
-    row = wp.clamp(int(wp.floor(place[1])), 0, height - 1)
-    part = owner[row * width + column]
-    if part >= source_face.shape[0]:
-        return
-    f = source_face[part]
-    if f >= faces.shape[0]:
-        return
-    p = sphere[faces[f, 0]]
-    q = sphere[faces[f, 1]]
-    r = sphere[faces[f, 2]]
-    u = wp.dot(d, wp.cross(q, r))
-    v = wp.dot(d, wp.cross(r, p))
-    total = u + v + wp.dot(d, wp.cross(p, q))
-    if total == ZERO:
-        return
-    # A texel's triangle may be a neighbour of the one that the direction lies in: the nearest point of it will do.
-    bary = drawn_back(u / total, v / total, SLACK)
+@wp.func
+def grid_place(bary: wp.vec3d, parts: int, first: int, grid: wp.array[wp.int32], points: wp.array[wp.vec3d]):
+    """The point of a divided triangle at barycentric coordinates."""
     n = wp.float64(parts)
     x = wp.clamp(bary[1], ZERO, ONE) * n
     y = wp.clamp(bary[2], ZERO, ONE) * n
@@ -62,16 +25,87 @@ def bend_directions(
     b = wp.clamp(int(wp.floor(y)), 0, parts - 1 - a)
     s = x - wp.float64(a)
     t = y - wp.float64(b)
-    here = a * (2 * parts + 3 - a) // 2 + b
-    after = (a + 1) * (2 * parts + 2 - a) // 2 + b  # one step towards corner 1
-    smooth = wp.vec3d(ZERO, ZERO, ZERO)
+    here = first + a * (2 * parts + 3 - a) // 2 + b
+    after = first + (a + 1) * (2 * parts + 2 - a) // 2 + b  # one step towards corner 1
     if s + t <= ONE or a + b == parts - 1:
-        smooth = (ONE - s - t) * points[grid[f, here]] + s * points[grid[f, after]] + t * points[grid[f, here + 1]]
-    else:
-        smooth = (
-            (s + t - ONE) * points[grid[f, after + 1]]
-            + (ONE - t) * points[grid[f, after]]
-            + (ONE - s) * points[grid[f, here + 1]]
-        )
-    linear = wp.normalize(bary[0] * p + bary[1] * q + bary[2] * r)
-    out[i] = wp.normalize(d + wp.normalize(smooth) - linear)
+        return (ONE - s - t) * points[grid[here]] + s * points[grid[after]] + t * points[grid[here + 1]]
+    return (
+        (s + t - ONE) * points[grid[after + 1]] + (ONE - t) * points[grid[after]] + (ONE - s) * points[grid[here + 1]]
+    )
+
+
+@wp.kernel
+def bent_sample_directions(
+    kind: int,
+    width: int,
+    height: int,
+    offset: wp.float64,
+    gutter: wp.float64,
+    texels: wp.array[wp.int32],
+    samples: int,
+    block: int,
+    blocks_across: int,
+    hints: wp.array[wp.int32],
+    faces: wp.array[wp.vec3i],
+    neighbours: wp.array[wp.vec3i],
+    sphere: wp.array[wp.vec3d],
+    first: wp.array[wp.int32],
+    divided: wp.array[wp.int32],
+    grid: wp.array[wp.int32],
+    points: wp.array[wp.vec3d],
+    # Data out:
+    directions: wp.array[wp.vec3d],
+):
+    """Directions of the samples of texels, moved by what the smooth map differs by from the linear one there.
+
+    ``hints`` names a triangle of the mesh near every block of texels, -1 where there is none. ``divided`` says into how
+    many parts the edges of a triangle are divided, 0 where the smooth map is the linear one; ``first`` where its points
+    begin in the grid.
+    """
+    i, _compiled_once = wp.tid()
+    number = texels[i]
+    row = number // width
+    column = number % width
+    # All samples are moved as the middle is: across a texel that changes by a small part of one.
+    d = picture_direction(kind, wp.float64(column) + HALF, wp.float64(row) + HALF, width, height, offset, gutter)
+    f = hints[row // block * blocks_across + column // block]
+    if f < 0:  # in a gutter, which shows what lies elsewhere on the picture
+        place = picture_point(kind, d, width, height, offset, gutter)
+        column_there = wp.clamp(int(wp.floor(place[0])), 0, width - 1)
+        row_there = wp.clamp(int(wp.floor(place[1])), 0, height - 1)
+        f = hints[row_there // block * blocks_across + column_there // block]
+    weights = wp.vec3d()
+    found = bool(False)
+    steps = int(0)
+    while f >= 0 and steps < MOST_STEPS and not found:
+        face = faces[f]
+        weights = spherical_coordinates(sphere[face[0]], sphere[face[1]], sphere[face[2]], d)
+        total = weights[0] + weights[1] + weights[2]
+        worst = int(0)
+        if weights[1] < weights[worst]:
+            worst = int(1)
+        if weights[2] < weights[worst]:
+            worst = int(2)
+        if weights[worst] >= SLACK * total and total > ZERO:
+            found = True
+        else:
+            f = neighbours[f][(worst + 1) % 3]  # corner k is opposite to the edge from corner k + 1
+            steps = steps + 1
+    move = wp.vec3d(ZERO, ZERO, ZERO)
+    if found:
+        parts = divided[f]
+        if parts > 0:
+            bary = clamped(weights)
+            face = faces[f]
+            linear = bary[0] * sphere[face[0]] + bary[1] * sphere[face[1]] + bary[2] * sphere[face[2]]
+            smooth = grid_place(bary, parts, first[f], grid, points)
+            move = wp.normalize(smooth) - wp.normalize(linear)
+    if samples == 1:
+        directions[i] = wp.normalize(d + move)
+        return
+    step = ONE / wp.float64(samples)
+    for k in range(samples * samples):
+        x = wp.float64(column) + (wp.float64(k % samples) + HALF) * step
+        y = wp.float64(row) + (wp.float64(k // samples) + HALF) * step
+        sample = picture_direction(kind, x, y, width, height, offset, gutter)
+        directions[i * samples * samples + k] = wp.normalize(sample + move)

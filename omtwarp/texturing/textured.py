@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, cast
@@ -11,11 +12,13 @@ from typing import Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import ROUND_OFF, real_number, real_numbers
 from omtwarp.mesh.checks import as_faces
+from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
-from omtwarp.texturing.baking import bake, bake_on_map
+from omtwarp.texturing.bending import Bending, BentLook, Look
 from omtwarp.texturing.export import export
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 from omtwarp.texturing.mesh import TexturedMesh
@@ -24,7 +27,7 @@ from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
 from omtwarp.texturing.sharpness import sharp_size
-from omtwarp.texturing.smooth import smooth_map
+from omtwarp.texturing.smooth import smooth_curves
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -32,8 +35,6 @@ Ints = NDArray[np.int32]
 # Where a line turns by a quarter of a radian at an edge, and the next is 12 texels on, a smooth curve lies within 0.25
 # x 12 / 8 of a texel of it: smaller triangles need none.
 LEAST_BENT = 12.0
-GRID_STEP = 4.0  # texels between points of the smooth map, which is linear from one to the next
-MOST_PARTS = 8  # 45 points in every triangle; more would turn by less than 5 degrees from one to the next
 
 SHORTEST_DIRECTION = 1e-6  # of a map's point: shorter, it lies at the centre of the sphere, and names no direction
 # Texels of a picture's own size: at least what shows a pattern, at most what browsers and game engines load (WebGL 2).
@@ -163,17 +164,16 @@ def texture(
             raise OmtwarpError(f"texture size '{size}': give texels, or auto")
         size = sharp_size(vertices, faces, sphere, make_atlas(atlas).name).size
     source, layout, texels = _source(image, pattern, projection, atlas, size, seam)
-    cut = unwrap(sphere, faces, layout, rotation=rotation)
+    bends = texels is None and smooth and np.sqrt(layout.width * layout.height / len(faces)) >= LEAST_BENT
+    # NumPy lets go of the interpreter in long operations: two threads take two thirds of the time of one.
+    with ThreadPoolExecutor(1) as aside:
+        cutting = aside.submit(unwrap, sphere, faces, layout, rotation=rotation)
+        bending = Bending(smooth_curves(vertices, faces, sphere), layout) if bends else None
+        cut = cutting.result()
     if texels is None:
-        parts = _parts(layout, len(faces)) if smooth else 1
-        if parts == 1:
-            texels = as_bytes(bake(source, layout, projection=projection, device=device))
-        else:
-            divided = smooth_map(vertices, faces, sphere, parts)
-            bent = bake_on_map(
-                source, layout, cut, divided, faces, rotation=rotation, projection=projection, device=device
-            )
-            texels = as_bytes(bent)
+        where = resolve_device(device)
+        look = BentLook(bending, cut, rotation, where) if bending is not None else Look(layout, where)
+        texels = bake_bytes(source, look, projection=projection)
     if texels.shape[2] == 4 and texels[..., 3].min() == 255:
         texels = texels[..., :3]
     return TexturedSurface(
@@ -214,12 +214,6 @@ def _source(
     if unchanged and picture.shape[:2] == (layout.height, layout.width):
         return picture, *_shifted(picture, seam)
     return picture, layout, None
-
-
-def _parts(layout: Atlas, face_count: int) -> int:
-    """Return into how many parts edges are divided to bend a texture; 1 where that would not show."""
-    side = float(np.sqrt(layout.width * layout.height / face_count))  # of the square that a triangle's texels fill
-    return 1 if side < LEAST_BENT else int(np.clip(np.ceil(side / GRID_STEP), 2, MOST_PARTS))
 
 
 def vertex_normals(vertices: Floats, faces: Ints) -> Floats:

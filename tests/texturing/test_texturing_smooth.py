@@ -130,7 +130,8 @@ def test_meshes_that_are_no_surfaces_do_no_harm():
     vertices, sphere = np.concatenate([vertices, [[9.0, 9.0, 9.0]]]), np.concatenate([sphere, [[0.0, 0.0, 1.0]]])
     divided = smooth_map(vertices, faces, sphere, 4)
     assert np.isfinite(divided.sphere).all()
-    np.testing.assert_array_equal(divided.given, sphere)
+    still = smooth_map(vertices, faces, sphere, 4, filtered=False)
+    np.testing.assert_array_equal(still.sphere[: len(sphere)], sphere)
 
 
 @pytest.mark.parametrize("atlas", ["cube", "octahedral", "equirectangular"])
