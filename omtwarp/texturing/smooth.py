@@ -171,7 +171,7 @@ class SmoothCurves:
 
     @cached_property
     def bend(self) -> Floats:
-        """Return a bound on how far along the sphere the edges of every triangle leave straight ones, as angles, shape [F].
+        """Return a bound on the angle by which the edges of every triangle leave straight ones, shape [F].
 
         With the derivatives' differences from the chord, a and b, the two differ by t (1 - t)² a - t² (1 - t) b.
         """
