@@ -21,9 +21,6 @@ from omtwarp.files import MARK
 from omtwarp.inputs import open_input
 from omtwarp.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 
-# Bytes of pixels: above, a tenth more bytes than at Pillow's level 6 save two thirds of the time.
-LARGE_PICTURE = 30_000_000
-
 if TYPE_CHECKING:
     from PIL.Image import Image
 
