@@ -547,7 +547,7 @@ class _Run:
         return found, weight
 
     def first_shape_weight(self, sphere: NDArray[np.float64]) -> float:
-        """The largest weight of the shape term that is tried: less for maps that move points little."""
+        """Return the largest weight of the shape term that is tried: less for maps that move points little."""
         cost = transport_cost(self.surface, self.points(sphere), start=self.start, device=self.device)
         return min(SHAPE_WEIGHT, SHAPE_BY_DISTANCE * float(np.sqrt(cost / SPHERE_AREA)))
 

@@ -58,3 +58,19 @@ def test_no_retired_word_is_used(files):
         for match in PATTERN.finditer(line)
     ]
     assert not found, "plain terms are in CONTRIBUTING's glossary and in RETIRED; retired ones in\n" + "\n".join(found)
+
+
+NOUN_PHRASE = re.compile(r"(The|A|An|One|Every|Each|Whether|How|Which|Where|What|Why|Some|Those)\b")
+DESCRIPTIVE = ("property", "fixture", "overload")  # decorators of functions whose docstrings are nouns
+
+
+def test_docstrings_of_functions_begin_with_a_verb():
+    found = []
+    for file in SOURCES:
+        if file.is_relative_to(ROOT / "omtwarp"):
+            for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+                if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                    described = any(word in ast.unparse(d) for d in node.decorator_list for word in DESCRIPTIVE)
+                    if not described and NOUN_PHRASE.match(ast.get_docstring(node) or ""):
+                        found.append(f"{file.relative_to(ROOT)}:{node.lineno}: {node.name}")
+    assert not found, "begin these docstrings with a verb in the imperative:\n" + "\n".join(found)

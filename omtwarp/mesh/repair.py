@@ -16,7 +16,7 @@ LARGEST_HOLE = 64
 CRUMBS = 8
 """Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners."""
 
-# Rounds of exchanged edges, so that they end: each round mends one triangle of every row of flat ones.
+# Rounds of exchanged edges, so that they end: each round repairs one triangle of every row of flat ones.
 MOST_ROUNDS = 1000
 LEAST_AREA = 1e-12  # twice the area of a triangle that fills a hole, in units of the hole's size squared: less is none
 

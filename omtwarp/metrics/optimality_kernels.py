@@ -144,7 +144,7 @@ def triangle_costs(
     # Data out:
     mean_out: wp.array[wp.float64],
 ):
-    """Mean of half the squared distance over every triangle, from the middles of its edges."""
+    """Compute the mean of half the squared distance over every triangle, from the middles of its edges."""
     f = wp.tid()
     face = faces[f]
     total = wp.float64(0.0)

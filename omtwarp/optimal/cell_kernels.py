@@ -19,14 +19,14 @@ def vertex_squares(
     # Data out:
     square: wp.array[wp.float64],
 ):
-    """Square of the distance of every vertex to its start, shape [V]."""
+    """Compute the square of the distance of every vertex to its start, shape [V]."""
     v = wp.tid()
     _pull, distance = logarithm(points[v], start[v])
     square[v] = distance * distance
 
 
-# Beside transport_gradient, which sums the potentials of a triangle's corners from the vertex itself on: kept by
-# triangle, as here, that sum would have one order for all three, and round differently.
+# Unlike transport_gradient, which sums the potentials of a triangle's corners beginning with the vertex itself: per
+# triangle, as here, that sum has one order for all three, and is rounded differently.
 @wp.kernel
 def cell_gradient(
     start: wp.array[wp.vec3d],
@@ -41,7 +41,7 @@ def cell_gradient(
     # Data out:
     gradient: wp.array[wp.vec3d],
 ):
-    """Gradient of the cost and of Σ P_c a_c, P_c fixed, by the vertices, tangent to the sphere, shape [V]."""
+    """Compute the gradient of cost and Σ P_c a_c, P_c fixed, by the vertices, tangent to the sphere, shape [V]."""
     v, _compiled_once = wp.tid()
     v += first
     y = points[v]
@@ -63,7 +63,7 @@ def cell_couplings(
     # Data out:
     couplings: wp.array2d[wp.vec2d],
 ):
-    """Derivatives of the area of every cell by its six vertices, in their tangent bases, shape [F, 6]."""
+    """Compute the derivatives of the area of every cell by its six vertices, in their tangent bases, shape [F, 6]."""
     c, _compiled_once = wp.tid()
     c += first
     for k in range(3):

@@ -1,10 +1,10 @@
 """The optimal map of a quartered mesh that keeps the area of every triangle of the mesh itself.
 
-The cells whose areas are kept are the triangles c of the mesh, each the sum of four parts (P1-iso-P2/P0 in the language
-of incompressible elasticity, which does not lock). A cell's mass A_c lies on its six vertices, a twelfth on each corner
+The cells whose areas are kept are the triangles c of the mesh, each the sum of four parts (P1-iso-P2/P0 in
+incompressible elasticity, which does not lock). A cell's mass A_c lies on its six vertices, a twelfth on each corner
 and a quarter on each middle of an edge, so that the vertices' masses are those of the quartered mesh. As in
 :mod:`omtwarp.optimal.energy` the cost is written with the image's cells, C' = Σ a_c Σ w_cv d(x_v, y_v)² / 4π, and the
-multipliers p_c belong to what does not move.
+multipliers p_c belong to cells, which do not move.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def exact_map(
         quartered: the mesh's triangles, F, in four parts each; V vertices.
         sphere: a map without flips to begin with, unit vectors, shape [V, 3].
         start: the points x that are transported, unit vectors, shape [V, 3].
-        shape_weight: weight of angle and area distortion of the parts beside the mean squared distance.
+        shape_weight: weight of angle and area distortion of the parts relative to the mean squared distance.
         multipliers: of a map nearby, such as one with another shape weight, to begin with; shape [F].
         iterations: most steps.
         gain: end where the expected gain of a step falls below this share of the cost, and areas are kept to 1e-6.
@@ -127,13 +127,13 @@ class CellEnergy(TransportEnergy):
         self._factor: SaddlePointFactor | None = None
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """Factorisation of the matrices that :meth:`blocks` gives; the same object at every call."""
+        """Return the factorisation of the matrices that :meth:`blocks` gives; the same object at every call."""
         if self._factor is None:
             self._factor = cell_saddle_factor(self.surface, self.cells)
         return self._factor
 
     def terms(self, points: wp.array) -> MapTerms:
-        """Areas of the cells, shape [F], in place of those around vertices."""
+        """Return the areas of the cells, shape [F], in place of those around vertices."""
         square = wp.empty(self.surface.vertex_count, dtype=wp.float64, device=self.device)
 
         def of_triangles(part: slice) -> tuple[list[object], list[object]]:
@@ -148,11 +148,11 @@ class CellEnergy(TransportEnergy):
         return MapTerms(areas, square.numpy(), self.shape.terms(points))
 
     def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """P_c, shape [F], from p_c."""
+        """Return P_c, shape [F], from p_c."""
         return multipliers + self.cost_weight / SPHERE_AREA * self._means(terms)
 
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
-        """C' + Σ p_c (a_c - A_c) + β S."""
+        """Return C' + Σ p_c (a_c - A_c) + β S."""
         cost = self.cost_weight * float(terms.ring @ self._means(terms)) / SPHERE_AREA
         return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
@@ -174,7 +174,7 @@ class CellEnergy(TransportEnergy):
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Numbers, Numbers, Numbers]:
-        """Blocks of the matrix; the derivatives of areas are those of every cell by its vertices, shape [F, 6, 2]."""
+        """Return the blocks of the matrix, with derivatives of cells' areas by vertices, shape [F, 6, 2]."""
         count, device = self.surface.vertex_count, self.device
         hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
@@ -194,10 +194,10 @@ class CellEnergy(TransportEnergy):
         return diagonal, off_diagonal, self._couplings.numpy()
 
     def _means(self, terms: MapTerms) -> Numbers:
-        """Mean of d(x, y)² over the mass of every cell, shape [F]."""
+        """Return the mean of d(x, y)² over the mass of every cell, shape [F]."""
         return terms.square[self.cells] @ self._shares
 
     def _masses(self, terms: MapTerms) -> Numbers:
-        """The image's area that every vertex stands for, shape [V]."""
+        """Return the image's area that every vertex stands for, shape [V]."""
         shares = terms.ring[:, None] * self._shares
         return np.bincount(self.cells.ravel(), shares.ravel(), self.surface.vertex_count).astype(np.float64)

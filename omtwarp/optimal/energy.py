@@ -8,7 +8,7 @@ conformal sphere and is mapped to y_v. With a_v(y) the solid angle of the triang
 where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. Keeping the areas
 of all triangles instead would leave a map no freedom: 2V - 5 conditions on 2V - 3 coordinates. Keeping the areas around
 vertices, the cells on which the paper's density lives, leaves half of it, as in the smooth problem. C and the areas do
-not see every mode of a mesh; S holds the rest.
+not see every mode of a mesh; S determines the rest.
 
 The cost is written with the cells of the image in place of the masses, C' = Σ a_v d(x_v, y_v)² / 12π. On maps that keep
 the areas C' = C, so that the problem is the same; but the multipliers p_v of C' belong to the points x_v, and do not
@@ -108,15 +108,15 @@ class TransportEnergy:
         self._newton = NewtonMatrix.of_surface(surface, self.shape.workspace)
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """Factorisation of the matrices that :meth:`blocks` gives."""
+        """Return the factorisation of the matrices that :meth:`blocks` gives."""
         return surface_saddle_factor(self.surface)
 
     def flip_free_steps(self) -> FlipFreeSteps:
-        """Steps that move maps along directions."""
+        """Return the steps that move maps along directions."""
         return FlipFreeSteps(self.surface, self.device)
 
     def terms(self, points: wp.array) -> MapTerms:
-        """Areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""
+        """Return the areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""
         count, faces = self.surface.vertex_count, self._mesh.faces
         ring, square = (wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(2))
 
@@ -131,29 +131,29 @@ class TransportEnergy:
         return MapTerms(ring.numpy(), square.numpy(), self.shape.terms(points))
 
     def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """P_v, the potential of the target at the vertices, shape [V], from p_v."""
+        """Return P_v, the potential of the target at the vertices, shape [V], from p_v."""
         return multipliers + self.cost_weight / (3.0 * SPHERE_AREA) * terms.square
 
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
-        """C' + Σ p_v (a_v - 3 m_v) + β S."""
+        """Return C' + Σ p_v (a_v - 3 m_v) + β S."""
         cost = self.cost_weight * float(terms.ring @ terms.square) / (3.0 * SPHERE_AREA)
         return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
     def missing(self, terms: MapTerms) -> Numbers:
-        """a_v - 3 m_v, shape [V]."""
+        """Return a_v - 3 m_v, shape [V]."""
         return terms.ring - self.wanted
 
     def ring_errors(self, terms: MapTerms) -> tuple[float, float]:
-        """Root mean square, weighted by area, and largest of a_v / 3 m_v - 1."""
+        """Return the root mean square, weighted by area, and largest of a_v / 3 m_v - 1."""
         relative = self.missing(terms) / self.wanted
         return float(np.sqrt((self.wanted * relative**2).sum() / self.wanted.sum())), float(np.abs(relative).max())
 
     def cost(self, terms: MapTerms) -> float:
-        """Σ m_v d(x_v, y_v)², with masses 4π in all."""
+        """Return Σ m_v d(x_v, y_v)², with masses 4π in all."""
         return float(self.surface.vertex_areas @ terms.square)
 
     def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """Gradient of the Lagrangian by the vertices, tangent to the sphere, shape [V, 3]."""
+        """Return the gradient of the Lagrangian by the vertices, tangent to the sphere, shape [V, 3]."""
         count, device = self.surface.vertex_count, self.device
         ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
         potential = wp.array(self.potential(terms, multipliers), dtype=wp.float64, device=device, copy=False)
@@ -171,7 +171,7 @@ class TransportEnergy:
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Numbers, Numbers, Numbers]:
-        """Second derivative of the Lagrangian and first derivatives of the areas, in the vertices' tangent bases.
+        """Return the second derivative of the Lagrangian and first derivatives of the areas, in tangent bases.
 
         Args:
             points: the map, vec3d, shape [V].

@@ -17,7 +17,7 @@ LINE = wp.constant(wp.float64(1e-9))
 
 @wp.func
 def area_gradient(own: wp.vec3d, p: wp.vec3d, q: wp.vec3d) -> wp.vec3d:
-    """Gradient of the solid angle of the triangle (own, p, q) by its first corner, tangent to the sphere there."""
+    """Return the gradient of the solid angle of (own, p, q) by its first corner, tangent to the sphere there."""
     normal = wp.cross(p, q)
     towards = p + q
     # Six times the volume from differences: the sines of small triangles keep their digits.
@@ -39,7 +39,7 @@ def ring_terms(
     ring: wp.array[wp.float64],
     square: wp.array[wp.float64],
 ):
-    """Solid angle of the triangles around every vertex, and the square of its distance to its start, shape [V]."""
+    """Compute the solid angle around every vertex, and the square of its distance to its start, shape [V]."""
     v = first + wp.tid()
     total = wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
@@ -63,7 +63,7 @@ def transport_gradient(
     # Data out:
     gradient: wp.array[wp.vec3d],
 ):
-    """Gradient of the cost and of Σ P_v a_v, P_v fixed, by the vertices, tangent to the sphere, shape [V]."""
+    """Compute the gradient of cost and Σ P_v a_v, P_v fixed, by the vertices, tangent to the sphere, shape [V]."""
     v, _compiled_once = wp.tid()
     v += first
     y = points[v]
@@ -87,7 +87,7 @@ def ring_couplings(
     forward: wp.array[wp.vec2d],
     backward: wp.array[wp.vec2d],
 ):
-    """Derivatives of areas around vertices in tangent bases, shape [E] each.
+    """Compute the derivatives of areas around vertices in tangent bases, shape [E] each.
 
     ``forward`` holds that of the first end's area by the second end's coordinates, ``backward`` that of the second
     end's area by the first end's. Both are sums over the two triangles of the edge.
@@ -134,7 +134,7 @@ def cost_metric(
     # Data out:
     metric: wp.array2d[wp.float64],
 ):
-    """Second derivative of cost plus potential at every vertex, a 2x2 matrix in its tangent basis, shape [V, 4].
+    """Compute the second derivative of cost plus potential at vertices, 2x2 in the tangent basis, shape [V, 4].
 
     At the optimum it is a_v times the derivative of the inverse map y -> x, which is symmetric and positive there. That
     derivative is fitted to the neighbours of the vertex, made symmetric, and its eigenvalues raised to ``least``.

@@ -1,9 +1,9 @@
-"""Newton steps of the few vertices that hold back the whole map.
+"""Newton steps of the few vertices that limit the steps of the whole map.
 
-Next to needles a step of the whole map is short-sighted: a few vertices there have far to go, and while they move every
-matrix of the whole map is soon out of date. After three or four steps nine tenths of what is left to gain lies with one
-vertex in a hundred. With all others held their saddle-point system is small, and several steps of theirs cost less than
-one of all: on scans this takes three quarters of the factorisations off.
+Next to needles a few vertices have far to go, and while they move a matrix of the whole map is soon out of date. After
+three or four steps nine tenths of the remaining gain comes from one vertex in a hundred. With all others held, their
+saddle-point system is small, and several steps of theirs cost less than one of all: on scans this saves three quarters
+of the factorisations.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class LocalSteps:
         free_rows = [self._sent(offsets[: self._free + 1], wp.int32), self._rows[1]]
         areas = self._sent(self._areas, wp.float64)
         self._triangles = TriangleKernels(self._faces, frames, areas, free_rows, energy.shape.workspace)
-        # Of the whole map's area patches are a small part: its scale is taken to stay.
+        # Patches are a small part of the map's area: its scale is taken as constant.
         self._pressures = energy.shape.pressures(terms.shape, energy.area_weight)
         self.multipliers, self._stiffness = multipliers[self._vertices], stiffness[self._vertices]
         self._wanted = energy.wanted[self._vertices]
@@ -134,11 +134,11 @@ class LocalSteps:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device, copy=False)
 
     def _sums(self, values: Numbers) -> Numbers:
-        """Sums over the vertices of every patch, of values of shape [P]."""
+        """Return the sums over the vertices of every patch, of values of shape [P]."""
         return np.bincount(self._patch, values, self._patch_count).astype(np.float64, copy=False)
 
     def _rings(self, points: wp.array) -> tuple[Numbers, Numbers]:
-        """Areas around vertices, shape [P], and squared distances to where they come from."""
+        """Return the areas around vertices, shape [P], and squared distances to where they come from."""
         count = len(self._vertices)
         solid = wp.empty(len(self._areas), dtype=wp.float64, device=self._device)
         wp.launch(solid_angles, dim=solid.size, inputs=[points, self._faces], outputs=[solid], device=self._device)
@@ -148,7 +148,7 @@ class LocalSteps:
         return self._outside + ring.numpy(), square.numpy()
 
     def _merits(self, points: wp.array, before: wp.array | None = None) -> tuple[Numbers, Numbers, Numbers, wp.array]:
-        """Merit of every patch, infinite where a triangle lost too much of its volume; rings, squares and volumes."""
+        """Return the merit of every patch, infinite where a triangle lost too much volume; rings, squares, volumes."""
         device, energy = self._device, self._energy
         ring, square = self._rings(points)
         missing = ring - self._wanted
@@ -170,7 +170,7 @@ class LocalSteps:
         return self._sums(of_vertices) + of_patches, ring, square, outputs[2]
 
     def _step(self, points: wp.array) -> tuple[wp.array, float]:
-        """One step of all patches, and what it was expected to gain."""
+        """Take one step of all patches, and return the map and the expected gain."""
         device, energy, free, count = self._device, self._energy, self._free, len(self._vertices)
         merits, ring, square, volume = self._merits(points)
         missing = ring - self._wanted
@@ -210,14 +210,14 @@ class LocalSteps:
             moved, lambda there: self._merits(there, volume)[0], merits, -decrements, longest, MAX_HALVINGS
         )
         if self._constrained:
-            # With its boundary held the area of a patch cannot change, so that a constant has no meaning there; what is
-            # missing in sum would add to it at every step.
+            # With its boundary held the area of a patch cannot change, so that its multipliers have a free constant;
+            # the total missing area would add to it at every step.
             constant = self._sums(self._wanted * q) / self._sums(self._wanted)
             self.multipliers = self.multipliers + length[self._patch] * (q - constant[self._patch])
         return points, float((length * decrements).sum())
 
     def _factorise(self, points: wp.array, ring: wp.array, factor: wp.float64) -> None:
-        """Factorise the saddle-point matrix with the vertices beside the freed ones held."""
+        """Factorise the saddle-point matrix with the neighbours of the freed vertices held."""
         device, energy, free, count = self._device, self._energy, self._free, len(self._vertices)
         edges = len(self._edges)
         hessians = self._triangles.hessian(points, self._pressures, 1.0).to("cpu")
@@ -246,14 +246,14 @@ class LocalSteps:
 
 
 def _corners_around(faces: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Corners of triangles around every vertex as compressed rows."""
+    """Return the corners of triangles around every vertex as compressed rows."""
     offsets = np.zeros(count + 1, dtype=np.int32)
     np.cumsum(np.bincount(faces.ravel(), minlength=count), out=offsets[1:])
     return offsets, np.argsort(faces.ravel(), kind="stable").astype(np.int32)
 
 
 def _edges_of(faces: NDArray[np.int32], free: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The edges with an end among the first vertices, that end first, and the two corners opposite to each."""
+    """Return the edges with an end among the first vertices, that end first, and the two corners opposite to each."""
     one, other = np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
     corners = np.flatnonzero((one < free) | (other < free))
     low, high = np.minimum(one, other)[corners], np.maximum(one, other)[corners]

@@ -1,8 +1,8 @@
-"""From the optimal map on towards less distortion of shape, with areas kept around vertices.
+"""Refinement of the optimal map towards less distortion of shape, with areas around vertices kept.
 
 Up to a weight λ of 10 the mean angle distortion plus λ times the mean area distortion of the triangles is minimised. A
 larger λ on triangles would lock the mesh: 2V - 5 areas on 2V - 3 coordinates leave it no freedom to be smooth, and it
-buckles. What λ exceeds 10 by is therefore the weight of the areas around vertices, of which there are half as many:
+buckles. The part of λ above 10 is therefore the weight of the areas around vertices, of which there are half as many:
 
     angle + min(λ, 10) · area + max(λ - 10, 0) · Σ_v m_v (a_v / 3m_v - 1)² / 4π.
 """
@@ -40,7 +40,7 @@ MATCH_TOLERANCE, MATCH_TRIALS = 1e-4, 16
 
 
 def refinement_weight(weight: str | float | AreaMatch) -> float:
-    """λ of a name or number.
+    """Return the λ of a name or number.
 
     Raises:
         OmtwarpError: neither one of the names nor a positive number.
@@ -124,7 +124,7 @@ class _Refinement:
         self.refiner = Refiner(surface, self.device)
 
     def run(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
-        """The map of least distortion at a weight, from a flip-free map, shape [V, 3]."""
+        """Return the map of least distortion at a weight, from a flip-free map, shape [V, 3]."""
         if weight <= TRIANGLE_WEIGHT:
             return self.by_triangles(sphere, weight)
         energy = TransportEnergy(
@@ -149,7 +149,7 @@ class _Refinement:
         )
 
     def match(self, sphere: NDArray[np.float64], area: float) -> RefineResult:
-        """The refined map whose area distortion is the one asked for, or the nearest that there is above it."""
+        """Return the refined map whose area distortion is the one asked for, or the nearest one above it."""
         refine, least = self.run, LEAST_WEIGHT
         best = refine(sphere, MOST_WEIGHT)
         if self.area(best) > area:
@@ -172,7 +172,7 @@ class _Refinement:
         return best
 
     def area(self, refined: RefineResult) -> float:
-        """Mean area distortion of the triangles of a refined map."""
+        """Return the mean area distortion of the triangles of a refined map."""
         return self.refiner.energy.terms(self.refiner.energy.upload(refined.sphere)).area + 2.0
 
 

@@ -1,7 +1,7 @@
-"""Make areas right that a minimisation has left nearly right, by Newton's method on the areas themselves.
+"""Restoration of exact areas after a minimisation, by Newton's method on the areas themselves.
 
-Every step is the least one, in the metric of the second derivative of cost and shape, that makes the areas right to
-first order; so what was optimal stays so up to the square of what is corrected. Where parts of a mesh are slivers the
+Every step is the smallest, in the metric of the second derivative of cost and shape, that corrects the areas to first
+order, so that the map stays optimal up to the square of the correction. Where parts of a mesh are slivers the
 multipliers of neighbouring cells differ strongly, and a minimisation that leaves the curvature of the areas out of its
 matrix ends there with errors of some 1e-3; the areas alone are right to round-off after a few steps.
 """
@@ -24,9 +24,9 @@ from omtwarp.untangling.steps import FlipFreeSteps
 Numbers = NDArray[np.float64]
 
 ROUNDS = 30  # at most
-STIFFNESS = 1e7  # of the areas beside cost and shape, which only choose among the steps that make areas right
+STIFFNESS = 1e7  # of the areas relative to cost and shape, which only choose among the steps that correct areas
 MAX_HALVINGS = 12  # of a step, down to 1/4096
-SUFFICIENT = 0.1  # of what the first derivative promises of the areas' errors
+SUFFICIENT = 0.1  # share of the decrease of the areas' errors that the first derivative predicts
 LEAST = 1e-3  # see omtwarp.optimal.kernels.cost_metric
 # Relative to the diagonal: what makes the matrix definite, and what it grows by where rounding asks for more.
 REGULARISATION = (1e-8, 1e-6, 1e-4, 1e-2)
@@ -39,7 +39,7 @@ def restore_areas(
     rounds: int = ROUNDS,
     notify: Callable[[int, MapTerms], None] | None = None,
 ) -> tuple[Numbers, bool]:
-    """Move a map without flips to the nearest one whose areas are right.
+    """Move a map without flips to the nearest one with exact areas.
 
     Args:
         energy: says which areas are wanted, to which tolerances, and what near means.
@@ -82,7 +82,7 @@ def restore_areas(
 def _step(
     energy: TransportEnergy, steps: FlipFreeSteps, factor: SaddlePointFactor, points: wp.array, terms: MapTerms
 ) -> tuple[wp.array, MapTerms] | None:
-    """The map and its terms after the longest share of a Newton step that makes areas better; None if none does."""
+    """Return the map and its terms after the longest share of a Newton step that improves areas, or None."""
     count, device = energy.surface.vertex_count, energy.device
     coordinates, _ = factor.solve(np.zeros((count, 2)), -energy.missing(terms))
     direction = wp.empty(count, dtype=wp.vec3d, device=device)
@@ -100,7 +100,7 @@ def _step(
 
 
 def _error(energy: TransportEnergy, terms: MapTerms) -> float:
-    """Norm of the areas' errors, each relative to the root of the area wanted."""
+    """Return the norm of the areas' errors, each relative to the root of the area wanted."""
     return float(np.sqrt((energy.missing(terms) ** 2 / energy.wanted).sum()))
 
 

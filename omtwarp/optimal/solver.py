@@ -7,7 +7,7 @@ Every step solves the saddle-point system of :mod:`omtwarp.optimal.energy`,
 whose last block makes it a step of the augmented Lagrangian method with penalty μ (Nocedal and Wright, "Numerical
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A
 factorisation serves as long as the steps made with it gain enough. After each step the few vertices that have most to
-gain settle by steps of their own (:mod:`omtwarp.optimal.local`).
+gain take steps of their own (:mod:`omtwarp.optimal.local`).
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ Numbers = NDArray[np.float64]
 
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: how heavily areas that are still wrong count beside cost
-MIN_COST = 1e-6  # radians²: of maps that move less than that the gain counts as if they moved that far
+MIN_COST = 1e-6  # radians²: least cost that gains are compared with
 REACH = 0.5  # radians: the farthest that a vertex goes in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix
-MAX_HALVINGS_OLD = 1  # of a step with an older one: where that is not enough a fresh one is worth more
+MAX_HALVINGS_OLD = 1  # of a step with an older one: beyond that a fresh matrix gains more
 UNTANGLED = 3  # of the halvings that are tried with untangling of what they flip
-MAX_MENDED = 0.002  # of the vertices: with so few untangled or held back the matrix still serves
-MIN_GAIN_SHARE = 0.2  # a step with an older matrix has to take this share off what a step is expected to gain
+MAX_MENDED = 0.002  # of the vertices: with so few untangled or held back the matrix is still reused
+MIN_GAIN_SHARE = 0.2  # share of the expected gain by which a step with an older matrix has to lower it
 # Relative to the diagonal: what holds the three rotations and makes H definite; and what it grows by where rounding
 # still leaves a pivot of the wrong sign.
 REGULARISATION = 1e-8
@@ -111,7 +111,7 @@ def optimal_map(
             are the masses.
         sphere: a map without flips to begin with, unit vectors, shape [V, 3].
         start: the points x that are transported, unit vectors, shape [V, 3]; triangles may be flipped there.
-        shape_weight: β, the weight of angle and area distortion of triangles beside the mean squared distance.
+        shape_weight: β, the weight of angle and area distortion of triangles relative to the mean squared distance.
         area_weight: λ, how much area distortion counts there against angle distortion.
         multipliers: of a map nearby, such as one with another shape weight, to begin with; shape [V].
         iterations: most steps.
@@ -204,7 +204,7 @@ class _Newton:
         iterations: int,
         progress: Progress | None,
     ) -> OptimalMap:
-        """Take steps until the map is as good as asked for.
+        """Take steps until the map reaches the tolerances.
 
         One function, as every decision on how to go on rests on the same matrix, step and map.
         """
@@ -293,13 +293,13 @@ class _Newton:
         return moved, after, int(freed.sum())
 
     def _enough(self, terms: MapTerms) -> float:
-        """Least gain that a step has to promise for another one to be taken."""
+        """Return the least expected gain with which another step is taken."""
         if not self.constrained:
             return 2.0 * self.gain
         return self.gain * max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST)
 
     def _reached(self, terms: MapTerms, decrement: float) -> bool:
-        """Whether a map is as good as asked for."""
+        """Return whether a map has reached the tolerances."""
         enough = decrement <= self._enough(terms)
         if not self.constrained:
             return enough
@@ -307,7 +307,7 @@ class _Newton:
         return enough and rms <= self.max_rms and largest <= self.max_error
 
     def _penalised_energy(self, terms: MapTerms) -> float:
-        """Cost, shape and area errors of a map in one number that does not depend on multipliers."""
+        """Return the cost, shape and area errors of a map in one number that does not depend on multipliers."""
         energy, missing = self.energy, self.energy.missing(terms)
         cost = energy.cost_weight * energy.cost(terms) / SPHERE_AREA
         penalty = 0.5 * float(self.stiffness @ missing**2)
@@ -333,13 +333,13 @@ class _Newton:
         raise OmtwarpError("the second derivative of the transport cost is not finite")
 
     def _estimate(self, points: wp.array, terms: MapTerms) -> None:
-        """Multipliers with which the Lagrangian is least steep, in the metric of the matrix."""
+        """Estimate the multipliers with which the Lagrangian is least steep, in the metric of the matrix."""
         gradient = self.energy.gradient(points, terms, self.multipliers)
         _, q = self.factor.solve(-self._coordinates(gradient), np.zeros(len(self.multipliers)))
         self.multipliers = self.multipliers + q
 
     def _direction(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, Numbers, float]:
-        """Tangent vectors on the device, change of the multipliers, and what they promise to gain."""
+        """Return the tangent vectors on the device, change of the multipliers, and the expected gain."""
         missing = self.energy.missing(terms)
         gradient = self.energy.gradient(points, terms, self.multipliers)
         u, q = self.factor.solve(-self._coordinates(gradient), -missing)
@@ -353,7 +353,7 @@ class _Newton:
         return wp.array(step, dtype=wp.vec3d, device=self.device), q, -slope
 
     def _coordinates(self, tangent: Numbers) -> Numbers:
-        """Tangent vectors, shape [V, 3], in the bases that the matrix was made in, shape [V, 2]."""
+        """Return the tangent vectors, shape [V, 3], in the bases that the matrix was made in, shape [V, 2]."""
         count = len(tangent)
         coordinates = wp.empty((count, 2), dtype=wp.float64, device=self.device)
         inputs = [self.base, wp.array(np.ascontiguousarray(tangent), dtype=wp.vec3d, device=self.device)]

@@ -83,7 +83,7 @@ class Look:
 
 @wp.func
 def to_linear(c: wp.float32):
-    """Light of an sRGB value (IEC 61966-2-1), as :func:`omtwarp.srgb.to_linear`."""
+    """Return the light of an sRGB value (IEC 61966-2-1), as :func:`omtwarp.srgb.to_linear`."""
     linear = c / 12.92
     if c > 0.04045:
         linear = wp.pow((c + 0.055) / 1.055, 2.4)
@@ -92,7 +92,7 @@ def to_linear(c: wp.float32):
 
 @wp.func
 def to_srgb(c: wp.float32):
-    """The sRGB value of light (IEC 61966-2-1), as :func:`omtwarp.srgb.to_srgb`."""
+    """Return the sRGB value of light (IEC 61966-2-1), as :func:`omtwarp.srgb.to_srgb`."""
     clamped = wp.clamp(c, 0.0, 1.0)
     encoded = clamped * 12.92
     if clamped > 0.0031308:
