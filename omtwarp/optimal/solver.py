@@ -98,6 +98,7 @@ def optimal_map(
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
     area_weight: float = AREA_WEIGHT,
+    area_penalty: float = PENALTY,
     multipliers: ArrayLike | None = None,
     iterations: int = 40,
     gain: float = GAIN,
@@ -113,6 +114,8 @@ def optimal_map(
         start: the points x that are transported, unit vectors, shape [V, 3]; triangles may be flipped there.
         shape_weight: β, the weight of angle and area distortion of triangles relative to the mean squared distance.
         area_weight: λ, how much area distortion counts there against angle distortion.
+        area_penalty: μ, how heavily areas that are still wrong count beside cost on the way. The result is the same;
+            with less, steps are longer while a map is far from optimal, and areas come right later.
         multipliers: of a map nearby, such as one with another shape weight, to begin with; shape [V].
         iterations: most steps.
         gain: end where the expected gain of a step falls below this share of the cost.
@@ -139,18 +142,28 @@ def optimal_map(
     given, x = (as_unit_vectors(points, mesh.vertex_count) for points in (sphere, start))
     weight = real_number(shape_weight, "shape_weight", least=0.0)
     area_weight = real_number(area_weight, "area_weight", least=0.0)
+    area_penalty = real_number(area_penalty, "area_penalty", above=0.0)
     gain = real_number(gain, "gain", least=0.0)
     iterations = whole_number(iterations, "iterations")
     if multipliers is not None:
         multipliers = real_numbers(multipliers, "multipliers", (mesh.vertex_count,))
     energy = TransportEnergy(mesh, vectors(x, where), where, weight, area_weight=area_weight)
-    return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
+    return minimise(
+        energy,
+        given,
+        area_penalty=area_penalty,
+        multipliers=multipliers,
+        gain=gain,
+        iterations=iterations,
+        progress=progress,
+    )
 
 
 def minimise(
     energy: TransportEnergy,
     sphere: NDArray[np.float64],
     *,
+    area_penalty: float = PENALTY,
     multipliers: ArrayLike | None = None,
     gain: float,
     iterations: int,
@@ -161,7 +174,7 @@ def minimise(
 
     Args:
         energy: what is minimised.
-        sphere, multipliers, iterations, progress: as of :func:`optimal_map`.
+        sphere, area_penalty, multipliers, iterations, progress: as of :func:`optimal_map`.
         gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this.
         penalty: μ, with which Σ (a_v - 3m_v)² / 3m_v, over 24π, is added to the energy in place of the constraints; the
             history's stage is then ``refine``.
@@ -174,24 +187,26 @@ def minimise(
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
     known = None if multipliers is None else np.array(multipliers, dtype=np.float64)
-    return _Newton(energy, gain, penalty).run(given, known, iterations, progress)
+    return _Newton(energy, gain, area_penalty, penalty).run(given, known, iterations, progress)
 
 
 class _Newton:
     """One minimisation: the map, its multipliers, and the matrix of some earlier map.
 
     Args:
-        energy, gain, penalty: as of :func:`minimise`.
+        energy, gain, area_penalty, penalty: as of :func:`minimise`.
     """
 
-    def __init__(self, energy: TransportEnergy, gain: float, penalty: float | None = None):
+    def __init__(
+        self, energy: TransportEnergy, gain: float, area_penalty: float = PENALTY, penalty: float | None = None
+    ):
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
         self.surface = energy.surface
         self.steps = energy.flip_free_steps()
         self.factor = energy.saddle_factor()
         # Of the augmented Lagrangian: μ over the areas wanted, which sum to 12π for rings.
-        self.stiffness = (PENALTY if penalty is None else penalty) / energy.wanted.sum() / energy.wanted
+        self.stiffness = (area_penalty if penalty is None else penalty) / energy.wanted.sum() / energy.wanted
         self.multipliers = np.zeros(len(energy.wanted))
         self.max_rms, self.max_error = energy.area_tolerances
         self.curvature_share, self.damping = 1.0, LEAST_DAMPING

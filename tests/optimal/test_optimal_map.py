@@ -145,6 +145,17 @@ def test_one_optimum_from_two_starts():
     assert one.history[-1]["cost"] == pytest.approx(other.history[-1]["cost"], rel=1e-4)
 
 
+def test_the_optimum_does_not_depend_on_the_penalty_of_areas():
+    surface = blob(seed=11, amplitude=0.3, degree=5, sphere=1280)
+    x = conformal_map(surface, device="cpu").sphere
+    heavy, light = (optimal_map(surface, x, start=x, area_penalty=mu, device="cpu") for mu in (1000.0, 3.0))
+    assert heavy.converged and light.converged
+    assert light.history[-1]["ring_rms"] < 2e-4
+    weights = surface.vertex_areas / surface.vertex_areas.sum()
+    assert np.sqrt((weights * ((heavy.sphere - light.sphere) ** 2).sum(axis=1)).sum()) < 2e-3
+    assert heavy.history[-1]["cost"] == pytest.approx(light.history[-1]["cost"], rel=1e-4)
+
+
 @pytest.mark.parametrize("wrong", [np.zeros((3, 3)), np.full((162, 3), np.nan), np.ones((162, 3), dtype=complex)])
 def test_points_that_are_none_are_refused(wrong):
     surface = icosphere(4)

@@ -5,6 +5,7 @@ import pytest
 from sphere_truths import SHARED
 
 import omtwarp
+from omtwarp import pipeline
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob, demo_shape
 from omtwarp.start import choice
@@ -31,3 +32,14 @@ def test_two_routes_end_in_the_same_map(name, monkeypatch):
     weights = omtwarp.Surface(usual.vertices, usual.faces).vertex_areas
     squares = ((usual.sphere - other.sphere) ** 2).sum(axis=1)
     assert np.sqrt((weights @ squares) / weights.sum()) < LIMITS[name]
+
+
+def test_continuation_ends_in_the_same_map(monkeypatch):
+    mesh = MADE["blob"]()
+    usual = omtwarp.map_to_sphere(mesh, device="cpu")
+    monkeypatch.setattr(pipeline, "MOSTLY_SHRUNKEN", -1.0)
+    other = omtwarp.map_to_sphere(mesh, device="cpu")
+    record = next(stage for stage in other.report["stages"] if stage["name"] == "omt")
+    assert record["converged"] and record["shape_weight"] == pipeline.CONTINUATION[-1][0]
+    assert other.report["optimality"]["cost"] == pytest.approx(usual.report["optimality"]["cost"], rel=1e-3)
+    assert other.history[-1]["ring_rms"] < 2e-4
