@@ -52,6 +52,16 @@ def test_the_surface_and_the_map_come_first_and_options_by_name(name):
     assert "device" in inspect.signature(function).parameters
 
 
+def test_every_public_stage_and_measure_is_held_to_this():
+    """A function is one of them where it takes a surface first, which the weighting of a surface does without a map."""
+    functions = {name: getattr(omtwarp, name) for name in omtwarp.__all__ if inspect.isfunction(getattr(omtwarp, name))}
+    takes = {name for name, call in functions.items() if next(iter(inspect.signature(call).parameters)) == "surface"}
+    assert takes - {"weighted_surface"} == {*STAGES, *MEASURES} - {"polish_transport"}
+    for name in sorted(STAGES.keys() & functions.keys()):
+        by_name = list(inspect.signature(functions[name]).parameters)
+        assert {"device", "progress"} <= set(by_name), name
+
+
 @pytest.mark.parametrize("name", STAGES)
 def test_any_form_of_a_surface_is_taken_and_makes_the_same_map(name):
     expected = run(name)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import omtwarp
 from omtwarp.device.policy import solving_with, wanted_solver
@@ -98,6 +99,11 @@ def stages(solver: Solver, moser: np.ndarray, start: np.ndarray) -> dict[str, np
             "polish": polish_transport(SURFACE, moser, start=start, rounds=1, device="cpu").sphere,
             "untangle": omtwarp.untangle(SURFACE, tangled, device="cpu").sphere,
             "refine": omtwarp.refine_map(SURFACE, moser, iterations=3, device="cpu").sphere,
+            "optimal": omtwarp.optimal_map(SURFACE, moser, start=start, iterations=3, device="cpu").sphere,
+            "transport": omtwarp.optimal_transport(SURFACE, moser, start=start, iterations=3, device="cpu").sphere,
+            "paper": omtwarp.paper_flow(SURFACE, moser, start=start, cycles=1, device="cpu").sphere,
+            "barycentric": omtwarp.barycentric_map(SURFACE, device="cpu").sphere,
+            "embedding": omtwarp.hierarchical_embedding(SURFACE, device="cpu").sphere,
         }
 
 
@@ -115,6 +121,14 @@ def test_every_stage_is_the_same_to_round_off(solver, by_cholesky):
         # Newton's steps of refinement are solved to 1e-9 by the iteration.
         tolerance = 1e-7 if (solver, name) == (Solver.MULTIGRID, "refine") else 1e-10
         np.testing.assert_allclose(sphere, expected[name], rtol=0, atol=tolerance, err_msg=name)
+
+
+@pytest.mark.parametrize("solver", [Solver.SCIPY, Solver.MULTIGRID])
+def test_a_map_to_the_torus_is_the_same_to_round_off(solver):
+    ring = trimesh.creation.torus(1.0, 0.4, major_sections=24, minor_sections=12)
+    usual, other = (omtwarp.map_surface(ring, domain="torus", solver=name) for name in ("cholesky", str(solver)))
+    np.testing.assert_allclose(other.lattice, usual.lattice, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(other.coordinates, usual.coordinates, rtol=0, atol=1e-8)
 
 
 def test_scipy_carries_a_whole_map_alone(monkeypatch):
