@@ -1,7 +1,7 @@
-"""Whether a mesh has vertices enough around its limbs for a map that keeps area.
+"""Check whether a mesh has enough vertices around its limbs for a map that keeps area.
 
     python examples/coarse_limbs.py MESH [MESH ...]        # the thinnest ring of every mesh, and what its map reaches
-    python examples/coarse_limbs.py                        # made tubes, regular and irregular, from short to long
+    python examples/coarse_limbs.py                        # generated tubes, regular and irregular, from short to long
 
 Three points of the unit sphere lie on a circle of radius at most 1, so that their flat triangle with edges a, b and c
 has an area of at least abc / 4. Triangles that share 4π evenly among F therefore need abc <= 16π / F. A closed ring of

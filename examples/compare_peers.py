@@ -1,4 +1,4 @@
-"""Our maps beside those of other programs: is there a flip-free one with no more area and no more angle distortion?
+"""Compare our maps with those of other programs: is there one without flips and with no more area and angle distortion?
 
     python examples/compare_peers.py DATA_DIR PEERS_CSV --out out/peers
     python examples/compare_peers.py DATA_DIR PEERS_CSV --smoothness SMOOTHNESS_CSV
@@ -12,8 +12,8 @@ area and are left out. SMOOTHNESS_CSV has the columns ``mesh``, ``peer``, ``flip
 Our maps are the default one, which is the optimal map, and refinements of it, each from the map made before whose
 weight is nearest. A row is won if one of these maps, judged as it is, without a flipped triangle, has area and angle no
 higher than the row's. The default map and the refinements that have names come first; where a row falls between two of
-our maps nothing is interpolated: further maps are made there, by bisection of the weight, until one wins or the row's
-area is met; last of all the one that ``match:AREA`` finds.
+our maps, further maps are made there, by bisection of the weight, until one wins or the row's area is reached; the last
+one is that of ``match:AREA``.
 
 Writes ``comparison.md``, ``peers.csv`` (the rows), ``smoothness.csv``, ``curve.csv`` (all our maps) and ``default.csv``
 (what the default gives). Meshes are done from the smallest to the largest, and the files written anew after each.

@@ -9,14 +9,14 @@ geodesic cost from the same map:
 * ``moser``: Moser's map of the conformal one, where the paper starts. It is within a per cent or two of the optimal
   cost already.
 * ``twisted``: that map with every parallel of the sphere turned by an angle of its own, which keeps areas and costs
-  more: farther from optimal, where multiresolution has something to show.
+  more: farther from optimal, where multiresolution can make a difference.
 
 The three are ``plain`` (equation 12: H is the curl itself, in the space the mesh resolves), ``paper`` (Algorithms 1 and
 2 with the V-cycle 1, 2, 3, 4, 5, 4, 3, 2, 1) and ``default`` (the curl preconditioned in the wavelet basis, conjugate
-directions, and the last rounds on the image mesh). Every flow ends where areas would begin to suffer. "Within 1 %" is
-told twice: of the final cost itself, which Moser's map often is from the first, and of what there was to gain. The
+directions, and the last rounds on the image mesh). Every flow ends where areas would no longer be kept. "Within 1 %" is
+given twice: of the final cost itself, which Moser's map often reaches at the start, and of the possible gain. The
 final cost is that of the default, whose maps are within a few parts in ten thousand of a lower bound where the mesh
-allows (``paper_tables.py --optimality``); a flow that ends below it has given up area for it.
+allows (``paper_tables.py --optimality``); a flow that ends below it has lost area.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def run(
     most: int,
     device: str,
 ) -> dict[str, Any]:
-    """One flow from one start: cost and time of every iteration, and what became of the areas."""
+    """One flow from one start: cost and time of every iteration, and the areas at the end."""
     clock: list[float] = []
 
     def tick(*_: Any) -> None:
@@ -123,7 +123,7 @@ def run(
         if scheme == "default":
             polished = polish_transport(surface, sphere, start=start, device=device, progress=tick)
             history, sphere = history + polished.history[1:], polished.sphere
-            del clock[len(moved.history)]  # the state between the two, told twice
+            del clock[len(moved.history)]  # the state between the two, recorded twice
         costs, seconds = np.array([entry["cost"] for entry in history]), np.array(clock) - begun
     before, after = (distortion(surface, y).area["sphere"] for y in (initial, sphere))
     print(f"  {label}, {scheme}: {len(costs) - 1} iterations, cost {costs[0]:.6g} -> {costs[-1]:.6g}", flush=True)

@@ -5,7 +5,7 @@
     python examples/mixed_topology.py --most-faces 2000
 
 A surface is known by its seed alone. It has 0 to 12 boundary loops of any size, 1 to 20 parts, and every fourth one has
-what scans come with: faces on top of one another, fins on edges, surfaces that touch in a vertex, faces turned over,
+the defects of scans: faces on top of one another, fins on edges, surfaces that touch in a vertex, faces turned over,
 flat faces, vertices that are not numbers. Each is mapped with a fitting option. Either the map is one to one, decided
 exactly, or the surface is refused in one line; the status is non-zero otherwise, and where one takes over a minute.
 """

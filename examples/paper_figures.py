@@ -143,7 +143,7 @@ def longitude_lines(path: Path, meshes: Meshes, number: int) -> None:
 
 
 def flat_picture(width: int = 2048) -> np.ndarray:
-    """Equal coloured discs in rows, a picture that knows nothing of the sphere, uint8 [width / 2, width, 3]."""
+    """Equal coloured discs in rows, a picture that was not made for the sphere, uint8 [width / 2, width, 3]."""
     height, cells = width // 2, 24
     cell = width / cells
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -367,7 +367,7 @@ def cost_curve(path: Path, meshes: Meshes, number: int) -> None:
     # The report's bound is one for points with masses, the cost here that of whole triangles: they share the gap.
     bound = result.history[-1]["cost"] / (1.0 + report.gap)
     figure, axes = pyplot.subplots(1, 2, figsize=(11, 4), layout="constrained")
-    # As strong a twist as the triangles around the poles bear.
+    # The strongest twist that does not flip triangles around the poles.
     twists = (convergence.twisted(moser, amount) for amount in (0.25, 0.12, 0.06, 0.03))
     turned = next((twist for twist in twists if not count_flips(twist, surface.faces)), moser)
     starts = (moser, "from Moser's map"), (turned, "from a twisted map")

@@ -1,11 +1,11 @@
-"""Make Tables 1, 2 and 3 of the paper for any meshes, ours beside the paper's figures.
+"""Make Tables 1, 2 and 3 of the paper for any meshes, with our figures and the paper's.
 
     python examples/paper_tables.py MESH [MESH ...] --out out/tables
     python examples/paper_tables.py                              # three small made shapes
 
-Writes ``tables.md``, ``distortion.csv``, ``performance.csv`` and ``tradeoff.csv``. The paper's figures stand beside
-meshes whose file name begins with that of one of its models (gargoyle, maxplanck, skull, bunny, squirrel); a namesake
-need not be the same mesh.
+Writes ``tables.md``, ``distortion.csv``, ``performance.csv`` and ``tradeoff.csv``. The paper's figures are given for
+meshes whose file name begins with that of one of its models (gargoyle, maxplanck, skull, bunny, squirrel); a mesh of
+that name need not be the paper's mesh.
 
 Columns: Tutte and mean-value weights (Gotsman et al. 2003), Haker et al. (2000), Moser, the optimal transport map (MK
 in the paper), its refinement, and with ``--paper-scheme`` Algorithms 1 and 2 as written. Both weightings are given:

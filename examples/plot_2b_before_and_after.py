@@ -2,7 +2,7 @@
 Circles before and after transport
 ==================================
 
-Moser's flow makes areas nearly right and leaves the map as it comes out. The optimal map keeps the areas around
+Moser's flow makes areas nearly right, with no other criterion. The optimal map keeps the areas around
 vertices and, of all maps that do, moves mass the least. Circles on the sphere, pulled back, show the difference.
 """
 

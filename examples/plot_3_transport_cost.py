@@ -3,7 +3,7 @@ How transport converges
 =======================
 
 The cost M of the paper's equation 6 over the iterations. The start is a sphere twisted about its axis: areas are
-preserved, but much is moved for nothing. The optimal map is known here: it is the identity, and its cost is 0.
+preserved, but mass is moved needlessly. The optimal map is known here: it is the identity, and its cost is 0.
 """
 
 import matplotlib.pyplot as plt

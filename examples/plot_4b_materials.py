@@ -16,7 +16,8 @@ surface = omtwarp.shapes.blob(seed=3, sphere=2880)
 result = omtwarp.map_to_sphere(surface, until="moser")
 
 # %%
-# The six sides of a cube, each with the triangles whose middles it shows. A mesh from a file has coordinates of its own
+# The six sides of a cube, each with the triangles whose centroids it contains. A mesh from a file has coordinates of
+# its own
 # instead: :func:`omtwarp.read_painted_mesh` reads them, with all of the mesh's materials.
 
 mesh = omtwarp.unwrap_uv(result)

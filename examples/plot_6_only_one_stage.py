@@ -35,7 +35,7 @@ print(f"{found.ended} after {len(found.history) - 1} steps")
 refined = omtwarp.refine_map(surface, optimal, weight="balanced").sphere
 
 # %%
-# And the judge alone, for maps from anywhere.
+# Measurement alone, for maps from any source.
 
 maps = {"conformal": conformal, "Moser": moser, "optimal": optimal, "refined, balanced": refined}
 for name, sphere in maps.items():

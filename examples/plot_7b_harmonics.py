@@ -2,8 +2,8 @@
 A shape in a few numbers
 ========================
 
-A map to the sphere makes a surface three functions on the sphere, and these a sum of spherical harmonics. Cut off at a
-low degree, the sum is a smooth version of the surface; what is cut off is the error.
+A map to the sphere turns a surface into three functions on the sphere, which are expanded in spherical harmonics.
+Truncated at a low degree, the sum is a smooth version of the surface; the terms left out are the error.
 """
 
 import numpy as np

@@ -22,7 +22,7 @@ study = study_group(maps, ["control", "patient"] * 6, grid="ico3", degree=8)
 
 # %%
 # Components are numbered by how much of the variance they explain. At every point Student's t compares the groups along
-# the mean surface's normal; p is corrected for looking at all points.
+# the mean surface's normal; p is corrected for the number of points.
 
 found = study.difference
 print("variance explained:", np.round(study.components.explained, 2))

@@ -28,7 +28,7 @@ for method in ("nearest", "barycentric", "conservative"):
     print(f"{method:12}: the integral changes by {change:9.2e}")
 
 # %%
-# Labels go to where they overlap most.
+# Every target vertex gets the label that overlaps it most.
 
 labels = 1 + (turned @ np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]).T).argmax(axis=1)
 grid = named_grid("ico3")

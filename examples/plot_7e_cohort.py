@@ -2,8 +2,8 @@
 Many surfaces, one of them bad
 ==============================
 
-A cohort is mapped by processes of its own, and everything ends up in one table. A surface that cannot be mapped is a
-row of it, and a second run finds that there is nothing left to do.
+A cohort is mapped by separate processes, and the results are collected in one table. A surface that cannot be mapped is
+a row of it, and a second run finds nothing to do.
 """
 
 import tempfile

@@ -1,4 +1,4 @@
-"""Annotations say what a value is: ``Any`` stands nowhere.
+"""Annotations give types: ``Any`` is used nowhere.
 
 Warp's own annotations ask for the type of every array at every use, so that mypy skips that package: its arrays,
 devices and kernels, written ``wp.array``, ``wp.Device`` and ``wp.Kernel``, are not checked (see ``pyproject.toml``).

@@ -1,4 +1,4 @@
-"""Numbers of modules say what they bound: in a comment beside or above them, or in a text below."""
+"""Constants say what they bound, in a comment on their line or above, or in a text below."""
 
 import ast
 import io

@@ -1,4 +1,4 @@
-"""Rooms import downwards only: the order is the table of docs/architecture.md, and the code is held to it."""
+"""Sub-packages import downwards only, in the order of the table of docs/architecture.md."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""Every stage takes a surface in any form and a map of it, refuses what is neither, and tells of itself in one way."""
+"""Every stage takes a surface in any form and a map of it, refuses anything else, and reports progress in one form."""
 
 import inspect
 from dataclasses import FrozenInstanceError

@@ -1,4 +1,4 @@
-"""What maps are warned of, what ``strict`` makes of it, and that good maps are silent."""
+"""Warnings about maps, ``strict``, and good maps without warnings."""
 
 from __future__ import annotations
 

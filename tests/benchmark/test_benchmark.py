@@ -1,4 +1,4 @@
-"""The benchmark tells what it claims to tell; nothing here depends on how fast the machine is."""
+"""The benchmark measures what it says; no test depends on the speed of the machine."""
 
 import json
 import math

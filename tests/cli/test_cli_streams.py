@@ -1,4 +1,4 @@
-"""The command line among others: streams, JSON, several inputs, help, completion."""
+"""The command line: streams, JSON, several inputs, help, completion."""
 
 from __future__ import annotations
 

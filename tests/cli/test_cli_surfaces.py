@@ -1,4 +1,4 @@
-"""Commands on surfaces that are no sphere: what they refuse, and what the options make of them."""
+"""Commands on surfaces of other topology: what they refuse, and what the options do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Warnings of ``omtwarp map``, ``--strict``, and what ``omtwarp check`` foretells."""
+"""Warnings of ``omtwarp map``, ``--strict``, and those of ``omtwarp check``."""
 
 from __future__ import annotations
 

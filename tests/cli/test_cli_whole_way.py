@@ -1,4 +1,4 @@
-"""From a file to a map, a textured model and a picture, with the real pipeline on a small mesh."""
+"""The command line from a file to a map, a textured model and a picture, with the real pipeline on a small mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cohorts: bad cases are rows, any death is survived, nothing is computed twice, and one table comes out."""
+"""Cohorts: bad cases are rows, killed processes do no harm, nothing is computed twice, and there is one table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cohorts on engines that others have made: Dask with real processes, one of them killed, and submitit's local one."""
+"""Cohorts on other engines: Dask with real processes, one of them killed, and submitit's local one."""
 
 from __future__ import annotations
 

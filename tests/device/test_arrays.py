@@ -1,4 +1,4 @@
-"""Stages take maps as NumPy's arrays or as Warp's, to the same effect, and leave them as they are."""
+"""Stages take maps as NumPy's arrays or as Warp's, with the same results, and do not change them."""
 
 import numpy as np
 import pytest

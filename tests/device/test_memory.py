@@ -1,4 +1,4 @@
-"""What a map takes of the host's memory, and room that is shared."""
+"""The host memory of a map, and shared workspaces."""
 
 import subprocess
 import sys

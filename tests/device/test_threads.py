@@ -1,4 +1,4 @@
-"""Work on several threads gives what work on one gives."""
+"""Work on several threads gives the same results as on one."""
 
 import os
 import subprocess

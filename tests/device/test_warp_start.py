@@ -1,4 +1,4 @@
-"""Warp starts quietly, and nothing that matters is lost on the way."""
+"""Warp starts without messages, and other output is not lost."""
 
 from __future__ import annotations
 

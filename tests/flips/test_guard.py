@@ -1,4 +1,4 @@
-"""Steps that cannot flip: whatever is asked for, what is left of it is a valid map."""
+"""Steps that cannot flip: whatever the motion, the result is a valid map."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Turns of rings against coverings known in closed form, and what holding back leaves."""
+"""Turns of rings against coverings known in closed form, and maps that are held back."""
 
 import numpy as np
 import pytest

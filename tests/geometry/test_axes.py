@@ -1,4 +1,4 @@
-"""Axes of a surface: moments in closed form, and nothing that order, place or cutting could change."""
+"""Axes of a surface: moments in closed form, independent of order, position and triangulation."""
 
 import numpy as np
 import pytest

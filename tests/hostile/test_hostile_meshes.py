@@ -1,4 +1,4 @@
-"""Whatever closed surface comes: a bijection at every stage, or one clear line."""
+"""Hostile closed surfaces: a bijection at every stage, or one clear line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hostile reports: whatever a map's file says of itself, its page holds no element and no script of the file's."""
+"""Hostile reports: whatever a map's file contains, its page holds no element and no script of the file's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Readers of glTF by others, Khronos' validator and three.js, as packages of node where they are there."""
+"""Readers of glTF by others, Khronos' validator and three.js, as packages of node where they are installed."""
 
 from __future__ import annotations
 

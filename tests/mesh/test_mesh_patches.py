@@ -1,4 +1,4 @@
-"""Patches: what is freed, what stays beside it, and which pieces there are."""
+"""Patches: freed vertices, their fixed neighbours, and the pieces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PLY in all its forms, beside the reader of trimesh."""
+"""PLY in all its forms, compared with the reader of trimesh."""
 
 from __future__ import annotations
 

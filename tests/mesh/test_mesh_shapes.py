@@ -1,4 +1,4 @@
-"""Made shapes are closed, of genus 0, outward, without triangles of zero area, and the same every time."""
+"""Generated shapes are closed, of genus 0, outward, without triangles of zero area, and the same every time."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Every defect is found, counted, placed and told with its remedy; sound meshes at any scale have none."""
+"""Every defect is found, counted and located, with its remedy; valid meshes at any scale have none."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Quartered meshes: counts, measures and origins, and maps carried over without a flip."""
+"""Quartered meshes: counts, measures and origins, and maps extended without a flip."""
 
 import numpy as np
 import pytest

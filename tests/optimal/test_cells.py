@@ -1,4 +1,4 @@
-"""The optimal map of a quartered mesh: derivatives, and what it promises of the mesh's own triangles."""
+"""The optimal map of a quartered mesh: derivatives, and the areas of the mesh's own triangles."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Local steps of the optimal map: they gain, keep what they must, and find the same optimum sooner."""
+"""Local steps of the optimal map: they gain, keep areas and boundaries, and find the same optimum sooner."""
 
 import numpy as np
 import pytest

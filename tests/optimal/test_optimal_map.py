@@ -1,4 +1,4 @@
-"""The discrete optimal map: derivatives, closed forms, one optimum from every start, and what it promises."""
+"""The discrete optimal map: derivatives, closed forms, one optimum from every start, and its tolerances."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Patterns, materials and bakes on a mesh's own texture coordinates, held to closed forms."""
+"""Patterns, materials and bakes on a mesh's own texture coordinates, against closed forms."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Which way up surfaces are drawn, and from which side: the face, whatever axes a mesh comes with."""
+"""The guess of a surface's upward and front axes, whatever the axes of the mesh."""
 
 import numpy as np
 import pytest

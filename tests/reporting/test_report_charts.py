@@ -1,4 +1,4 @@
-"""Charts: axes that enclose what they show, and hills that are what they stand for."""
+"""Charts: axes that enclose the values, and histograms that match them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report page: what it says, what it holds, and that it needs nothing else."""
+"""The report page: its text, its data, and that it needs no other file."""
 
 from __future__ import annotations
 

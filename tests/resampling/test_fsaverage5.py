@@ -1,4 +1,4 @@
-"""The average subject fsaverage5 through map, align and resample, beside Connectome Workbench on the same spheres."""
+"""The average subject fsaverage5 through map, align and resample, against Connectome Workbench on the same spheres."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every level of the hierarchy is a closed genus-0 mesh, and every round keeps what it must."""
+"""Every level of the hierarchy is a closed genus-0 mesh, and every round keeps the invariants."""
 
 import numpy as np
 import pytest

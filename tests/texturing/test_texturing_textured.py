@@ -1,4 +1,4 @@
-"""The textured surface as people see it, and its files as other programs read them."""
+"""The textured surface in pictures, and its files as other programs read them."""
 
 import os
 import struct

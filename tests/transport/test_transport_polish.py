@@ -1,4 +1,4 @@
-"""The last rounds of transport, on the image mesh: curl goes, areas stay, also beside triangles far too large."""
+"""The last rounds of transport, on the image mesh: curl is removed and areas are kept, also near huge triangles."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Untangling: flips go, the rest stays."""
+"""Untangling: flips are removed, and other vertices do not move."""
 
 from __future__ import annotations
 

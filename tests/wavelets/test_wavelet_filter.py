@@ -1,4 +1,4 @@
-"""The soft low-pass filter against truncation, its own transpose, and what it has to leave alone."""
+"""The soft low-pass filter against truncation, its own transpose, and functions that it must not change."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Where systems are solved is one decision, and maps do not depend on it."""
+"""One policy decides where systems are solved, and maps do not depend on it."""
 
 import numpy as np
 import pytest
