@@ -654,7 +654,7 @@ class _Run:
     @property
     def largest_gap(self) -> float:
         """The gap up to which a map counts as optimal, as far as its bound is improved."""
-        if self.shrunken:
+        if self.shrunken and not self.origins:  # a quartered mesh has room enough
             return MAX_GAP_SHRUNKEN
         return MAX_GAP * (1.0 if self.surface.vertex_count <= GAP_ASCENT_VERTICES else UNIMPROVED)
 
