@@ -83,8 +83,8 @@ SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 20
 # left, and triangles become irregular.
 SHAPE_BY_DISTANCE = 0.036
 MAX_GAP, MAX_CURL = 9e-4, 0.025
-# Where the conformal map shrinks limbs to points, the mesh's own error in the cost is larger: 0.2 and 0.75 % are left on two
-# scans of that kind, and less takes two to four times the time.
+# Where the conformal map shrinks limbs to points, the mesh's own error in the cost is larger: 0.2 and 0.75 % are left
+# on two scans of that kind, and less takes two to four times the time.
 MAX_GAP_SHRUNKEN = 9e-3
 SHAPE_DECAY = (0.1, 0.4)
 SHAPE_ROUNDS = 4
