@@ -106,36 +106,156 @@ def needle_pair(ratio, frequency=6):
     return np.vstack([vertices, point]), np.array(out)
 
 
-def random_mesh(seed):
-    """One of the above with random numbers; returns what it is, and the mesh."""
+def zigzag_between(outer, inner):
+    """Fill the ring between two convex polygons of one plane, one inside the other, counter-clockwise.
+
+    Triangles stand on one side of either polygon, in the order of the sides' directions, and on the corner of the
+    other polygon that lies farthest across that side.
+    """
+    out, into = len(outer), len(inner)
+    sides = [np.roll(points, -1, axis=0) - points for points in (outer, inner)]
+    turns = [np.arctan2(side[:, 1], side[:, 0]) for side in sides]
+    steps = sorted([(turn, 0, k) for k, turn in enumerate(turns[0])] + [(turn, 1, k) for k, turn in enumerate(turns[1])])
+    # The corner of each polygon that the first side by direction finds: where its own sides of the least direction begin.
+    at = [int(np.argmin(turn)) for turn in turns]
+    triangles = []
+    for _, which, k in steps:
+        at[which] = k
+        following = (k + 1) % (into if which else out)
+        if which == 0:
+            triangles.append((k, following, out + at[1]))
+        else:
+            triangles.append((out + following, out + k, at[0]))
+        at[which] = following
+    return np.array(triangles)
+
+
+def boxes_joined(sides, place, radius, height, cap="strip", seed=0):
+    """A box with a prism that stands on its lid or is sunk into it, triangulated without a vertex inside a face.
+
+    Args:
+        sides: corners of the prism, turned at random.
+        place: of the prism's axis on the lid, in the square from -1 to 1; the prism has to keep inside it.
+        radius: of the prism.
+        height: of the prism; above -1, and a pocket where it is negative.
+        cap: of CAPS, how its far end is triangulated.
+        seed: of the turn.
+    """
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    turn = 2.0 * np.pi * (np.arange(sides) + np.random.default_rng(seed).random()) / sides
+    ring = np.asarray(place) + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    levels = [(square, -1.0), (square, 0.0), (ring, 0.0), (ring, height)]
+    vertices = np.concatenate([np.column_stack([points, np.full(len(points), z)]) for points, z in levels])
+
+    def wall(low, high, count):
+        i = np.arange(count)
+        j = (i + 1) % count
+        return np.concatenate([np.stack([low + i, low + j, high + j], axis=1), np.stack([low + i, high + j, high + i], axis=1)])
+
+    bottom, end = CAPS["fan"](4)[:, ::-1], 8 + sides + CAPS[cap](sides)
+    lid = 4 + zigzag_between(square, ring)
+    return vertices, np.concatenate([bottom, wall(0, 4, 4), lid, wall(8, 8 + sides, sides), end])
+
+
+def collapsed(surface, face_count, seed=0, choices=4):
+    """A surface decimated crudely: edges are drawn into one of their ends, the shortest of a few at random each time.
+
+    No fold is avoided and no sliver; the mesh stays closed and manifold (the ends of an edge have two common
+    neighbours).
+    """
     rng = np.random.default_rng(seed)
-    kind = int(rng.integers(9))
-    count = int(rng.integers(3, 60))
+    faces = {k: tuple(face) for k, face in enumerate(surface.faces.tolist())}
+    at = [set() for _ in range(surface.vertex_count)]
+    for k, face in faces.items():
+        for vertex in face:
+            at[vertex].add(k)
+    points = surface.vertices
+    for _ in range(50 * surface.face_count):
+        if len(faces) <= face_count:
+            break
+        numbers = list(faces)
+        edges = []
+        for k in rng.integers(len(numbers), size=choices):
+            corner = int(rng.integers(3))
+            face = faces[numbers[k]]
+            edges.append((face[corner], face[corner - 1]))
+        a, b = min(edges, key=lambda edge: np.linalg.norm(points[edge[0]] - points[edge[1]]))
+        around = [{vertex for k in at[end] for vertex in faces[k]} - {a, b} for end in (a, b)]
+        if len(around[0] & around[1]) != 2 or len(around[0] | around[1]) < 4:
+            continue
+        for k in list(at[b]):
+            face = faces.pop(k)
+            for vertex in face:
+                at[vertex].discard(k)
+            if a not in face:
+                faces[k] = tuple(a if vertex == b else vertex for vertex in face)
+                for vertex in faces[k]:
+                    at[vertex].add(k)
+    left = np.array(list(faces.values()))
+    used, renumbered = np.unique(left, return_inverse=True)
+    return points[used], renumbered.reshape(-1, 3)
+
+
+def creature(seed, face_count, limb_count=4):
+    """A body with limbs in random directions, decimated crudely."""
+    rng = np.random.default_rng(seed)
+    ends = rng.normal(size=(limb_count, 3))
+    ends *= rng.uniform(1.0, 2.2, size=(limb_count, 1)) / np.linalg.norm(ends, axis=1, keepdims=True)
+    limbs = [(0.0, 0.0, 0.0, 0.6, *end, 0.3) for end in ends]
+    body = shapes.implicit_surface(shapes.metaballs(limbs, 0.05), [-2.8] * 3, [2.8] * 3, 0.25)
+    return collapsed(body, face_count, seed)
+
+
+def random_mesh(seed, most_faces=1500):
+    """One of the above with random numbers and at most about so many faces; returns what it is, and the mesh."""
+    rng = np.random.default_rng(seed)
+    kind = int(rng.integers(12))
+    largest = int(np.sqrt(most_faces / 20))  # frequency of an icosphere
+    frequency = int(rng.integers(2, largest + 1))
+    count = int(rng.integers(3, most_faces // 5))  # of sides: a prism has four times as many faces
+    spines = int(rng.integers(1, 20))
     if kind == 0:
         height = float(10.0 ** rng.uniform(-3, 1.5))
         cap = str(rng.choice(list(CAPS)))
         return f"prism({count}, {height:.3g}, {cap})", prism(count, height, cap)
     if kind == 1:
         axes = 10.0 ** rng.uniform(-3, 0, size=3)
-        return f"ellipsoid {axes.round(4)}", stretched(shapes.icosphere(int(rng.integers(2, 8))), axes)
+        return f"ellipsoid {axes.round(4)}", stretched(shapes.icosphere(frequency), axes)
     if kind == 2:
         length = float(10.0 ** rng.uniform(0.1, 1.5))
-        return f"urchin of {count // 3 + 1} spines to {length:.3g}", urchin(count // 3 + 1, length, 5, seed)
+        return f"urchin of {spines} spines to {length:.3g}", urchin(spines, length, largest, seed)
     if kind == 3:
         spread = float(rng.uniform(0.05, 1.0))
-        return f"log-normal sphere {spread:.2f}", lognormal_sphere(spread, 5, seed)
+        return f"log-normal sphere {spread:.2f}", lognormal_sphere(spread, frequency, seed)
     if kind == 4:
         rounds = int(rng.integers(1, 10))
-        return f"sphere with {rounds} rounds of flips", flipped_edges(shapes.icosphere(5), rounds, seed)
+        return f"sphere with {rounds} rounds of flips", flipped_edges(shapes.icosphere(largest), rounds, seed)
     if kind == 5:
         length = float(rng.uniform(2.0, 20.0))
-        return f"flipped tube of {length:.1f}", flipped_edges(shapes.tube(length, face_count=300), 3, seed)
+        tube = shapes.tube(length, face_count=int(rng.integers(most_faces // 3, most_faces)))
+        return f"flipped tube of {length:.1f}", flipped_edges(tube, 3, seed)
     if kind == 6:
         share = float(rng.uniform(0.05, 0.6))
-        return f"one face with {share:.2f} of the area", large_face(share, 4)
+        return f"one face with {share:.2f} of the area", large_face(share, frequency)
     if kind == 7:
         ratio = float(10.0 ** rng.uniform(1, 10))
-        return f"needles of {ratio:.1e} to 1", needle_pair(ratio, 4)
-    scale = float(10.0 ** rng.uniform(-150, 150))
-    vertices, faces = lognormal_sphere(0.2, 4, seed)
-    return f"scale {scale:.1e}", (scale * vertices, faces)
+        return f"needles of {ratio:.1e} to 1", needle_pair(ratio, frequency)
+    if kind == 8:
+        scale = float(10.0 ** rng.uniform(-150, 150))
+        vertices, faces = lognormal_sphere(0.2, frequency, seed)
+        return f"scale {scale:.1e}", (scale * vertices, faces)
+    if kind == 9:
+        radius = float(10.0 ** rng.uniform(-3, -0.3))
+        gap = float(10.0 ** rng.uniform(-5, -0.5))  # to the lid's side
+        place = (1.0 - gap) * (1.0 - radius) * rng.choice([-1.0, 1.0], size=2) * np.array([1.0, rng.random()])
+        height = float(-0.99 * rng.random() if rng.random() < 0.5 else 10.0 ** rng.uniform(-2, 1))
+        cap = str(rng.choice(list(CAPS)))
+        name = f"box with a prism of {count} sides, radius {radius:.3g}, height {height:.3g}, gap {gap:.1e}"
+        return name, boxes_joined(count, place, radius, height, cap, seed)
+    if kind == 10:
+        thickness = float(10.0 ** rng.uniform(-3, -1))
+        grid = shapes.plate(1.0, float(rng.uniform(0.2, 1.0)), thickness, face_count=20 * frequency**2)
+        return f"plate 1:{1 / thickness:.0f}", (grid.vertices, grid.faces)
+    faces = int(rng.integers(40, most_faces))
+    limb_count = int(rng.integers(2, 6))
+    return f"creature with {limb_count} limbs cut down to {faces} faces", creature(seed, faces, limb_count)
