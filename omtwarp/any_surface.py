@@ -14,6 +14,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.joined_maps import joined
 from omtwarp.measures.weights import face_weights
 from omtwarp.mesh.checks import MeshLike
+from omtwarp.mesh.names import InputNames
 from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
@@ -128,8 +129,11 @@ def map_surface(
     shares = None if weights is None else face_weights(weights, np.asarray(faces), count)
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
+    names = mesh.names if isinstance(mesh, Surface) else None
     maps = [
-        _map_part(part, domain, fill_area, cut, progress, options, None if shares is None else shares[part.face_origin])
+        _map_part(
+            part, domain, fill_area, cut, progress, options, None if shares is None else shares[part.face_origin], names
+        )
         for part in parts
     ]
     caps: tuple[Floats, Floats] | None = None
@@ -308,6 +312,7 @@ def _map_part(
     progress: Progress | None,
     options: MapKeywords,
     weights: Floats | None,
+    names: InputNames | None,
 ) -> SurfaceMap:
     if domain == "auto":
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
@@ -322,6 +327,7 @@ def _map_part(
         )
     opened = _opened(part, fill_area, to_rim=domain != "sphere")
     surface = _surface(opened, weights)
+    surface.names = _names(part, opened, names)
     if domain == "sphere":
         closed = map_to_sphere(surface, progress=progress, **options)
         if options.get("exact"):
@@ -440,6 +446,15 @@ def _opened(part: Part, fill_area: str, to_rim: bool) -> _Opened:
     return _Opened(vertices, faces, origin, face_origin, split_edges, loops, small, pairs, filled)
 
 
+def _names(part: Part, opened: _Opened, given: InputNames | None) -> InputNames:
+    """Return what vertices and faces of a part, cut and filled, are called in the input."""
+    vertices, faces = (np.full(len(rows), -1) for rows in (opened.filled.vertices, opened.filled.faces))
+    vertices[: len(opened.vertex_origin)] = opened.vertex_origin
+    faces[: len(opened.face_origin)] = opened.face_origin
+    own = InputNames(part.vertex_origin, part.face_origin)
+    return (own if given is None else given.of(own.vertices, own.faces)).of(vertices, faces)
+
+
 def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     """Return filled surface, its own areas times the weights of the part's faces, the area of the filling as asked for.
 
@@ -540,6 +555,9 @@ def _on_hemisphere(
     glued = double(opened.filled.vertices, opened.filled.faces)
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
+    if half.names is not None:
+        own = np.where(glued.copied, glued.mirror, np.arange(len(glued.mirror)))
+        surface.names = half.names.of(own, np.tile(np.arange(half.face_count), 2))
     chosen = MapOptions.parse(**(cast(MapKeywords, vars(MapOptions())) | options))
     closed = map_double(glued, surface, chosen, progress=progress, stacklevel=5)
     if chosen.exact:

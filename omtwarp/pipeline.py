@@ -28,6 +28,7 @@ from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.checks import MeshLike, as_surface
+from omtwarp.mesh.names import InputNames
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -686,6 +687,8 @@ class _Run:
         give_back()
         assert self.source is not None
         quartered = quarter(self.surface)
+        vertices, faces = (np.arange(count) for count in (self.surface.vertex_count, self.surface.face_count))
+        names = self.surface.names or InputNames(vertices, faces)
         self.surface = quartered.surface
         if self.mirror is not None:
             self.mirror = quartered_double(self.mirror, quartered)
@@ -693,6 +696,7 @@ class _Run:
             "vertex_origin": quartered.vertex_origin,
             "face_origin": quartered.parents.astype(np.int64),
         }
+        self.surface.names = names.of(self.origins["vertex_origin"], self.origins["face_origin"])
         self.source = source = quartered.on_sphere(self.source)
         self.first = vectors(source, resolve_device(self.device))
         # Cutting along great circles keeps a map one to one, except for rounding.

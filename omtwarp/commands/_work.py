@@ -72,6 +72,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     """
     import numpy as np
 
+    from omtwarp.mesh.names import InputNames
     from omtwarp.mesh.seams import read_joined_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import as_arrays, require_valid
@@ -101,6 +102,8 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     else:
         surface = Surface(*require_valid(vertices, faces, str(path)))
         surface.checked = True
+    if origins:
+        surface.names = InputNames(origins["vertex_origin"], origins["face_origin"])
     return Input(surface, sizes, notes, origins, vertex_of_file, mesh.file.faces)
 
 

@@ -128,6 +128,8 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> MeshFacts:
 
 def lines_about(facts: MeshFacts) -> list[str]:
     """Return the facts about a mesh for readers, a line each."""
+    from omtwarp.verdict import MAX_AREA_DISTORTION
+
     lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]
     lines += [f"  note: {note}" for note in facts["notes"]]
     repaired = "defects_before" in facts
@@ -141,7 +143,8 @@ def lines_about(facts: MeshFacts) -> list[str]:
         lines.append(f"{written['path']}: {written['vertices']} vertices, {written['faces']} faces")
     if facts["mappable"]:
         lines.append("  closed, manifold, oriented outward, one component, genus 0: it can be mapped")
-    lines += [f"  warning: {finding['text']}" for finding in facts["warnings"]]
+    may = f"  warning: the map may leave area distortion above {MAX_AREA_DISTORTION:g}"
+    lines += [f"{may}: {finding['text']}" for finding in facts["warnings"]]
     return lines
 
 

@@ -21,7 +21,7 @@ from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 from omtwarp.result import MapResult
 
-CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "2000"))
+CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "1940"))
 SEED = int(os.environ.get("OMTWARP_HOSTILE_SEED", "0"))
 
 BALL = shapes.icosphere(2)

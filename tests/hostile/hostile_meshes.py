@@ -115,8 +115,10 @@ def zigzag_between(outer, inner):
     out, into = len(outer), len(inner)
     sides = [np.roll(points, -1, axis=0) - points for points in (outer, inner)]
     turns = [np.arctan2(side[:, 1], side[:, 0]) for side in sides]
-    steps = sorted([(turn, 0, k) for k, turn in enumerate(turns[0])] + [(turn, 1, k) for k, turn in enumerate(turns[1])])
-    # The corner of each polygon that the first side by direction finds: where its own sides of the least direction begin.
+    steps = sorted(
+        [(turn, 0, k) for k, turn in enumerate(turns[0])] + [(turn, 1, k) for k, turn in enumerate(turns[1])]
+    )
+    # The corners that the first side by direction finds: where each polygon's side of the least direction begins.
     at = [int(np.argmin(turn)) for turn in turns]
     triangles = []
     for _, which, k in steps:
@@ -150,7 +152,9 @@ def boxes_joined(sides, place, radius, height, cap="strip", seed=0):
     def wall(low, high, count):
         i = np.arange(count)
         j = (i + 1) % count
-        return np.concatenate([np.stack([low + i, low + j, high + j], axis=1), np.stack([low + i, high + j, high + i], axis=1)])
+        return np.concatenate(
+            [np.stack([low + i, low + j, high + j], axis=1), np.stack([low + i, high + j, high + i], axis=1)]
+        )
 
     bottom, end = CAPS["fan"](4)[:, ::-1], 8 + sides + CAPS[cap](sides)
     lid = 4 + zigzag_between(square, ring)

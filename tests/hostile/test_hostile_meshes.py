@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
+import time
 
 import numpy as np
 import pytest
-from hostile_meshes import prism, random_mesh
+from hostile_meshes import lognormal_sphere, prism, random_mesh
 
+from omtwarp.any_surface import map_surface
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
+from omtwarp.mesh import shapes
+from omtwarp.mesh.names import InputNames, named_face, named_vertex
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import check
 from omtwarp.pipeline import map_to_sphere
@@ -22,7 +27,7 @@ def every_stage(result):
     return {name: sphere for name, sphere in maps.items() if sphere is not None}
 
 
-@pytest.mark.parametrize(("count", "height"), [(250, 0.5), (300, 0.3), (300, 0.5), (300, 1.0), (20, 30.0)])
+@pytest.mark.parametrize(("count", "height"), [(250, 0.5), (300, 0.3), (20, 30.0)])
 def test_prisms_with_caps_of_long_triangles(count, height):
     """Repair of their flipped triangles used to end without flips in maps that cover the sphere two or three times."""
     vertices, faces = prism(count, height)
@@ -40,30 +45,60 @@ def test_prisms_with_caps_of_long_triangles(count, height):
     assert result.distortion().area["surface"] < 2.15
 
 
-CASES = int(os.environ.get("OMTWARP_HOSTILE_MESHES", "34"))
+CASES = int(os.environ.get("OMTWARP_HOSTILE_MESHES", "60"))
 """How many meshes are invented: more on request."""
+SMALL, SMALL_CASES = 150, 60
+"""Faces of so many of them at most, about; later ones have up to 1,500."""
+LONGEST = 60  # seconds that a mesh may take
 
 
 @pytest.mark.parametrize("seed", range(CASES))
 @pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
 def test_invented_meshes_give_a_bijection_or_one_line_and_what_is_warned_of_was_foretold(seed):
-    name, (vertices, faces) = random_mesh(seed)
+    """Refusals and areas that are not kept are all named beforehand; that a stage does not converge need not be."""
+    name, (vertices, faces) = random_mesh(seed, SMALL if seed < SMALL_CASES else 1500)
     assert check(vertices, faces) == [], name
     foretold = foretell(Surface(vertices, faces))
+    begun = time.process_time()
     try:
         result = map_to_sphere((vertices, faces), device="cpu", optimality=False)
     except OmtwarpError as error:
         assert "\n" not in str(error) and foretold, name
         return
+    assert time.process_time() - begun < LONGEST, name
     for stage, sphere in every_stage(result).items():
         assert is_bijective(sphere, faces), (name, stage)
-    said = result.report["warnings"]
-    others = [finding for finding in said if finding["kind"] != "area-distortion"]
-    if others or result.distortion().area["surface"] > 2.1:  # those just beyond the limit cannot be told beforehand
-        assert foretold, (name, said)
+    said = [finding for finding in result.report["warnings"] if finding["kind"] != "not-converged"]
+    assert foretold or not said, (name, said)
 
 
 def test_invented_meshes_are_the_same_each_time():
     name, (vertices, faces) = random_mesh(11)
     again, (points, triangles) = random_mesh(11)
     assert name == again and np.array_equal(vertices, points) and np.array_equal(faces, triangles)
+
+
+@pytest.mark.parametrize("domain", ["hemisphere", "sphere"])
+@pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
+def test_warnings_of_open_surfaces_name_what_the_input_has(domain):
+    """The double of a surface and one with filled holes have vertices and faces that the user's has not."""
+    vertices, faces = lognormal_sphere(0.6, 4)
+    middles = shapes.icosphere(4).vertices[faces].mean(axis=1)
+    used, rest = np.unique(faces[middles[:, 2] < 0.3], return_inverse=True)
+    vertices, faces = vertices[used], rest.reshape(-1, 3)
+    result = map_surface((vertices, faces), domain=domain, device="cpu", optimality=False)
+    said = [finding for finding in result.report["warnings"] if finding["kind"] == "area-distortion"]
+    assert said
+    for face, place in re.findall(r"face (\d+) at \(([^)]*)\)", said[0]["text"]):
+        middle = vertices[faces[int(face)]].mean(axis=0)
+        np.testing.assert_allclose([float(x) for x in place.split(",")], middle, rtol=1e-3)
+    assert -1 <= said[0]["where"] < len(faces)
+
+
+def test_names_are_kept_from_step_to_step():
+    """Of three faces the first was cut in two and the last is new; then a mirror copy of all was added."""
+    names = InputNames(np.array([4, -1, 7]), np.array([5, 5, -1]))
+    both = names.of(np.array([0, 1, 2, 0, -1]), np.array([0, 1, 2, 0, 1, 2]))
+    assert both.vertices.tolist() == [4, -1, 7, 4, -1] and both.faces.tolist() == [5, 5, -1, 5, 5, -1]
+    assert named_face(both, 4) == (5, "face 5") and named_face(both, 2) == (-1, "an added face")
+    assert named_vertex(both, 3) == (4, "vertex 4") and named_vertex(None, 3) == (3, "vertex 3")
