@@ -32,6 +32,9 @@ ENOUGH_VERTICES = 1.3
 # share of the area, as on flat sides that are triangulated without a vertex inside, and where radii are noise: on
 # spheres with log-normal radii of 0.2, 0.32 and 0.5 the share is 0.08, 0.23 and 0.65, the distortion 2.04, 2.08, 2.11.
 LONG_TRIANGLE, LONG_SHARE = 5.0, 0.2
+# With so few faces shorter ones matter too: an ellipsoid of 80 is at 2.20 where 0.76 of its area is in triangles of
+# three times the height, and one of 180 at 2.001.
+FEW_FACES, LONG_OF_FEW, SHARE_OF_FEW = 150, 3.0, 0.5
 # Triangles count as folded where a neighbour turns away by more degrees than this. Bodies with limbs that were
 # decimated to 80 to 300 faces reach 2.05 where 0.19 of the area is folded, and 2.1 to 2.3 at 0.3 to 0.5; on scans it is
 # below 0.03.
@@ -91,15 +94,19 @@ def foretell(surface: Surface) -> list[Finding]:
             remedy = "remesh with more vertices around the limb, or use --refine area"
             found.append(Finding("coarse-limb", number, text, remedy))
     long = elongation(surface)
-    share_long = float(share[long > LONG_TRIANGLE].sum())
-    if share_long > LONG_SHARE:
-        worst = int(np.argmax(np.where(long > LONG_TRIANGLE, share, 0.0)))
+    limits = [(LONG_TRIANGLE, LONG_SHARE), (LONG_OF_FEW, SHARE_OF_FEW)][: 1 + (surface.face_count <= FEW_FACES)]
+    for limit, most in limits:
+        share_long = float(share[long > limit].sum())
+        if not share_long > most:
+            continue
+        worst = int(np.argmax(np.where(long > limit, share, 0.0)))
         number, name = named_face(surface.names, worst)
         text = (
-            f"triangles {LONG_TRIANGLE:.0f} times as long as high have {share_long:.0%} of the area, the largest is "
+            f"triangles {limit:.0f} times as long as high have {share_long:.0%} of the area, the largest is "
             f"{name} {_place_of_face(surface, worst)}"
         )
         found.append(Finding("long-triangles", number, text, "remesh the long triangles into even ones"))
+        break
     return found + _coarse_findings(surface)
 
 
