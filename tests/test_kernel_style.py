@@ -104,7 +104,20 @@ def indices(source: str) -> list[str]:
     return wrong
 
 
-CHECKS = (array_types, outputs, names, indices)
+def late_reads(source: str) -> list[str]:
+    """Several elements of arrays assigned at once where the arrays are written to: Warp reads them at their use."""
+    wrong = []
+    for function in (f for kind in ("kernel", "func") for f in decorated(ast.parse(source), kind)):
+        changed = written(function)
+        for node in ast.walk(function):
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
+                read = [part.value for part in node.value.elts if isinstance(part, ast.Subscript)]
+                if any(isinstance(array, ast.Name) and array.id in changed for array in read):
+                    wrong.append(f"{function.name}: {ast.unparse(node)}")
+    return wrong
+
+
+CHECKS = (array_types, outputs, names, indices, late_reads)
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -142,3 +155,5 @@ def scale_values(
         assert len(names(good.replace("scale_values", name))) == 1
     assert names(good.replace("scale_values", "scale_b2")) == []
     assert indices(good.replace("_compiled_once", "_")) != []
+    both = good.replace("    values[i] = factor * values[i]", "    a, b = values[i], values[0]\n    values[i] = a + b")
+    assert late_reads(both) == ["scale_values: a, b = (values[i], values[0])"]

@@ -52,8 +52,11 @@ def flip_to_delaunay(
         t = twins[h]
         queued[wp.min(h, t)] = 0
         if not is_delaunay(h, t, following, lengths):
-            h1, t1 = following[h], following[t]
-            h2, t2 = following[h1], following[t1]
+            # One assignment each: of several at once, Warp reads the array where the name is used, after the writes.
+            h1 = following[h]
+            t1 = following[t]
+            h2 = following[h1]
+            t2 = following[t1]
             edge = lengths[h]
             # The edge on the x axis from 0; one apex above, the other below.
             above = (lengths[h2] * lengths[h2] + edge * edge - lengths[h1] * lengths[h1]) / (TWO * edge)

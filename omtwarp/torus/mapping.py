@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,14 @@ from omtwarp.torus.cells import TorusCellEnergy, quartered_torus
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.optimality import torus_optimality
 from omtwarp.torus.torus_map import TorusMap
-from omtwarp.torus.transport import Report, TorusTransport, exact_on_torus, refine_on_torus, transport_on_torus
+from omtwarp.torus.transport import (
+    Report,
+    TorusTransport,
+    eased_on_torus,
+    exact_on_torus,
+    refine_on_torus,
+    transport_on_torus,
+)
 
 Floats = NDArray[np.float64]
 
@@ -85,11 +93,13 @@ class _Run:
 
     def optimal(self, measure: bool) -> None:
         """Find the discrete optimal map."""
-        found = transport_on_torus(self.surface, self.conformal, self.torus, progress=self.notify("omt"))
+        lattice = self.conformal.lattice
+        eased = eased_on_torus(self.surface, self.conformal, self.torus) @ np.linalg.inv(lattice)
+        start = replace(self.torus, coordinates=eased)
+        found = transport_on_torus(self.surface, self.conformal, start, progress=self.notify("omt"))
         self.largest_ring_error = found.history[-1]["ring_largest"]
         self.take("omt", found, {"largest_ring_error": self.largest_ring_error})
         if measure:
-            lattice = self.conformal.lattice
             x, shift = self.conformal.coordinates @ lattice, self.conformal.wraps @ lattice
             self.measured = torus_optimality(self.surface, x, found.points, shift, lattice).to_dict()
 

@@ -69,6 +69,8 @@ STIFFNESS = 1e7  # of the areas relative to cost and shape, which only choose am
 REFINED = 1e-4  # least expected gain of a step of a refinement
 REFINEMENTS = 100  # most steps of a refinement
 NO_PENALTY = 1e-9  # in place of zero, so that the matrix keeps its form
+# Weights of areas relative to angles, one after the other, for an embedding whose areas are wrong by more than UNEVEN, rms.
+EASING_WEIGHTS, UNEVEN = (1.0, 100.0), 0.05
 EXACT = 1e-6  # largest relative error of the areas, with which they count as right
 
 AREA_DECREASE = 0.1  # share of the areas' errors that a full step towards right areas has to take away
@@ -130,6 +132,29 @@ def transport_on_torus(
     energy = TorusEnergy(surface, torus, x, max(shape_weight, LEAST_SHAPE_WEIGHT))
     found = minimise(energy, y, gain=GAIN, iterations=iterations, progress=progress)
     return _with_right_areas(energy, found, RESTORATIONS)
+
+
+def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus) -> Floats:
+    """Move an embedding whose areas are wrong to one of well-shaped triangles, where the optimal map is near.
+
+    Limbs that the conformal map shrinks to nothing come out of the embedding with triangles of wrong areas and long thin
+    ones. From these, steps of the transport are short and depend on the last bit. Angles and areas alone have a minimum
+    that is found from anywhere near: with little weight on areas first, then with much.
+
+    Args:
+        surface: of genus 1.
+        torus: its conformal map.
+        start: a map without flips.
+
+    Returns:
+        Points in the plane, shape [V, 2]; those of the start where its areas are nearly right.
+    """
+    points = start.coordinates @ start.lattice
+    energy = TorusEnergy(surface, torus, torus.coordinates @ torus.lattice, 1.0)
+    if energy.area_errors(energy.terms(points))[0] > UNEVEN:
+        for weight in EASING_WEIGHTS:
+            points = refine_on_torus(surface, torus, points, weight)[0].points
+    return points
 
 
 def exact_on_torus(energy: TorusCellEnergy, points: Floats, *, progress: Report | None = None) -> TorusTransport:
@@ -428,4 +453,12 @@ def _held_back(
     return None
 
 
-__all__ = ["TorusTransport", "exact_on_torus", "minimise", "refine_on_torus", "restore_areas", "transport_on_torus"]
+__all__ = [
+    "TorusTransport",
+    "eased_on_torus",
+    "exact_on_torus",
+    "minimise",
+    "refine_on_torus",
+    "restore_areas",
+    "transport_on_torus",
+]
