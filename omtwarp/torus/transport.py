@@ -69,7 +69,7 @@ STIFFNESS = 1e7  # of the areas relative to cost and shape, which only choose am
 REFINED = 1e-4  # least expected gain of a step of a refinement
 REFINEMENTS = 100  # most steps of a refinement
 NO_PENALTY = 1e-9  # in place of zero, so that the matrix keeps its form
-# Weights of areas relative to angles, one after the other, for an embedding whose areas are wrong by more than UNEVEN, rms.
+# Weights of areas relative to angles, one after the other, where areas are wrong by more than UNEVEN, rms.
 EASING_WEIGHTS, UNEVEN = (1.0, 100.0), 0.05
 EXACT = 1e-6  # largest relative error of the areas, with which they count as right
 
@@ -137,9 +137,9 @@ def transport_on_torus(
 def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus) -> Floats:
     """Move an embedding whose areas are wrong to one of well-shaped triangles, where the optimal map is near.
 
-    Limbs that the conformal map shrinks to nothing come out of the embedding with triangles of wrong areas and long thin
-    ones. From these, steps of the transport are short and depend on the last bit. Angles and areas alone have a minimum
-    that is found from anywhere near: with little weight on areas first, then with much.
+    Limbs that the conformal map shrinks to nothing have long thin triangles of wrong areas in the embedding. From these,
+    steps of the transport are short and depend on the last bit. Angles and areas alone have a minimum that is found from
+    anywhere near: with little weight on areas first, then with much.
 
     Args:
         surface: of genus 1.
