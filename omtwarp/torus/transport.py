@@ -137,9 +137,9 @@ def transport_on_torus(
 def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus) -> Floats:
     """Move an embedding whose areas are wrong to one of well-shaped triangles, where the optimal map is near.
 
-    Limbs that the conformal map shrinks to nothing have long thin triangles of wrong areas in the embedding. From these,
-    steps of the transport are short and depend on the last bit. Angles and areas alone have a minimum that is found
-    from anywhere near: with little weight on areas first, then with much.
+    Limbs that the conformal map shrinks to nothing have long thin triangles of wrong areas in the embedding. From
+    these, steps of the transport are short and depend on the last bit. Angles and areas alone have a minimum that is
+    found from anywhere near: with little weight on areas first, then with much.
 
     Args:
         surface: of genus 1.
