@@ -82,7 +82,7 @@ def joined(
 def _numbers(maps: list[SurfaceMap], count: int) -> tuple[list[NDArray], int]:
     """Return the numbers of the vertices of each part in the whole, and how many there are.
 
-    The input's first, then new ones.
+    The input's vertices come first, then new ones.
     """
     numbers = []
     for part in maps:

@@ -331,7 +331,7 @@ def equiangular(height: int, width: int) -> SphereGrid:
 def octahedral(size: int) -> SphereGrid:
     """Return the sphere projected from its centre to an octahedron and folded out.
 
-    North in the middle, south in the corners.
+    The north pole is in the middle, the south pole in the corners.
 
     Pixels that straddle an edge of the octahedron consist of two triangles.
     """

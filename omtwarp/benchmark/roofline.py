@@ -114,7 +114,7 @@ class LaunchRecorder:
 def moved_bytes(threads: int, arguments: Sequence[object]) -> int:
     """Return the bytes that a launch over so many threads has to move.
 
-    Every array once, sixteen elements a thread at most.
+    It counts every array once, and at most sixteen elements per thread.
     """
     total, seen = 0, set()
     for argument in arguments:

@@ -61,7 +61,7 @@ def main() -> None:
 def _load(job: Job) -> None:
     """Load the readers, libraries and kernels that a job needs, and most likely all others of its cohort.
 
-    A small map does this, which starts no thread, as a fork would lose it.
+    A map does this that is small enough to start no thread, which a fork would lose.
     """
     options = cast(MapKeywords, {name: value for name, value in job.options.items() if name != "repair"})
     surface = blob(0, sphere=320)

@@ -72,7 +72,7 @@ def count_flips(
 ) -> int:
     """Return the number of triangles with det[a, b, c] <= 0, decided exactly.
 
-    One with a corner that is not finite counts.
+    A triangle with a corner that is not finite counts.
     """
     return int(flipped_faces(sphere, faces, device=device).sum())
 

@@ -155,10 +155,7 @@ def _from_ply(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
 
 
 def _ply_pictures(data: bytes, file: Path) -> tuple[list[Bytes | None], list[Path], list[str]]:
-    """Return the pictures that the header of a PLY file names, None for one that is not there.
-
-    Their files; and notes.
-    """
+    """Return the pictures that a PLY file's header names, None for missing ones, their files, and notes."""
     pictures: list[Bytes | None] = []
     named: list[Path] = []
     notes: list[str] = []

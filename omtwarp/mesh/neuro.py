@@ -40,7 +40,7 @@ def nibabel_module() -> ModuleType:
 def structure_of(path: Path | None) -> str | None:
     """Return the part of the brain that a file says it holds: ``CortexLeft``, ``CortexRight``, ....
 
-    None if it says nothing.
+    The result is None if the file does not say.
 
     GIFTI says it inside (AnatomicalStructurePrimary); other files by their names, ``lh.``, ``hemi-L`` or ``.L.``.
     """

@@ -297,7 +297,7 @@ class _Work:
 def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """Return a number for every corner of every face, shape [3F].
 
-    Equal for corners of faces that share edges at a vertex.
+    It is equal for corners of faces that share edges at a vertex.
     """
     corner = np.arange(3 * len(faces))
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
@@ -317,7 +317,7 @@ def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:
     """Return the closed loops around the holes, against the direction of the boundary's half-edges.
 
-    Pinched ones are left out.
+    Loops that touch themselves are left out.
     """
     following: dict[int, int] = {}
     pinched = set()

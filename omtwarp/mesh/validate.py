@@ -143,7 +143,7 @@ def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64
 def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Move points to their bounding box's centre and divide them by half its largest side.
 
-    Zeros if they all coincide.
+    The result is zero if they all coincide.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high / 2 - low / 2).max())

@@ -33,7 +33,7 @@ def velocity_at(
 ):
     """Return dx/ds = -∇Θ / (μ + (e^s - 1) ρ), section 4.2 with s = -log(1 - t); growth is e^s - 1, excess is ρ - 1.
 
-    Also the size of triangles there, as linear between the vertices, and the face.
+    Also return the size of triangles there, linear between the vertices, and the face.
     """
     f, w = walk(p, start, points, faces, neighbours)
     face = faces[f]

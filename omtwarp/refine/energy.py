@@ -89,9 +89,9 @@ class TriangleKernels:
         self.faces, self.frames, self.areas, self.rows = faces, frames, areas, rows
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
-        """Return an array for a moment.
+        """Return a temporary array.
 
-        Float64 of shape [rows, columns], or vec3d of shape [rows] where there are three.
+        It is float64 of shape [rows, columns], or vec3d of shape [rows] where there are three.
         """
         if not shares_host_memory(self.device):
             if columns == 3:
@@ -170,9 +170,9 @@ class DistortionEnergy:
         self._sums = None if shares_host_memory(device) else DistortionSums(count, device)
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
-        """Return the points on the device, shape [V] of vec3d.
+        """Return the points on the device, vec3d, shape [V].
 
-        On the CPU they are the array given, which must stay as it is.
+        On the CPU they share the memory of the given array, which must not change.
         """
         return vectors(sphere, self.device)
 

@@ -253,7 +253,7 @@ def newton_decrements(
 ):
     """Compute gᵀ B⁻¹ g of every vertex, with B its own block: twice what it gains alone.
 
-    0 where the block has no inverse.
+    The result is 0 where the block has no inverse.
     """
     i = wp.tid()
     y = sphere[i]

@@ -20,7 +20,7 @@ def distortion_summands(
 ):
     """Compute r + 1/r - 2 without cancellation, r the area ratio scaled by the image's total area, and 1/ratio.
 
-    Both before they are multiplied by the areas.
+    Neither is multiplied by the areas yet.
     """
     t = wp.tid()
     scaled = SPHERE_AREA / total[0] * ratio[t]

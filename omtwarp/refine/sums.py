@@ -27,7 +27,7 @@ class DistortionSums:
     ) -> tuple[float, ...]:
         """Return Σ A angle, Σ A D, Σ A (r + 1/r - 2) with r = 4π D / Σ A D, Σ A / D and Σ A steepness.
 
-        Arrays of shape [F].
+        The arguments are arrays of shape [F].
         """
         place = self._places
         self._sum.dot(areas, ratio, place[1])

@@ -59,7 +59,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
 def _thin_out(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
     """Return the indices of about ``count`` points spread evenly.
 
-    One for each occupied cell of a grid of the right width.
+    There is one for each occupied cell of a grid of suitable width.
     """
     if len(points) <= count:
         return np.arange(len(points))

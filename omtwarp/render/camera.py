@@ -31,7 +31,7 @@ SMALLEST_VIEW = 1e-9  # radii: half the height of a view of a single point
 
 @dataclass(frozen=True)
 class Camera:
-    """Where the picture is taken from.
+    """The direction and projection from which a picture is taken.
 
     The distance is chosen so that the surface fills the picture; ``zoom`` enlarges it from there.
 

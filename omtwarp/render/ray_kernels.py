@@ -154,7 +154,7 @@ def trilinear(picture: Picture, u: float, v: float, level: float):
 def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
     """Return the mean over the ellipse that the derivatives span.
 
-    Probes along its long axis at the level of the short one.
+    Samples are taken along its long axis, at the mip level of the short one.
     """
     width = float(picture.widths[0])
     height = float(picture.heights[0])

@@ -130,9 +130,8 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
 def map_view(
     result: FinishedMap, image: Picture | None = None, *, which: str = "optimal", on: str = "surface", caption: str = ""
 ) -> SurfaceView:
-    """Return a view of a finished map.
+    """Return a view of a finished map: the surface or its sphere, with an image carried over by the map.
 
-    The surface, or the sphere it was mapped to, with an image carried over by the map.
 
     Args:
         result: has ``vertices``, ``faces``, ``sphere`` and ``conformal``.

@@ -58,7 +58,7 @@ def script(name: str) -> Markup:
 def data_block(text: str) -> Markup:
     """Return JSON, or base64, for an element that is not executed.
 
-    Without any ``<``, which JSON has within texts only.
+    It has no ``<``, which JSON has only inside of texts.
     """
     return Markup(text.replace("<", "\\u003c"))  # noqa: S704
 

@@ -179,7 +179,7 @@ def vertex_scalars(faces: NDArray[np.int32], stage: Stage) -> tuple[Floats, Floa
 def log2_area_ratio(stage: Stage) -> Floats:
     """Return log2 of the area on the sphere over the area on the surface, shape [F].
 
-    Bounded where a triangle has none.
+    It is bounded where a triangle has no area.
     """
     with np.errstate(all="ignore"):
         ratio = np.log2(stage.distortion.area_ratio)

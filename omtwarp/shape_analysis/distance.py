@@ -115,7 +115,7 @@ def shape_distance(
 def coefficient_distance(first: Floats, second: Floats) -> float:
     """Return the root mean square distance of two surfaces over the sphere, the second turned onto the first.
 
-    By Parseval's identity, and the best rotation in closed form [1]_.
+    It follows from Parseval's identity and the best rotation in closed form [1]_.
 
     Args:
         first: coefficients of a surface without those of degree 0, shape [(L + 1)² - 1, 3].

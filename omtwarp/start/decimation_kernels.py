@@ -75,9 +75,9 @@ def ring_from(
 def fan_is_new(
     ring: Ring, valence: wp.int32, apex: wp.int32, offsets: wp.array[wp.int32], heads: wp.array[wp.int32]
 ) -> bool:
-    """Return whether no diagonal of the fan from ring entry ``apex`` is an edge already.
+    """Return whether the link condition holds.
 
-    The collapse's link condition.
+    No diagonal of the fan from ring entry ``apex`` may be an edge already.
     """
     for k in range(2, valence - 1):
         if connected(ring[apex], ring[(apex + k) % valence], offsets, heads):
@@ -109,9 +109,9 @@ def propose_collapses(
     cost: wp.array[wp.float64],
     target: wp.array[wp.int32],
 ):
-    """Compute the cheapest legal half-edge collapse of every vertex.
+    """Find the cheapest legal half-edge collapse of every vertex.
 
-    Its cost, and the half-edge towards the vertex kept.
+    The outputs are its cost, and the half-edge towards the vertex kept.
     """
     i, _compiled_once = wp.tid()
     v = alive[i]
@@ -155,9 +155,9 @@ def select_minima(
     # Data out:
     selected: wp.array[wp.bool],
 ):
-    """Mark the vertices that go in this round: their key is below that of every neighbour.
+    """Mark the vertices to remove in this round: their key is below that of every neighbour.
 
-    No two neighbours go together.
+    No two neighbours are removed together.
     """
     i = wp.tid()
     v = alive[i]

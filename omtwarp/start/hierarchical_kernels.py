@@ -135,7 +135,7 @@ def star_energy(
 ) -> wp.float64:
     """Return the energy of the triangles around a vertex at ``x``.
 
-    Infeasible where one's determinant is not above the bound.
+    It is infeasible where a determinant is not above the bound.
 
     A triangle of target area A contributes A (|J|^2 + w (D^2 + 1)) / D with D = det / (2A) and A |J|^2 half the sum of
     cotangents times squared opposite edges. det and not the area is linear in ``x`` and negative where flipped; the two

@@ -127,7 +127,7 @@ def area_latitude(level: NDArray[np.float64], vertex_areas: NDArray[np.float64])
 def _longitude(surface: Surface, edges, weights, level, south: int, north: int) -> NDArray[np.float64]:
     """Return the harmonic function that grows by 2π around the poles, in radians, shape [V].
 
-    0 at the poles themselves.
+    It is 0 at the poles themselves.
     """
     count = surface.vertex_count
     touches_pole = np.isin(edges, [south, north]).any(axis=1)

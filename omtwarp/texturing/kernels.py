@@ -46,7 +46,7 @@ def picture_direction(
 ):
     """Return the unit vector that a point of a picture shows.
 
-    x to the right, y **down**, in texels. Gutters continue past borders.
+    The point has x to the right and y **down**, in texels. Gutters continue past borders.
     """
     w = wp.float64(width)
     h = wp.float64(height)

@@ -34,7 +34,7 @@ def cell_of(value: wp.float64, low: wp.float64, high: wp.float64, count: int):
 
 @wp.func
 def near_multiple(value: wp.float64, step: wp.float64):
-    """Distance to the nearest multiple of a step."""
+    """Return the distance to the nearest multiple of a step."""
     return wp.abs(value - step * wp.floor(value / step + HALF))
 
 
@@ -129,14 +129,14 @@ def circle_colours(
 
 @wp.func
 def smooth_union(a: wp.float64, b: wp.float64, k: wp.float64):
-    """The distance to a union of two shapes with the corner between them rounded (polynomial smooth minimum)."""
+    """Return the distance to a union of two shapes with the corner between them rounded (polynomial smooth minimum)."""
     h = wp.max(k - wp.abs(a - b), ZERO) / k
     return wp.min(a, b) - h * h * k * wp.float64(0.25)
 
 
 @wp.func
 def jigsaw_edge(s: wp.float64, t: wp.float64):
-    """Signed distance to a jigsaw edge: negative on the side of the piece that has the tab.
+    """Return the signed distance to a jigsaw edge: negative on the side of the piece that has the tab.
 
     The edge runs along t = 0 for s in 0..1, the tab reaches into t > 0; lengths are in sides of a piece.
     """

@@ -95,7 +95,7 @@ class Pattern(ABC):
     def _tables(self) -> list[object]:
         """Return the kernel inputs between the directions and the output.
 
-        (array, Warp dtype) is uploaded once per device.
+        A pair (array, Warp dtype) is uploaded once per device.
         """
 
 

@@ -383,9 +383,9 @@ def _inside(
     towards: Floats,
     share: Floats,
 ) -> Floats:
-    """Return the cubic map at points inside of every triangle, by their shares of its corners [K, 3].
+    """Return the cubic map at points inside of every triangle, by barycentric coordinates [K, 3].
 
-    Shape [F, K, 3].
+    The result has the shape [F, K, 3].
     """
     corner, value = places[faces], sphere[faces]
     # Derivatives along the sides of each triangle: out[k] from corner k to the next, back[k] from k + 1 to k.

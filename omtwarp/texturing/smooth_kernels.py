@@ -17,7 +17,7 @@ SLACK = wp.constant(wp.float64(-1.0e-9))
 
 @wp.func
 def grid_place(bary: wp.vec3d, parts: int, first: int, grid: wp.array[wp.int32], points: wp.array[wp.vec3d]):
-    """The point of a divided triangle at barycentric coordinates."""
+    """Return the point of a divided triangle at barycentric coordinates."""
     n = wp.float64(parts)
     x = wp.clamp(bary[1], ZERO, ONE) * n
     y = wp.clamp(bary[2], ZERO, ONE) * n
@@ -56,7 +56,7 @@ def bent_sample_directions(
     # Data out:
     directions: wp.array[wp.vec3d],
 ):
-    """Directions of the samples of texels, moved by what the smooth map differs by from the linear one there.
+    """Compute the directions of the samples of texels, moved by what the smooth map differs by from the linear one there.
 
     ``hints`` names a triangle of the mesh near every block of texels, -1 where there is none. ``divided`` says into how
     many parts the edges of a triangle are divided, 0 where the smooth map is the linear one; ``first`` where its points

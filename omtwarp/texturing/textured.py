@@ -219,7 +219,7 @@ def _source(
 def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     """Return the unit normals at vertices, shape [V, 3]: the mean of the faces' normals, weighted by area.
 
-    Zero where the faces around a vertex cancel or have no area.
+    They are zero where the faces around a vertex cancel or have no area.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     scaled = (vertices - low) / max(
@@ -237,7 +237,7 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 def unit_normals(normals: Floats) -> Floats:
     """Return the normals of length one.
 
-    The north pole where there is none, as formats of files demand some direction.
+    Where there is none it is the north pole, as file formats require a direction.
     """
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))

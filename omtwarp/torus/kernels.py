@@ -37,7 +37,7 @@ def plane_triangles(
 ):
     """Compute the signed areas, and distortion of angle and area less 2, of every triangle.
 
-    Infinite where it is turned over.
+    Distortion is infinite where the triangle is turned over.
     """
     f = wp.tid()
     face, frame = faces[f], frames[f]

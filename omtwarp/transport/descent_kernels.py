@@ -64,9 +64,9 @@ def inner_products(
     # Data out:
     sums: wp.array2d[wp.float64],
 ):
-    """Compute the gradient times preconditioned gradient, ascent, and last direction.
+    """Compute the products of the gradient with preconditioned gradient, ascent and last direction.
 
-    And last gradient times ascent.
+    The fourth product is that of the previous gradient and ascent.
     """
     thread = wp.tid()
     with_preconditioned = wp.float64(0.0)

@@ -225,11 +225,9 @@ class PaperFlow:
         return float(np.quantile(self._rate.numpy(), WITHIN_COURANT))
 
     def advance(self, step: float) -> bool:
-        """Return the map after a step dt (Algorithm 1, line 17), kept aside.
+        """Compute the map after a step dt (Algorithm 1, line 17), without accepting it; return False where it flips.
 
-        False where it would flip triangles regardless.
-
-        Where it turns triangles over, the step is repeated with the flow held still around them.
+        Where the step turns triangles over, it is repeated first with their vertices and surroundings held.
         """
         mesh = [self.operators.vertices, self.operators.faces]
         rows = [self.operators.corner_offsets, self.operators.corners]

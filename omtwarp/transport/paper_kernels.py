@@ -11,7 +11,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 def rotated_cost_gradient(x: wp.vec3d, g: wp.vec3d, squared: wp.int32, smallest: wp.float64) -> wp.vec3d:
     """Return J Phi_x(x, g) in the tangent plane at x.
 
-    Section 2.5 for Phi = theta, and 2 theta times that for theta squared.
+    It is that of section 2.5 for Phi = theta, and 2 theta times that for theta squared.
 
     ``smallest`` bounds the denominator |x × g| from below, smoothly: Phi = theta has no gradient where g = x.
     """

@@ -48,7 +48,7 @@ def first_tangent(y: wp.vec3d) -> wp.vec3d:
 def barrier(d: wp.float64, eps: wp.float64) -> wp.float64:
     """Return χ(D, ε) = (D + sqrt(D² + ε²)) / 2 of Garanzha et al. (2021).
 
-    Positive, and near D where D is well above ε.
+    It is positive, and near D where D is well above ε.
     """
     root = wp.sqrt(d * d + eps * eps)
     if d >= ZERO:

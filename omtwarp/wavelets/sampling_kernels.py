@@ -12,7 +12,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 def child_of(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.int32:
     """Return which of a spherical triangle's four children holds ``p``.
 
-    On the arcs between midpoints, the middle one.
+    Points on the arcs between midpoints belong to the middle one.
     """
     ab, bc, ca = wp.normalize(a + b), wp.normalize(b + c), wp.normalize(c + a)
     if triple_product(ab, ca, p) > ZERO:

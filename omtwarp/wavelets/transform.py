@@ -205,7 +205,7 @@ class SphericalWavelets:
     def wavelet(self, node: int) -> NDArray[np.float64]:
         """Return the basis function of a node at the finest nodes, shape [N].
 
-        Psi(j, m), or phi(0, k) at the solid's nodes.
+        It is psi(j, m), or phi(0, k) at the solid's nodes.
         """
         unit = np.zeros(self.hierarchy.node_count)
         unit[node] = 1.0
@@ -214,7 +214,7 @@ class SphericalWavelets:
     def scaling_function(self, level: int, node: int) -> NDArray[np.float64]:
         """Return phi(level, node) at the finest nodes, shape [N].
 
-        Subdivision of a unit value at one node of K(level).
+        It is the subdivision of a unit value at one node of K(level).
         """
         values = np.zeros(self.hierarchy.node_counts[level])
         values[node] = 1.0

@@ -326,7 +326,7 @@ def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np
 def surface_dissection(surface: Surface) -> Dissection:
     """Return the order in which sparse matrices on a surface's edges are eliminated.
 
-    Computed once and cached with the surface.
+    It is computed once and cached with the surface.
     """
     return surface.kept("dissection", lambda: dissect(surface.scaled_vertices, surface.edges))
 

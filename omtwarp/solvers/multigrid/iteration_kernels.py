@@ -46,7 +46,7 @@ def cg_alpha(
 ):
     """Compute the step to the minimum along the direction, from p · A p.
 
-    None where the matrix is not positive along it.
+    There is none where the matrix is not positive along it.
     """
     curvature = column_sum(products, 0)
     scalars[ALPHA] = ZERO

@@ -25,7 +25,7 @@ MANY_ITERATIONS = 60
 def surface_hierarchy(surface: Surface, device: wp.Device) -> MeshHierarchy:
     """Return the levels of a surface on a device, by its own cotangent Laplacian.
 
-    Computed once and cached with the surface.
+    They are computed once and cached with the surface.
     """
     return surface.kept(_name(device), lambda: positioned_hierarchy(surface, surface.scaled_vertices, device))
 
