@@ -56,7 +56,7 @@ def bent_sample_directions(
     # Data out:
     directions: wp.array[wp.vec3d],
 ):
-    """Compute the directions of the samples of texels, moved by what the smooth map differs by from the linear one there.
+    """Compute the directions of texels' samples, moved by the difference of the smooth map from the linear one.
 
     ``hints`` names a triangle of the mesh near every block of texels, -1 where there is none. ``divided`` says into how
     many parts the edges of a triangle are divided, 0 where the smooth map is the linear one; ``first`` where its points
