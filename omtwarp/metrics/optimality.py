@@ -37,8 +37,9 @@ integral by 2 to 5 % at 25,000 faces.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,7 +54,7 @@ from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
-from omtwarp.metrics.optimality_dual import TransportDual
+from omtwarp.metrics.optimality_dual import Bound, TransportDual
 from omtwarp.options import Progress
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
@@ -240,25 +241,14 @@ def _measure(
         other = dual.bound(given)
         best = other if other.excess < best.excess else best
     cost = 2.0 * float(mass @ dual.cost)
-    steps = 0
-    step: float | None = None
-    while steps < ascent_steps and _excess(cost, cost - 2.0 * best.excess) > enough:
-        notify(steps, 2.0 * best.excess / cost)
-        direction, slope = dual.ascent_direction(best)
-        if slope <= 0:
-            break
-        if step is None:
-            step = best.excess / slope
-        for _ in range(TRIALS):
-            trial = dual.bound(best.potential + step * direction)
-            if trial.excess < best.excess:
-                break
-            step *= SHORTER
-        else:
-            break
-        best = trial
-        step *= LONGER
-        steps += 1
+
+    def near(found: Bound, done: int) -> bool:
+        if _excess(cost, cost - 2.0 * found.excess) <= enough:
+            return True
+        notify(done, 2.0 * found.excess / cost)
+        return False
+
+    best, steps = ascend(dual, best, ascent_steps, near)
     vertex_gap = 2.0 * mass * best.vertex_gap
     transform = dual.cost - best.potential - best.vertex_gap
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
@@ -279,6 +269,62 @@ def _measure(
         vertex_gap=vertex_gap,
         stream=stream,
     )
+
+
+class Bounded(Protocol):
+    """A potential, and the bound that it gives."""
+
+    @property
+    def potential(self) -> Array:
+        """ψ at the images."""
+
+    @property
+    def excess(self) -> float:
+        """Half of what the bound lies below the cost."""
+
+
+Found = TypeVar("Found", bound=Bounded)
+
+
+class DualProblem(Protocol[Found]):
+    """Kantorovich's dual problem of a map: what :func:`ascend` asks of it."""
+
+    def bound(self, potential: Array) -> Found:
+        """Return the bound of a potential."""
+
+    def ascent_direction(self, current: Found) -> tuple[Array, float]:
+        """Return a change of the potential, and the slope of the bound along it."""
+
+
+def ascend(dual: DualProblem[Found], best: Found, most: int, near: Callable[[Found, int], bool]) -> tuple[Found, int]:
+    """Raise a bound by steps along ascent directions, each of which is shortened until it raises the bound.
+
+    Args:
+        dual: the problem.
+        best: the bound to begin with.
+        most: steps at most.
+        near: whether a bound after a number of steps is near enough to the cost.
+
+    Returns:
+        The best bound, and the steps taken.
+    """
+    length: float | None = None
+    for done in range(most):
+        if near(best, done):
+            return best, done
+        direction, slope = dual.ascent_direction(best)
+        if not slope > 0.0:
+            return best, done
+        length = best.excess / slope if length is None else length
+        for _ in range(TRIALS):
+            trial = dual.bound(best.potential + length * direction)
+            if trial.excess < best.excess:
+                break
+            length *= SHORTER
+        else:
+            return best, done
+        best, length = trial, LONGER * length
+    return best, most
 
 
 def _excess(cost: float, bound: float) -> float:

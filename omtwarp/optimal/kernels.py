@@ -120,6 +120,37 @@ def turned_back(vector: wp.vec3d, y: wp.vec3d, x: wp.vec3d) -> wp.vec3d:
     return cosine * vector + wp.cross(axis, vector) + wp.dot(axis, vector) / wp.max(ONE + cosine, TINY) * axis
 
 
+@wp.func
+def raised_fit(
+    a11: wp.float64,
+    a12: wp.float64,
+    a22: wp.float64,
+    b11: wp.float64,
+    b12: wp.float64,
+    b21: wp.float64,
+    b22: wp.float64,
+    count: wp.float64,
+    least: wp.float64,
+):
+    """Solve J A = B for ``count`` neighbours, make J symmetric and raise its eigenvalues to ``least``.
+
+    Returns the mean of the eigenvalues, half their difference, and cosine and sine of twice the first one's angle.
+    """
+    held11, held22 = a11 + LINE * count, a22 + LINE * count
+    det = held11 * held22 - a12 * a12
+    j11 = (b11 * held22 - b12 * a12) / det
+    j12 = (b12 * held11 - b11 * a12) / det
+    j21 = (b21 * held22 - b22 * a12) / det
+    j22 = (b22 * held11 - b21 * a12) / det
+    mean, gap, off = HALF * (j11 + j22), HALF * (j11 - j22), HALF * (j12 + j21)
+    radius = wp.sqrt(gap * gap + off * off)
+    high, low = wp.max(mean + radius, least), wp.max(mean - radius, least)
+    cosine, sine = wp.float64(1.0), wp.float64(0.0)
+    if radius > TINY:
+        cosine, sine = gap / radius, off / radius
+    return HALF * (high + low), HALF * (high - low), cosine, sine
+
+
 @wp.kernel
 def cost_metric(
     start: wp.array[wp.vec3d],
@@ -164,21 +195,8 @@ def cost_metric(
         b21 += e2 * d1
         b22 += e2 * d2
         count += ONE
-    a11 += LINE * count
-    a22 += LINE * count
-    det = a11 * a22 - a12 * a12
-    j11 = (b11 * a22 - b12 * a12) / det
-    j12 = (b12 * a11 - b11 * a12) / det
-    j21 = (b21 * a22 - b22 * a12) / det
-    j22 = (b22 * a11 - b21 * a12) / det
-    mean, gap, off = HALF * (j11 + j22), HALF * (j11 - j22), HALF * (j12 + j21)
-    radius = wp.sqrt(gap * gap + off * off)
-    high, low = wp.max(mean + radius, least), wp.max(mean - radius, least)
-    cosine, sine = wp.float64(1.0), wp.float64(0.0)
-    if radius > TINY:
-        cosine, sine = gap / radius, off / radius
+    centre, spread, cosine, sine = raised_fit(a11, a12, a22, b11, b12, b21, b22, count, least)
     scale = factor * ring[v]
-    centre, spread = HALF * (high + low), HALF * (high - low)
     metric[v, 0] = scale * (centre + spread * cosine)
     metric[v, 1] = scale * spread * sine
     metric[v, 2] = metric[v, 1]

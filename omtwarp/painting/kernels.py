@@ -2,15 +2,13 @@
 """Kernels on the texels of a mesh's texture."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.texturing.kernels import edge_side, sign_of
-from omtwarp.texturing.openness_kernels import open_share
+from omtwarp.texturing.kernels import edge_side, sign_of, texels_within
+from omtwarp.texturing.openness_kernels import TURN, open_share
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 # Of tangent, bitangent and normal: below, single precision's normals give no frame.
 SMALLEST_DETERMINANT = wp.constant(wp.float64(1.0e-6))
-# Radians, 1 / 1.3247 (the plastic number): turned by it, no two are near.
-GOLDEN_TURN = wp.constant(wp.float32(0.7548777))
 TURNS = wp.constant(1021)  # a prime: so many are told apart, and float32 still resolves each to 1e-4
 
 
@@ -38,10 +36,8 @@ def count_claims(
     ab = wp.length(b - a) * flip
     bc = wp.length(c - b) * flip
     ca = wp.length(a - c) * flip
-    low_x = wp.max(int(wp.ceil(wp.min(wp.min(a[0], b[0]), c[0]) - HALF)), 0)
-    high_x = wp.min(int(wp.floor(wp.max(wp.max(a[0], b[0]), c[0]) - HALF)), width - 1)
-    low_y = wp.max(int(wp.ceil(wp.min(wp.min(a[1], b[1]), c[1]) - HALF)), 0)
-    high_y = wp.min(int(wp.floor(wp.max(wp.max(a[1], b[1]), c[1]) - HALF)), height - 1)
+    low_x, high_x = texels_within(a[0], b[0], c[0], ZERO, 0, width)
+    low_y, high_y = texels_within(a[1], b[1], c[1], ZERO, 0, height)
     for row in range(low_y, high_y + 1):
         for column in range(low_x, high_x + 1):
             x = wp.float64(column) + HALF
@@ -143,5 +139,5 @@ def cast_open_rays(
     ``numbers`` rotate the pattern of rays differently for every point, to avoid visible bands.
     """
     i = wp.tid()
-    turn = float(numbers[i] % TURNS) * GOLDEN_TURN
+    turn = float(numbers[i] % TURNS) * TURN
     openness[i] = open_share(mesh, origins[i], normals[i], turn, rays)

@@ -272,6 +272,14 @@ def edge_side(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64, px
     return (bx - ax) * (py - ay) - (by - ay) * (px - ax)
 
 
+@wp.func
+def texels_within(a: wp.float64, b: wp.float64, c: wp.float64, grow: wp.float64, first: int, end: int):
+    """Return the first and the last texel along an axis whose centres are within ``grow`` of a triangle's extent."""
+    low = int(wp.ceil(wp.min(wp.min(a, b), c) - HALF - grow))
+    high = int(wp.floor(wp.max(wp.max(a, b), c) - HALF + grow))
+    return wp.max(low, first), wp.min(high, end - 1)
+
+
 @wp.kernel
 def own_texels(
     corners: wp.array2d[wp.vec2d],
@@ -300,10 +308,8 @@ def own_texels(
     ab = wp.length(b - a) * flip
     bc = wp.length(c - b) * flip
     ca = wp.length(a - c) * flip
-    low_x = wp.max(int(wp.ceil(wp.min(wp.min(a[0], b[0]), c[0]) - HALF - grow)), 0)
-    high_x = wp.min(int(wp.floor(wp.max(wp.max(a[0], b[0]), c[0]) - HALF + grow)), width - 1)
-    low_y = wp.max(int(wp.ceil(wp.min(wp.min(a[1], b[1]), c[1]) - HALF - grow)), first_row)
-    high_y = wp.min(int(wp.floor(wp.max(wp.max(a[1], b[1]), c[1]) - HALF + grow)), end_row - 1)
+    low_x, high_x = texels_within(a[0], b[0], c[0], grow, 0, width)
+    low_y, high_y = texels_within(a[1], b[1], c[1], grow, first_row, end_row)
     for row in range(low_y, high_y + 1):
         for column in range(low_x, high_x + 1):
             x = wp.float64(column) + HALF

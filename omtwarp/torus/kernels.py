@@ -5,10 +5,10 @@ The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plan
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.mesh import arrays
+from omtwarp.optimal.kernels import raised_fit
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-LINE = wp.constant(wp.float64(1e-9))  # see omtwarp.optimal.kernels
 SMALLEST = wp.constant(wp.float64(arrays.TINY))
 
 
@@ -238,20 +238,8 @@ def plane_cost_metric(
         b21 += weight * e[1] * d[0]
         b22 += weight * e[1] * d[1]
         count += ONE
-    a11 += LINE * count
-    a22 += LINE * count
-    det = a11 * a22 - a12 * a12
-    j11 = (b11 * a22 - b12 * a12) / det
-    j12 = (b12 * a11 - b11 * a12) / det
-    j21 = (b21 * a22 - b22 * a12) / det
-    j22 = (b22 * a11 - b21 * a12) / det
-    mean, gap, off = HALF * (j11 + j22), HALF * (j11 - j22), HALF * (j12 + j21)
-    radius = wp.sqrt(gap * gap + off * off)
-    high, low = wp.max(mean + radius, least), wp.max(mean - radius, least)
-    cosine, sine = ONE, ZERO
-    if radius > SMALLEST:
-        cosine, sine = gap / radius, off / radius
-    centre, spread = scale[v] * HALF * (high + low), scale[v] * HALF * (high - low)
+    centre, spread, cosine, sine = raised_fit(a11, a12, a22, b11, b12, b21, b22, count, least)
+    centre, spread = scale[v] * centre, scale[v] * spread
     metric[v, 0] = centre + spread * cosine
     metric[v, 1] = spread * sine
     metric[v, 2] = spread * sine

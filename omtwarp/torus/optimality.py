@@ -19,7 +19,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH, LONGER, SHORTER, TRIALS
+from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH, ascend
 from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, space_order
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec7d
@@ -89,22 +89,7 @@ def torus_optimality(
     if potential is not None:
         given = dual.bound(potential)
         best = given if given.excess < best.excess else best
-    length, taken = None, 0
-    for _ in range(ascent_steps):
-        if 2.0 * best.excess <= GOOD_ENOUGH * cost:
-            break
-        direction, slope = dual.ascent_direction(best)
-        if not slope > 0.0:
-            break
-        length = best.excess / slope if length is None else length
-        for _ in range(TRIALS):
-            trial = dual.bound(best.potential + length * direction)
-            if trial.excess < best.excess:
-                break
-            length *= SHORTER
-        else:
-            break
-        best, length, taken = trial, LONGER * length, taken + 1
+    best, taken = ascend(dual, best, ascent_steps, lambda found, _: 2.0 * found.excess <= GOOD_ENOUGH * cost)
     lower = max(cost - 2.0 * best.excess, 0.0)
     gap = cost / lower - 1.0 if lower > 0.0 else (0.0 if cost == 0.0 else float("inf"))
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
