@@ -82,7 +82,7 @@ def average_to_bytes(
     # Data out:
     picture: wp.array2d[wp.uint8],
 ):
-    """Mean of the samples of every texel, rounded and written to the texel's place."""
+    """Write the mean of the samples of every texel, rounded, to the texel's place."""
     i, _compiled_once = wp.tid()
     per_texel = samples * samples
     for c in range(values.shape[1]):
@@ -102,7 +102,7 @@ def flag_edges(
     # Data out:
     flags: wp.array[wp.uint8],
 ):
-    """1 where a texel differs from one of its four neighbours by more than a threshold in some channel, else 0."""
+    """Mark with 1 where a texel differs from one of its four neighbours by more than a threshold in some channel."""
     i, _compiled_once = wp.tid()
     number = texels[i]
     row = number // width
