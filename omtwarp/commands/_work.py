@@ -195,6 +195,38 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
     return (SurfaceMap if path.is_file() and holds_array(path, "domain") else MapResult).load(path)
 
 
+def require_whole(result: MapResult, name: object) -> MapResult:
+    """Make sure that a map covers the sphere, as integrals over it and harmonics need.
+
+    Args:
+        result: a map.
+        name: of its file, for the message.
+
+    Raises:
+        OmtwarpError: it goes to a hemisphere, a disk or a cap, or its parts each to a domain of their own.
+    """
+    from omtwarp.surface_map import SurfaceMap
+
+    if isinstance(result, SurfaceMap) and (result.domain != "sphere" or result.part is not None):
+        where = "several domains" if result.part is not None else f"a {result.domain}"
+        raise OmtwarpError(
+            f"'{name}' is a map to {where}: this command takes maps that cover the sphere, of closed or filled surfaces"
+        )
+    return result
+
+
+def load_whole_map(path: Path) -> MapResult:
+    """Read a finished map that covers the sphere.
+
+    Args:
+        path: the file.
+
+    Raises:
+        OmtwarpError: as of :func:`load_map`, or the map covers a part of the sphere.
+    """
+    return require_whole(load_map(path), path)
+
+
 def report_text(report: object) -> str:
     """Return a report, or several, as JSON; numbers that JSON does not have become null."""
 

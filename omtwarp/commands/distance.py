@@ -29,12 +29,11 @@ def distance(
     of the least transport cost between the densities of their conformal maps, in radians.
     """
     from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import report_text, start_device
-    from omtwarp.result import MapResult
+    from omtwarp.commands._work import load_whole_map, report_text, start_device
     from omtwarp.shape_analysis.distance import shape_distance
 
     start_device(device)
-    ends = MapResult.load(first), MapResult.load(second)
+    ends = load_whole_map(first), load_whole_map(second)
     with progress_bar(quiet) as progress:
         found = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
     if as_json:

@@ -48,8 +48,7 @@ def group(
     One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import report_text, start_device
-    from omtwarp.result import MapResult
+    from omtwarp.commands._work import load_whole_map, report_text, start_device
     from omtwarp.shape_analysis.group import study_group, two_groups
     from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report
 
@@ -62,7 +61,7 @@ def group(
     start_device(device)
     with progress_bar(quiet) as progress:
         found = study_group(
-            [MapResult.load(path) for path in paths],
+            [load_whole_map(path) for path in paths],
             labels,
             grid=grid,
             components=components,

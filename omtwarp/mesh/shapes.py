@@ -13,6 +13,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import Surface
 
@@ -468,6 +469,9 @@ def demo_shape(face_count: int = 20000) -> Surface:
 
     Args:
         face_count: roughly how many faces, from about 2,000; thin parts are thickened when there are few.
+
+    Raises:
+        OmtwarpError: so few that its limbs melt together.
     """
     sides = [(x, s) for x in (-0.48, 0.5) for s in (-1.0, 1.0)]
     legs = [[x, 0.3 * s, 0.05, 0.2, x + 0.06, 0.42 * s, -0.72, 0.15] for x, s in sides]
@@ -485,7 +489,10 @@ def demo_shape(face_count: int = 20000) -> Surface:
     cones[:, [3, 7]] = np.maximum(cones[:, [3, 7]], 0.8 * cell)  # thinner than this the grid would cut them off
     value = metaballs(cones, blend=0.05)
     low, high = np.array([-1.75, -0.85, -1.15]), np.array([1.75, 0.85, 1.6])
-    return implicit_surface(value, low, high, cell=cell)
+    surface = implicit_surface(value, low, high, cell=cell)
+    if surface.vertex_count - surface.face_count // 2 != 2:  # Euler's formula for a closed surface without handles
+        raise OmtwarpError(f"at {face_count} faces the creature's limbs melt into handles: ask for 2,000 or more")
+    return surface
 
 
 # Making good meshes worse -------------------------------------------------------------------------------------------

@@ -229,10 +229,11 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
 
     lone = topology.edge_face_count == 1
     if lone.any():
-        a, b = (int(end) for end in topology.edges[np.argmax(lone)])
         holes = number(topology.hole_count, "hole")
         edges = number(lone.sum(), "edge")
-        text = f"open boundary: {edges} with one face, in {holes}, first between vertices {a} and {b}"
+        size, vertex = topology.first_hole
+        which = "the first " if topology.hole_count > 1 else ""
+        text = f"open boundary: {edges} with one face, in {holes}, {which}a loop of {size} edges at vertex {vertex}"
         copies = _coincident_vertices(points, topology.edges[lone])
         if copies:
             remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
@@ -240,7 +241,7 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
             remedy = (
                 f"fill small holes with {REPAIR}, or map it with --hemisphere or --fill-area (map_surface in Python)"
             )
-        found.append(Defect("open-boundary", int(lone.sum()), a, text, remedy))
+        found.append(Defect("open-boundary", int(lone.sum()), vertex, text, remedy))
 
     clashing = topology.clashing_edges
     orientable = not clashing.any() or topology.orientation[0]
@@ -365,6 +366,14 @@ class Topology:
         boundary = self.edges[self.edge_face_count == 1]
         ends, renumbered = np.unique(boundary, return_inverse=True)
         return _components(len(ends), renumbered.reshape(-1, 2))[0]
+
+    @property
+    def first_hole(self) -> tuple[int, int]:
+        """How many edges the first connected piece of the boundary has, and its smallest vertex."""
+        boundary = self.edges[self.edge_face_count == 1]
+        ends, renumbered = np.unique(boundary, return_inverse=True)
+        _, labels = _components(len(ends), renumbered.reshape(-1, 2))
+        return int((labels[renumbered.reshape(-1, 2)[:, 0]] == labels[0]).sum()), int(ends[0])
 
     @cached_property
     def genus(self) -> int:

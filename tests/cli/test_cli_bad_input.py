@@ -51,7 +51,12 @@ def bad_meshes() -> dict[str, tuple[np.ndarray, np.ndarray, str, str]]:
     """Vertices, faces, words that name the defect, its number and place, and words of the remedy."""
     v, f = ball()
     cases = {}
-    cases["open"] = (v, f[1:], "open boundary: 3 edges with one face, in 1 hole, first between", "--repair")
+    cases["open"] = (
+        v,
+        f[1:],
+        "open boundary: 3 edges with one face, in 1 hole, a loop of 3 edges at vertex",
+        "--repair",
+    )
     fin = np.concatenate([f, [[f[0, 0], f[0, 1], 92]]])
     fin_points = np.concatenate([v, [[3.0, 0, 0]]])
     cases["fin"] = (fin_points, fin, "1 non-manifold edge (more than two faces), first between", "mesh editor")

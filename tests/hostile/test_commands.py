@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +17,9 @@ import pytest
 from omtwarp import files
 from omtwarp.cli import main
 from omtwarp.mesh import shapes
+from omtwarp.mesh.write import write_mesh
 from omtwarp.result import MapResult
+from omtwarp.surface_map import SurfaceMap
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="of POSIX")
 
@@ -133,3 +141,66 @@ def test_an_interruption_leaves_nothing(place, monkeypatch, name):
         assert not list((place / "study").iterdir())
         (place / "study").rmdir()
     assert listing(place) == before
+
+
+PARTIAL = {
+    "spharm": ["spharm", "--map", "part.npz", "--degree", "2", "-o", "out.coef"],
+    "distance": ["distance", "map.npz", "part.npz", "--degree", "2"],
+    "group": ["group", "map.npz", "part.npz", "--grid", "ico1", "--degree", "2", "-o", "study"],
+}
+
+
+@pytest.mark.parametrize("name", PARTIAL)
+def test_maps_that_cover_a_part_of_the_sphere_have_no_harmonics(place, capsys, name):
+    ball = shapes.icosphere(2)
+    upper = ball.vertices[:, 2] > -1e-9
+    used, faces = np.unique(ball.faces[upper[ball.faces].all(axis=1)], return_inverse=True)
+    points = ball.vertices[used]
+    faces = faces.reshape(-1, 3)
+    SurfaceMap(points, faces, points, points, np.ones(len(points)), domain="hemisphere").save(place / "part.npz")
+    before = listing(place)
+    status, line = ended(capsys, PARTIAL[name])
+    assert status == 1 and "'part.npz' is a map to a hemisphere" in line and listing(place) == before
+
+
+INTERRUPTED = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a child of a script in the background lacks
+from omtwarp.cli import main
+main()
+"""
+
+
+def hosts(folder) -> list[int]:
+    """Processes of a cohort that runs in a folder; none on systems without /proc."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if b"omtwarp.cohort" in (entry / "cmdline").read_bytes() and os.readlink(entry / "cwd") == str(folder):
+                found.append(int(entry.name))
+    return found
+
+
+def test_an_interrupted_cohort_leaves_no_process_and_no_partial_file(tmp_path):
+    """The item takes longer than the test waits: it has to be ended, not awaited."""
+    if not os.path.isdir("/proc/self"):
+        pytest.skip("processes are looked for in /proc")
+    surface = shapes.icosphere(100)
+    write_mesh(tmp_path / "ball.ply", surface.vertices, surface.faces)
+    command = [sys.executable, "-c", INTERRUPTED, "cohort", "*.ply", "-o", "out", "--workers", "1"]
+    driver = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    try:
+        deadline = time.monotonic() + 60
+        while len(hosts(tmp_path)) < 2 and driver.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.1)  # the host, and the process of the item
+        assert len(hosts(tmp_path)) == 2
+        driver.send_signal(signal.SIGINT)
+        assert driver.wait(60) in (-signal.SIGINT, 130)
+        assert "Traceback" not in driver.stderr.read()
+        while hosts(tmp_path) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert not hosts(tmp_path)
+    finally:
+        driver.kill()
+        driver.wait()
+    assert not list(tmp_path.rglob("*.npz")) and not list(tmp_path.rglob(files.PREFIX + "*"))

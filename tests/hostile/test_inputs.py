@@ -23,6 +23,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.validate import check
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render import preview
 from omtwarp.result import MapResult
@@ -318,3 +319,19 @@ def test_an_interruption_while_the_process_ends_ends_it(tmp_path):
     finally:
         process.kill()
     assert process.returncode in (-2, 130) and err == ""
+
+
+def test_a_hole_is_named_by_its_loop():
+    """A square hole and, at larger numbers, one of three sides."""
+    ball = shapes.icosphere(6)
+    beside = int(ball.face_neighbours[0].min())
+    near = ball.faces[[0, beside]]
+    far = next(k for k, face in enumerate(ball.faces) if face.min() > near.max())
+    left = np.setdiff1d(np.arange(ball.face_count), [0, beside, far])
+    (defect,) = check(ball.vertices, ball.faces[left])
+    first = int(near.min())
+    assert first < ball.faces[far].min()
+    assert f"7 edges with one face, in 2 holes, the first a loop of 4 edges at vertex {first};" in str(defect)
+    assert defect.where == first
+    (defect,) = check(ball.vertices, np.delete(ball.faces, far, axis=0))
+    assert f"in 1 hole, a loop of 3 edges at vertex {int(ball.faces[far].min())};" in str(defect)

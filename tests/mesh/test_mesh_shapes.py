@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.validate import check
 
@@ -88,3 +89,9 @@ def test_shuffling_keeps_the_surface():
     blob = shapes.blob(sphere=500)
     mixed = shapes.shuffled(blob, seed=9)
     np.testing.assert_allclose(np.sort(mixed.face_areas), np.sort(blob.face_areas), rtol=1e-12)
+
+
+def test_a_creature_of_too_few_faces_is_refused():
+    """Its limbs, thickened for the coarse grid, would melt into five handles."""
+    with pytest.raises(OmtwarpError, match="ask for 2,000 or more"):
+        shapes.demo_shape(320)
