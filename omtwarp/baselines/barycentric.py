@@ -10,12 +10,12 @@ and an embedding is a saddle: E hardly changes, and finally falls, as the map sl
 Möbius transformations. Saba et al. start from a planar Tutte embedding put on the sphere, relax it, and solve the full
 system from there; so does this module, in two stages.
 
-``balance="centroid"`` (the default): E is minimised among maps with Σ a_i x_i = 0, as in Gu et al. (2003), which takes
-the three sliding directions away, so that nothing collapses: first by preconditioned gradient steps, then by Newton's
-method on the constrained system. What is left over of the full system is a_i λ with one vector λ; the residual is
-reported. The start is centred by surface area (by vertices for Tutte's weights, which take all triangles for equal),
+``balance="centroid"`` (the default): E is minimised among maps with Σ a_i x_i = 0, as in Gu et al. (2003), which
+removes the three sliding directions, so that nothing collapses: first by preconditioned gradient steps, then by
+Newton's method on the constrained system. What is left over of the full system is a_i λ with one vector λ; the residual
+is reported. The start is centred by surface area (by vertices for Tutte's weights, which take all triangles for equal),
 and a_i is the share of the sphere that vertex i covers there: any a_i that gives mass to limbs that have shrunk on the
-sphere would pull them about as λ's weight does a rope, and fold them (1042 flips on a bunny's ears).
+sphere would move them by the force λ and fold them (1042 flips on a bunny's ears).
 
 ``balance="free"``: Newton's method on the full system from there, with three degrees of freedom pinned against
 rotation. It converges quadratically to round-off where there is a solution nearby. Where the system is balanced is then
@@ -56,21 +56,21 @@ Weights = Literal["tutte", "mean-value"]
 Balance = Literal["centroid", "free"]
 Report = Callable[[str, int, float], None]
 
-RELAXATION_STEPS = 300  # at most: what the relaxation leaves is for Newton's method
+RELAXATION_STEPS = 300  # at most: Newton's method does the rest
 NEWTON_STEPS = 40  # at most; it doubles its digits at each step once it is near
 MOST_STEPS = {"relax": RELAXATION_STEPS, "newton": NEWTON_STEPS}
 RELAXATION_TOLERANCE = 1e-6
 """The relaxation ends when the root mean square force at right angles to the constraint is below this."""
 NEWTON_TOLERANCE = 1e-12
 """Newton's method ends at this force on any vertex; a vertex' mean weight sum is 1."""
-_LONGEST_STEP = 0.3  # radians: Newton's steps are no use beyond where a tangent plane resembles the sphere
+_LONGEST_STEP = 0.3  # radians: farther away a tangent plane does not approximate the sphere
 
 # Times a length: an angle of π, of a triangle folded flat, has tan(θ/2) = 1.6e16 in float64; more than this is that.
 MOST_WEIGHT = 1e15
 # Of the weights' sums: makes the Laplacian definite, which has constants for its kernel. It is a preconditioner alone.
 REGULARISATION = 0.001
 SHORTEST_STEP = 1e-6  # of the preconditioned gradient: the energy falls by less than its round-off along a shorter one
-SUFFICIENT_DECREASE = 1e-4  # share of what the slope promises (Nocedal & Wright, Numerical Optimization, section 3.1)
+SUFFICIENT_DECREASE = 1e-4  # share of the decrease by the slope (Nocedal & Wright, Numerical Optimization, section 3.1)
 STEP_GROWTH = 1.5  # after a step that was taken, which halving had shortened before; by convention
 
 
@@ -121,7 +121,7 @@ def barycentric_map(
 ) -> BarycentricMap:
     """Map a closed genus-0 surface to the sphere so that vertices are means of their neighbours.
 
-    Solves the quadratic system of Gotsman, Gu and Sheffer (2003), see the module's text for the method: the maps
+    Solves the quadratic system of Gotsman, Gu and Sheffer (2003), see the module's docstring for the method: the maps
     ``Saba Tutte`` and ``Saba Mean`` of the paper's Tables 1 and 2 and Figure 13.
 
     Args:
@@ -349,7 +349,7 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
                 break
             step *= 0.5
         else:
-            break  # no decrease left that float64 can see
+            break  # the decrease is below the round-off of float64
         points, state = trial, new
         report("relax", iteration, state.residual)
         step = min(1.0, STEP_GROWTH * step)

@@ -39,10 +39,10 @@ class PeakMemory:
 
     def __init__(self) -> None:
         gc.collect()
-        with contextlib.suppress(OSError, AttributeError):  # what was freed and kept would hide what is used again
+        with contextlib.suppress(OSError, AttributeError):  # freed memory that is kept would hide later use
             ctypes.CDLL("libc.so.6").malloc_trim(0)
         self.base = _resident("VmRSS")
-        try:  # forget the peak so far, where the system can
+        try:  # reset the peak, where the system can
             Path("/proc/self/clear_refs").write_text("5")
             self.resettable = True
         except OSError:

@@ -1,4 +1,4 @@
-"""Meshes to measure: made shapes of any size, and given ones as they are or subdivided."""
+"""Meshes to measure: generated shapes of any size, and given meshes, subdivided if asked for."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AMPLITUDE = 0.3  # of the blob's bumps, in radii: a plain convention, which all 
 
 
 def made(shape: str, face_count: int) -> Surface:
-    """Return a made shape with about so many faces: ``blob`` (a potato), ``creature`` (the demo's) or ``sphere``.
+    """Return a generated shape with about so many faces: ``blob`` (a potato), ``creature`` (the demo's) or ``sphere``.
 
     Raises:
         OmtwarpError: an unknown shape.
@@ -36,7 +36,7 @@ def made(shape: str, face_count: int) -> Surface:
 
 
 def subdivided(surface: Surface) -> Surface:
-    """Return every triangle cut into four at the middles of its edges; the surface itself stays the same."""
+    """Cut every triangle into four at the midpoints of its edges; the surface itself does not change."""
     edges = surface.edges
     # The edge opposite to a corner, and so the number of its middle.
     middle = np.empty(3 * surface.face_count, dtype=np.int64)
@@ -58,7 +58,7 @@ def all_meshes(
     """Yield the family, name and surface of every mesh to measure, one in memory at a time.
 
     Args:
-        shapes: made shapes.
+        shapes: generated shapes.
         sizes: their numbers of faces.
         meshes: mesh files, or pairs of vertices and faces.
         subdivisions: how many times every given mesh is subdivided as well.

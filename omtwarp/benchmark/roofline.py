@@ -3,8 +3,8 @@
 While :class:`LaunchRecorder` is active every launch is timed by itself (with events of the device on CUDA), and the
 bytes it cannot do without are counted from its arguments: each array once as a whole, but no more than sixteen elements
 for every thread where there are many, since some arrays hold more than a launch touches. A kernel that moves those
-bytes at the rate of a plain copy is bound by memory, and as fast as it can be; one that is slower computes, waits for
-scattered reads, or is too small to fill the device.
+bytes at the rate of a plain copy is bound by memory, and cannot be faster; a slower one is bound by computation or
+scattered reads, or too small to fill the device.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class KernelRecord:
 class LaunchRecorder:
     """Times all launches on one device between entering and leaving; the launches themselves are unchanged.
 
-    What would be replayed as a graph is launched step by step meanwhile.
+    Recorded graphs are launched step by step meanwhile.
     """
 
     def __init__(self, device: str):

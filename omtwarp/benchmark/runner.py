@@ -53,11 +53,11 @@ def run(
     Each mesh is mapped ``repeats`` times on each device after a small map has warmed the device up, and factorised
     with SciPy's ``splu`` (its defaults) and solved once before every map on the CPU: medians of all are given. A ratio
     is the median of a map's time over that of the factorisation and solve before it, so that a machine that is busy for
-    a while slows both. One function, as it is the list of what is measured, in its order.
+    a while slows both. One function, as it is the list of all measurements, in order.
 
     Args:
-        sizes: numbers of faces of the made shapes, from 5,000 to 2,000,000 and beyond.
-        shapes: made shapes: ``blob``, ``creature``, ``sphere``.
+        sizes: numbers of faces of the generated shapes, from 5,000 to 2,000,000 and beyond.
+        shapes: generated shapes: ``blob``, ``creature``, ``sphere``.
         meshes: mesh files, or pairs of vertices and faces, besides.
         subdivisions: how many times each given mesh is also subdivided, each time into four times as many faces.
         devices: ``cpu``, ``cuda:0``, ...
@@ -221,7 +221,7 @@ def median_of(runs: list[MapTimes]) -> MapTimes:
 
 
 def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
-    """Return the median of every number of records of the same fields; what is no number is that of the first."""
+    """Return the median of every number of records of the same fields; other fields are those of the first."""
     out: dict[str, object] = {}
     for key, first in records[0].items():
         values = [record[key] for record in records]

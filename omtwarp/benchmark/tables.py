@@ -8,7 +8,7 @@ STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
 
 
 def markdown(result: Benchmark) -> str:
-    """Return the tables of a result of :func:`omtwarp.benchmark.run`, for people."""
+    """Return the tables of a result of :func:`omtwarp.benchmark.run` as Markdown."""
     parts = [_machine(result["machine"], result["settings"]), _times(result), _ratios(result), _memory(result)]
     if result.get("growth"):
         parts.append(_growth(result["growth"]))

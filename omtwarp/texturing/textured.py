@@ -54,8 +54,8 @@ class TexturedSurface(TexturedMesh):
         folder; ``.ply`` holds the input's vertices and faces unchanged, with the texture's colour at every vertex.
 
         Args:
-            path: the file to write. The files of an ``.obj`` take its name where that is free or theirs already,
-                and another name (``NAME-texture.png``) where a file of that name is not the package's own.
+            path: the file to write. The files of an ``.obj`` take its name where that is free or taken by them already,
+                and another name (``NAME-texture.png``) where the package did not write the file of that name.
             keep: more files that must not be replaced, such as the mesh that the surface came from.
 
         Returns:
@@ -120,13 +120,13 @@ def texture(
             ``equirectangular``, which keeps an equirectangular image as it is, to the byte, but is blurred next to the
             poles by viewers without anisotropic filtering.
         rotate: turns the texture on the sphere: yaw, or yaw, pitch and roll in degrees, or a rotation matrix [3, 3];
-            ``auto`` turns it about the poles until its left and right borders lie where they show least.
+            ``auto`` turns it about the poles so that its left and right borders are least visible.
         seam_longitude: degrees (of the texture) at which the equirectangular atlas is cut, 180 being the image's own
             borders; ``auto`` takes the meridian that is shortest and most hidden on the surface.
         size: width of the texture in texels, or (width, height) for the equirectangular atlas. By default the image's
             own size, or 2048 for a pattern. ``auto`` takes the size, up to 8192, at which no texel covers more than
-            1.5 pixels of a picture of 1024 x 1024 that the surface fills, so that nothing is saw-toothed close up.
-        smooth: make the map smooth between the vertices, and filter out what waves from one vertex to the next, so that
+            1.5 pixels of a picture of 1024 x 1024 that the surface fills.
+        smooth: make the map smooth between the vertices, and filter oscillations from one vertex to the next, so that
             lines of the texture have no corners at the edges of large triangles. The texture is then made for this mesh
             alone, and its lines in the picture are bent. False leaves the map linear on triangles; so does an image
             that is kept to the byte.

@@ -21,14 +21,13 @@ Departures from the text, each where the text is silent, misprinted, or cannot b
 * H at mesh vertices goes to the wavelets' nodes as a mass-normalised mean of fluxes, so no Voronoi area is divided by
   (they may vanish or be negative), and comes back by linear interpolation. The paper does not say how it is done.
 * Levels. A resolution whose nodes outnumber the mesh's vertices has coefficients that the mesh does not determine; it
-  is left out of the V-cycle unless ``resolutions`` asks for it.
+  is left out of the V-cycle unless ``resolutions`` contains it.
 * Step sizes. "Smaller time steps at higher resolutions" is all the paper gives. Each level starts with a step
   proportional to the square of its node spacing, which then adapts: a step that does not lower the cost is
   taken back and halved, one that does lets the next grow. A Courant condition bounds it; the one triangle in a thousand
   that moves fastest is slowed down instead of all the others.
 * Flips. Where a step would turn a triangle over, its vertices and their surroundings do not move in that step.
-Triangles
-  that the conformal map has flipped do not move g.
+  Triangles that the conformal map has flipped do not move g.
 * Mass. Each step keeps areas only up to the discretisation, so that many steps lose area, and a cost that falls because
   mass is lost is no improvement. The flow ends, one step earlier, when the mean area distortion has grown by more than
   ``area_loss``; the paper's own tables show such a loss (2.004 to 2.007 on Max Planck, 2.51 to 2.61 on Gargoyle).
