@@ -1,4 +1,4 @@
-"""A soft low-pass filter in the wavelet basis: the paper's clearing of fine coefficients, gradual and depending on position."""
+"""A soft low-pass filter in the wavelet basis: the paper's clearing of fine coefficients, gradual and local."""
 
 from __future__ import annotations
 
