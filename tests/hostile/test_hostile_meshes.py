@@ -45,6 +45,16 @@ def test_prisms_with_caps_of_long_triangles(count, height):
     assert result.distortion().area["surface"] < 2.15
 
 
+@pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
+def test_triangles_of_a_fan_keep_their_areas():
+    """Its conformal map is no start, and Moser's flow cannot be repaired: areas are kept nevertheless."""
+    vertices, faces = prism(150, 1.0, "fan")
+    result = map_to_sphere((vertices, faces), device="cpu", optimality=False)
+    assert result.bijective and result.report["start"]["route"] == "hierarchical"
+    assert result.distortion().area["surface"] < 2.02
+    assert result.history[-1]["ring_rms"] < 0.02 and result.history[-1]["ring_largest"] < 0.1
+
+
 CASES = int(os.environ.get("OMTWARP_HOSTILE_MESHES", "60"))
 """How many meshes are invented: more on request."""
 SMALL, SMALL_CASES = 150, 60
