@@ -9,16 +9,25 @@ from collections import Counter, defaultdict
 from dataclasses import replace
 from hashlib import sha256
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
+from omtwarp.cohort.page import write_page
 from omtwarp.mesh import shapes
-from omtwarp.reporting import report_page, scene
+from omtwarp.reporting import report_page, scene, write_report
 from omtwarp.reporting.record import REPORT
+from omtwarp.reporting.torus_page import FIGURES
 from omtwarp.result import MapResult
+from omtwarp.shape_analysis import study_group
+from omtwarp.shape_analysis.group_report import write_group_report
+from omtwarp.surface_map import SurfaceMap
+from omtwarp.torus.torus_map import TorusMap
 
 INJECTION = """</script></style></title><script>alert(1)</script><img src=x onerror="alert(1)">' onload='x' "><!--"""
 BALL = shapes.icosphere(2)
@@ -121,3 +130,57 @@ def test_a_report_of_deep_brackets_is_none(tmp_path):
     for text in ("[" * 100_000, "{", "3", '{"history": 3, "stages": 3}', '{"history": [3, {"cost": "x"}]}'):
         np.savez(tmp_path / "map.npz", **arrays, density=np.ones(len(BALL.vertices)), report=np.array(text))
         assert "Certified one to one" in report_page(MapResult.load(tmp_path / "map.npz"))
+
+
+@pytest.fixture
+def no_drawing(monkeypatch):
+    """A small picture in place of every one that a page draws."""
+    for module in ("cohort.page", "shape_analysis.group_report", "reporting.torus_page"):
+        monkeypatch.setattr(f"omtwarp.{module}.preview", lambda *a, **k: Image.new("RGB", (2, 2)))
+    monkeypatch.setattr("omtwarp.reporting.torus_page.torus_view", lambda *a, **k: SimpleNamespace(up=None))
+
+
+def torus_page(folder, words):
+    """The page of a map to a torus whose report, read from its file, has the words in every field."""
+    ring = trimesh.creation.torus(1.0, 0.4, major_sections=8, minor_sections=5)
+    count = len(ring.vertices)
+    stage = {name: words for name, *_ in FIGURES} | {"name": words, "area": {"surface": words}, "angle": words}
+    made = TorusMap(
+        ring.vertices, ring.faces, np.zeros((count, 2)), np.zeros((len(ring.faces), 3, 2), int), np.eye(2),
+        np.zeros((count, 2)), report={"stages": [stage], words: words, "certificate": {words: words}},
+    )  # fmt: skip
+    made.save(folder / "torus.npz")
+    return write_report(TorusMap.load(folder / "torus.npz"), folder / "page.html", title=words)
+
+
+def open_surface_page(folder, words):
+    """The page of a map of a surface with a hole, whose report has the words in every field."""
+    report = filled(REPORT, words) | {"surface": {"domain": words, words: words}, "warnings": [{"text": words}]}
+    made = SurfaceMap(PLAIN.vertices, PLAIN.faces[1:], PLAIN.sphere, PLAIN.sphere, PLAIN.density, report=report)
+    made.save(folder / "open.npz")
+    (folder / "page.html").write_text(report_page(SurfaceMap.load(folder / "open.npz"), title=words), "utf-8")
+    return folder / "page.html"
+
+
+def cohort_page(folder, words):
+    """The page of a cohort with the words as names, statuses and messages of items."""
+    failed = {"id": words, "path": words, "status": "error", "message": words, words: words}
+    done = [{"id": f"{words}{k}", "path": words, "status": "ok", "area": 2.0 + k, "seconds": 1.0} for k in range(3)]
+    return write_page([failed, failed | {"status": words}, *done], folder)
+
+
+def group_page(folder, words):
+    """The page of a group with the words as names of shapes and of groups."""
+    maps = [replace(PLAIN, vertices=PLAIN.vertices * [1.0, 1.2 + 0.1 * k, 1.5 + 0.05 * k**2]) for k in range(6)]
+    labels = ["a", words] * 3
+    study = study_group(maps, grid="ico1", degree=2, components=1, labels=labels, permutations=9, device="cpu")
+    return write_group_report(study, folder / "study", [f"{words}{k}" for k in range(6)], labels)[-1]
+
+
+@pytest.mark.parametrize("page", [torus_page, open_surface_page, cohort_page, group_page])
+def test_every_other_page_is_escaped_too(tmp_path, no_drawing, page):
+    harmless, hostile = (Elements(page(tmp_path, words).read_text("utf-8")) for words in ("x", INJECTION))
+    assert hostile.tags == harmless.tags and hostile.attributes == harmless.attributes
+    assert hostile.scripts == harmless.scripts or page is open_surface_page
+    assert "unsafe" not in "".join(re.findall(r"script-src ([^;]*)", hostile.policy))
+    assert "default-src 'none'" in hostile.policy
