@@ -292,7 +292,7 @@ def save(
         file_faces: the faces of ``like`` where copies of its vertices were joined: a mesh is written with the copies.
     """
     from omtwarp.mesh.write import write_mesh
-    from omtwarp.torus.torus_map import TorusMap
+    from omtwarp.result import MapResult
 
     of_file: NDArray | slice = slice(None)
     faces = result.faces
@@ -300,9 +300,9 @@ def save(
         faces, of_file = file_faces, getattr(result, "vertex_of_file", of_file)
     if file.suffix.lower() == ".npz":
         result.save(file)
-    elif isinstance(result, TorusMap) and file.suffix.lower() == ".glb":
+    elif not isinstance(result, MapResult) and file.suffix.lower() == ".glb":
         result.textured(pattern="checker").export(file)
-    elif isinstance(result, TorusMap):
+    elif not isinstance(result, MapResult):
         write_mesh(file, radius * result.ring(), result.faces, like=like)
     elif beside:
         places = dict(zip(("px", "py", "pz"), radius * image_of(result)[of_file].T, strict=True))

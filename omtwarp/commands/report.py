@@ -70,6 +70,7 @@ def report_on_map(
     One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.commands._work import map_from, show_facts, start_device
+    from omtwarp.render import gl_client
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report
     from omtwarp.texturing import read_image
@@ -79,6 +80,7 @@ def report_on_map(
         raise OmtwarpError("both --image and --pattern: give one")
     if up is not None:
         axis_vector(up)
+    gl_client.prepare()  # its process starts while the map is read
     start_device(device)
     picture = read_image(image) if image is not None else None
     result = map_from(

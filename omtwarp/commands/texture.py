@@ -128,7 +128,7 @@ def texture_mesh(
         typer.Option(
             metavar="TEXELS|auto",
             callback=texture_width,
-            help="Width of the texture; auto is the size at which no texel shows at 1024 pixels, up to 8192.",
+            help="Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to 4096.",
         ),
     ] = None,
     method: MethodOption = MapOptions.method,
@@ -150,6 +150,7 @@ def texture_mesh(
     One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
+    from omtwarp.result import MapResult
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.export import SUFFIXES
 
@@ -204,8 +205,8 @@ def texture_mesh(
     result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping)
     require_bijective(result, finished)
     blurred = ""
-    if size == "auto":
-        looks["size"], blurred = _sharp_size(result, atlas.value)
+    if size == "auto" or (size is None and image is None and isinstance(result, MapResult)):
+        looks["size"], blurred = _sharp_size(result, atlas.value, asked=size is not None)
     textured = texture(result, picture, seam_longitude=cut, device=device, **looks)
     files = textured.export(output, keep=(mesh, finished, image))
     height, width = textured.image.shape[:2]
@@ -221,19 +222,26 @@ def _with_files(files: list[Path]) -> str:
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
-def _sharp_size(result: MapResult | TorusMap, atlas: str) -> tuple[int, str]:
+def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tuple[int, str]:
     """Return the size at which no texel shows, and where the largest one still leaves some, in words.
+
+    Args:
+        result: the map.
+        atlas: name of the layout.
+        asked: whether the size was asked for, which lets it be larger.
 
     Raises:
         OmtwarpError: the map is one to a torus.
     """
     from omtwarp.result import MapResult
-    from omtwarp.texturing.sharpness import sharp_size
+    from omtwarp.texturing.sharpness import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
 
     if not isinstance(result, MapResult):
         raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")
-    chosen = sharp_size(result.vertices, result.faces, result.sphere, atlas)
-    share = f"; on {100.0 * chosen.coarse:.1g} % of the surface texels cover more than 1.5 pixels at 1024"
+    limit = LARGEST_SIZE if asked else LARGEST_UNASKED
+    chosen = sharp_size(result.vertices, result.faces, result.sphere, atlas, limit)
+    share = f"; on {100.0 * chosen.coarse:.2g} % of the surface texels cover more than 1.5 pixels at 1024"
+    share += "" if asked else " (--size auto goes up to 8192)"
     return chosen.size, share if chosen.coarse else ""
 
 

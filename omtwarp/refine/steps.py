@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from omtwarp.device.policy import on_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
-from omtwarp.refine.device_newton import DeviceNewtonMatrix
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.kernels import newton_decrements
 from omtwarp.refine.step_kernels import (
@@ -150,6 +149,8 @@ class DeviceSteps:
     def __init__(self, energy: DistortionEnergy):
         self._energy, self._device = energy, energy.device
         count = self._count = energy.surface.vertex_count
+        from omtwarp.refine.device_newton import DeviceNewtonMatrix  # its kernels are read where a device solves
+
         self._matrix = DeviceNewtonMatrix(energy)
         self._sum = DeviceSum(self._device)
         self._right, self._step = (wp.empty(count, dtype=wp.vec3d, device=self._device) for _ in range(2))

@@ -7,7 +7,7 @@ or by conjugate gradients and multigrid on the device (:mod:`omtwarp.solvers.mul
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import scipy.sparse as sparse
@@ -22,7 +22,9 @@ from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import surface_factor
-from omtwarp.solvers.multigrid import DeviceLaplacian
+
+if TYPE_CHECKING:
+    from omtwarp.solvers.multigrid import DeviceLaplacian
 
 
 class PoissonSolver(Protocol):
@@ -111,6 +113,8 @@ class SurfaceLaplacianSolver:
         self._iterative: DeviceLaplacian | None = None
         self._direct: PoissonSolver | None = None
         if on_device(where, surface.vertex_count):
+            from omtwarp.solvers.multigrid import DeviceLaplacian  # its kernels are read where a device solves
+
             self._iterative = DeviceLaplacian(surface, wp.clone(vectors(points, where)))
         else:
             on_host = points.numpy() if isinstance(points, wp.array) else points

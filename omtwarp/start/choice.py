@@ -14,7 +14,6 @@ from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.options import Progress
-from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.start.tube import tube_map
 from omtwarp.untangling.untangle import untangle
 
@@ -99,6 +98,8 @@ def bijective_start(
     sphere = tube_map(surface)
     if is_bijective(sphere, mesh.faces, device=device) and area(sphere) < TUBE_AREA:
         return Start(sphere, "tube", reason, conformal, 0)
+    from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
+
     sphere = hierarchical_embedding(surface, device=device, progress=progress).sphere
     if not is_bijective(sphere, mesh.faces, device=device):
         raise OmtwarpError("no start was found: the coarse-to-fine embedding covers the sphere more than once")

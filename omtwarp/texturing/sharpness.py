@@ -12,6 +12,8 @@ Floats = NDArray[np.float64]
 SCREEN = 1024  # pixels across a picture that the surface fills
 TEXEL = 1.5  # pixels of that picture that a texel may cover: bilinear filtering hides the steps of smaller ones
 LARGEST_SIZE = 8192  # texels: the largest picture that every graphics card of the last ten years takes
+# The largest size that is chosen where none is asked for: a quarter of the time and memory.
+LARGEST_UNASKED = 4096
 SMALLEST_SIZE = 256  # texels: 200 kB; less would hardly save anything
 # Widths of the picture, in texels, for one texel along a right angle of the sphere, where texels are largest: measured
 # at 20,000 points and in 16 directions, gutters included.
