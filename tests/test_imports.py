@@ -33,6 +33,11 @@ HEAVY = {
     "trimesh",
 }
 HEAVY_ROOMS = {
+    # Kernels that few maps launch: reading their text takes as long as a tenth of a small map.
+    "omtwarp.pipeline": {"omtwarp.transport.paper"},
+    "omtwarp.refine": {"omtwarp.refine.device_newton"},
+    "omtwarp.solvers": {"omtwarp.solvers.multigrid"},
+    "omtwarp.start": {"omtwarp.start.hierarchical"},
     # A driver waits for processes, and draws pictures at the end.
     "omtwarp.cohort": {"omtwarp.cohort.page"},
     # A picture by OpenGL needs no Warp, and the process that draws it nothing but its own modules.

@@ -12,6 +12,7 @@ import omtwarp
 from omtwarp.cli import main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
+from omtwarp.texturing.sharpness import LARGEST_UNASKED, sharp_size
 
 
 def run(*arguments) -> int:
@@ -71,6 +72,19 @@ def test_texture_and_picture_from_the_finished_map(folder, tmp_path):
     assert run("preview", model, "-o", picture, "--size", "64", "--backend", "warp", "--device", "cpu", "-q") == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.glb", "picture.png", "same.glb"]
+
+
+def test_the_size_follows_the_stretch_where_none_is_given(folder, tmp_path, capsys):
+    """Largest sizes differ where a size is asked for; this map needs less than either."""
+    finished = omtwarp.MapResult.load(folder / "map.npz")
+    wanted = sharp_size(finished.vertices, finished.faces, finished.sphere, "octahedral").size
+    assert 1000 < wanted < LARGEST_UNASKED
+    model = tmp_path / "model.glb"
+    options = ["--pattern", "checker", "--atlas", "octahedral", "--device", "cpu", "--json"]
+    capsys.readouterr()
+    assert run("texture", "--map", folder / "map.npz", "-o", model, *options) == 0
+    (picture,) = json.loads(capsys.readouterr().out)["pictures"]
+    assert picture["width"] == pytest.approx(wanted, abs=12)
 
 
 def test_obj_brings_its_companions(folder, tmp_path):
