@@ -124,30 +124,12 @@ def symmetric_exact_map(
     return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
-class SymmetricEnergy(TransportEnergy):
-    """Evaluates symmetric maps of a double: as its base, with systems and steps of one half.
+class _OnHalf(TransportEnergy):
+    """Evaluates symmetric maps with systems and steps of one half; energies of either kind of target derive from it."""
 
-    Args:
-        double: the surface and its copy, W vertices.
-        surface: the double as a surface.
-        start, device, shape_weight, cost_weight, area_weight: as of :class:`TransportEnergy`.
-    """
-
+    _double: Double
+    _factor: MirrorFactor
     local_steps = False  # those would move one half alone
-
-    def __init__(
-        self,
-        double: Double,
-        surface: Surface,
-        start: wp.array,
-        device: wp.Device,
-        shape_weight: float,
-        cost_weight: float = 1.0,
-        area_weight: float = AREA_WEIGHT,
-    ):
-        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight)
-        self._double = double
-        self._factor = MirrorFactor(double, surface, device)
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Solve on the half the systems of the double that :meth:`blocks` gives."""
@@ -165,7 +147,31 @@ class SymmetricEnergy(TransportEnergy):
         return super().blocks(points, terms, curvature_share, least)
 
 
-class SymmetricCellEnergy(CellEnergy):
+class SymmetricEnergy(_OnHalf):
+    """Evaluates symmetric maps of a double: as its base, with systems and steps of one half.
+
+    Args:
+        double: the surface and its copy, W vertices.
+        surface: the double as a surface.
+        start, device, shape_weight, cost_weight, area_weight: as of :class:`TransportEnergy`.
+    """
+
+    def __init__(
+        self,
+        double: Double,
+        surface: Surface,
+        start: wp.array,
+        device: wp.Device,
+        shape_weight: float,
+        cost_weight: float = 1.0,
+        area_weight: float = AREA_WEIGHT,
+    ):
+        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight)
+        self._double = double
+        self._factor = MirrorFactor(double, surface, device)
+
+
+class SymmetricCellEnergy(_OnHalf, CellEnergy):
     """Evaluates symmetric maps of a double whose triangles are cut into four, the area of each of them kept.
 
     Args:
@@ -184,22 +190,7 @@ class SymmetricCellEnergy(CellEnergy):
     ):
         super().__init__(quartered, start, device, shape_weight)
         self._double = double
-        self._mirror = MirrorCellFactor(double, quartered.surface, device, self.cells)
-
-    def saddle_factor(self) -> SaddlePointFactor:
-        """Solve on the half the systems of the double that :meth:`blocks` gives."""
-        return self._mirror
-
-    def flip_free_steps(self) -> FlipFreeSteps:
-        """Move symmetric maps to symmetric maps."""
-        return SymmetricSteps(self._double, self.surface, self.device)
-
-    def blocks(
-        self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return the blocks of the base, for a factorisation at these points."""
-        self._mirror.at(points)
-        return super().blocks(points, terms, curvature_share, least)
+        self._factor = MirrorCellFactor(double, quartered.surface, device, self.cells)
 
 
 class MirrorFactor:
