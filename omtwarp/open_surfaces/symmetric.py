@@ -128,12 +128,12 @@ class _OnHalf(TransportEnergy):
     """Evaluates symmetric maps with systems and steps of one half; energies of either kind of target derive from it."""
 
     _double: Double
-    _factor: MirrorFactor
+    _mirror: MirrorFactor
     local_steps = False  # those would move one half alone
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Solve on the half the systems of the double that :meth:`blocks` gives."""
-        return self._factor
+        return self._mirror
 
     def flip_free_steps(self) -> FlipFreeSteps:
         """Move symmetric maps to symmetric maps."""
@@ -143,7 +143,7 @@ class _OnHalf(TransportEnergy):
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Floats, Floats, Floats]:
         """Return the blocks of the base, for a factorisation at these points."""
-        self._factor.at(points)
+        self._mirror.at(points)
         return super().blocks(points, terms, curvature_share, least)
 
 
@@ -168,7 +168,7 @@ class SymmetricEnergy(_OnHalf):
     ):
         super().__init__(surface, start, device, shape_weight, cost_weight, area_weight)
         self._double = double
-        self._factor = MirrorFactor(double, surface, device)
+        self._mirror = MirrorFactor(double, surface, device)
 
 
 class SymmetricCellEnergy(_OnHalf, CellEnergy):
@@ -190,7 +190,7 @@ class SymmetricCellEnergy(_OnHalf, CellEnergy):
     ):
         super().__init__(quartered, start, device, shape_weight)
         self._double = double
-        self._factor = MirrorCellFactor(double, quartered.surface, device, self.cells)
+        self._mirror = MirrorCellFactor(double, quartered.surface, device, self.cells)
 
 
 class MirrorFactor:
