@@ -80,6 +80,7 @@ class Curve:
         omt = next(stage for stage in result.report["stages"] if stage["name"] == "omt")
         record = (result.report["seconds"], omt["iterations"], omt["converged"])
         self.points = [self._judge(DEFAULT, np.inf, result.sphere, *record)]
+        self.matches: list[Point] = []  # maps that ``match:AREA`` found
 
     def _judge(
         self, name: str, weight: float, sphere: np.ndarray, seconds: float, iterations: int, converged: bool
@@ -163,7 +164,9 @@ class Curve:
         name, begun = f"match:{area:.5f}", time.perf_counter()
         refined = omtwarp.refine_map(self.surface, least.sphere, weight=name, iterations=ITERATIONS, device=self.device)
         seconds, steps = time.perf_counter() - begun, len(refined.history) - 1
-        return self._judge(name, refined.weight, refined.sphere, seconds, steps, refined.converged)
+        point = self._judge(name, refined.weight, refined.sphere, seconds, steps, refined.converged)
+        self.matches.append(point)
+        return point
 
     def best(self, area: float, angle: float) -> Point:
         """The best map made so far; where one with a name is good enough, that."""
@@ -178,7 +181,7 @@ class Curve:
 
     def smoothest(self, area: float) -> Point:
         """Of the maps with no more than an area distortion the smoothest; of none such the one with the least."""
-        within = [p for p in self.points if p.flips == 0 and p.area <= area]
+        within = [p for p in self.points + self.matches if p.flips == 0 and p.area <= area]
         return min(within, key=lambda p: p.jump) if within else min(self.points, key=lambda p: p.area)
 
 
