@@ -184,6 +184,8 @@ MAP_COMMANDS = (
     ("report", "--map", "{}", "-o", "out.html"),
     ("preview", "{}", "-o", "out.png"),
     ("check", "{}"),
+    ("unwrap", "{}", "-o", "out.glb"),
+    ("film", "{}", "-o", "out.gif", "--size", "16x16", "--seconds", "0.2", "--fps", "2", "--backend", "warp"),
     ("align", "{}", "-o", "out.npz"),
     ("align", "map.npz", "--to", "{}", "-o", "out.ply"),
     ("resample", "{}", "--to", "ico1", "-o", "out.ply"),
