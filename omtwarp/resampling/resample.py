@@ -75,7 +75,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
         return SpherePoints(named_grid(given))
     if isinstance(given, str | os.PathLike):
         path = Path(given)
-        if path.suffix.lower() == ".npz" and holds_array(path, "sphere"):
+        if path.suffix.lower() == ".npz" and (holds_array(path, "sphere") or holds_array(path, "wraps")):
             return as_points(MapResult.load(path), str(path))
         mesh = read_mesh(path)
         beside = _sphere_beside(path)

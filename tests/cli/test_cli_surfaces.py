@@ -44,7 +44,8 @@ def test_options_map_and_the_other_commands_take_the_result(capsys, open_mesh, o
     result = omtwarp.SurfaceMap.load(target)
     assert result.report["certificate"]["bijective"] and result.domain == (option[0][2:], "sphere")[len(option) - 1]
     for command, name in (("texture", "m.glb"), ("preview", "m.png"), ("report", "m.html")):
-        status, _, err = run(capsys, command, "--map", target, "-o", open_mesh.with_name(name), "--quiet")
+        size = ["--size", "256"] if command == "texture" else []
+        status, _, err = run(capsys, command, "--map", target, "-o", open_mesh.with_name(name), "--quiet", *size)
         assert status == 0, err
 
 
@@ -112,8 +113,68 @@ def test_torus(capsys, tmp_path):
     assert "one to one" in (tmp_path / "t.html").read_text("utf-8") and (tmp_path / "t.png").stat().st_size > 1000
     for words, told in (
         (["texture", whole, "-o", tmp_path / "u.glb", "--pattern", "globe"], "is for the sphere"),
-        (["texture", whole, "-o", tmp_path / "u.glb", "--atlas", "octahedral"], "a torus has none"),
+        (["texture", whole, "-o", tmp_path / "u.glb", "--atlas", "octahedral"], "for textures on the sphere"),
         (["spharm", whole, "-o", tmp_path / "u.csv"], "a map to a torus"),
     ):
         status, _, err = run(capsys, *words)
         assert status == 1 and told in err and err.count("\n") == 1 and "Traceback" not in err, err
+
+
+KINDS = {
+    "hemisphere": ("open", "--hemisphere"),
+    "disk": ("open", "--disk"),
+    "filled": ("open", "--fill-area", "small"),
+    "parts": ("two", "--components"),
+    "together": ("two", "--together"),
+    "cut": ("pretzel", "--cut"),
+    "torus": ("ring", "--torus"),
+}
+
+
+@pytest.fixture(scope="module")
+def maps(tmp_path_factory):
+    """A folder with a small map of each kind, and one of a closed surface."""
+    folder = tmp_path_factory.mktemp("kinds")
+    blob = shapes.blob(seed=3, sphere=320)
+    used, faces = np.unique(blob.faces[(blob.vertices[blob.faces, 2] > -0.3).all(axis=1)], return_inverse=True)
+    write_mesh(folder / "open.ply", blob.vertices[used], faces.reshape(-1, 3))
+    both = np.concatenate([blob.vertices, blob.vertices + 4.0])
+    write_mesh(folder / "two.ply", both, np.concatenate([blob.faces, blob.faces + blob.vertex_count]))
+    for name, count in (("ring", 1), ("pretzel", 2)):
+        surface = shapes.rings(count, cell=0.45)
+        write_mesh(folder / f"{name}.ply", surface.vertices, surface.faces)
+    write_mesh(folder / "closed.ply", blob.vertices, blob.faces)
+    for kind, (mesh, *options) in {**KINDS, "closed": ("closed",)}.items():
+        with pytest.raises(SystemExit) as ended:
+            main(["map", str(folder / f"{mesh}.ply"), "-o", str(folder / f"{kind}.npz"), "--quiet", *options])
+        assert not ended.value.code, kind
+    return folder
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("align {map} -o {out}.npz", "cover the sphere"),
+        ("resample {map} --to {closed} -o {out}.ply", "cover the sphere"),
+        ("resample {closed} --to {map} -o {out}.ply", "cover the sphere"),
+        ("spharm {map} -o {out}.csv --degree 3", "cover the sphere"),
+        ("distance {map} {closed}", "cover the sphere"),
+        ("group {map} {closed} -o {out}", "cover the sphere"),
+        ("unwrap {mesh} -o {out}.glb", "with --"),
+        ("texture {map} -o {out}.glb --size 64", ""),
+    ],
+)
+def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, kind, command, told):
+    """Commands that need the whole sphere refuse other maps in one line and write nothing."""
+    words = {"map": maps / f"{kind}.npz", "mesh": maps / f"{KINDS[kind][0]}.ply", "closed": maps / "closed.npz"}
+    out = maps / f"{kind}_out"
+    status, _, err = run(capsys, *(word.format(out=out, **words) for word in command.split()))
+    assert status == (1 if told else 0) and "Traceback" not in err, err
+    if told:
+        expected = "map to a torus" if kind == "torus" and told.startswith("cover") else told
+        assert expected in err and len(err.splitlines()) == 1, err
+        assert not list(maps.glob("*_out*"))
+    else:
+        assert out.with_suffix(".glb").stat().st_size > 1000
+        out.with_suffix(".glb").unlink()
