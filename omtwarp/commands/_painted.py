@@ -42,14 +42,21 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
 
 
 def painted_map(
-    path: Path, finished: Path | None, *, repair: bool, quiet: bool, device: str, **options: Unpack[MapChoices]
+    path: Path,
+    finished: Path | None,
+    *,
+    repair: bool,
+    quiet: bool,
+    device: str,
+    verbose: bool = False,
+    **options: Unpack[MapChoices],
 ) -> tuple[PaintedMesh, MapResult]:
     """Return a mesh with its materials, and its map: a finished one, or one made now.
 
     Raises:
         OmtwarpError: whatever is wrong with either, or a map of another mesh.
     """
-    from omtwarp.commands._work import load_map, make_map, require_bijective, start_device
+    from omtwarp.commands._work import load_map, make_map, require_bijective, say_stages, start_device
 
     if finished is not None:
         from omtwarp.materials import read_painted_mesh
@@ -67,5 +74,7 @@ def painted_map(
     mesh, surface = read_sound_painted(path, repair)
     start_device(device)
     result = make_map(surface, quiet=quiet, device=device, **options)
+    if verbose:
+        say_stages(result)
     require_bijective(result)
     return mesh, result

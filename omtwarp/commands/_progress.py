@@ -4,34 +4,74 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
 from collections.abc import Callable, Iterator
 
 from omtwarp.options import Progress, Record
 
+BAR, NARROW_BAR = 30, 8  # characters of a bar; on a terminal of 80 columns the narrow one leaves room for the figures
+WIDE = 104  # columns of a terminal from which on the wide bar fits beside all figures
+
 
 @contextlib.contextmanager
-def progress_bar(quiet: bool = False) -> Iterator[Progress | None]:
-    """Show progress on standard error; the callback is None where that is no terminal."""
+def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progress | None]:
+    """Show progress on standard error; the callback is None where there is nobody to read.
+
+    Args:
+        quiet: whether to draw no bar.
+        verbose: whether to say at the end how long every stage took.
+    """
+    with _bars(quiet) as draw:
+        if not verbose:
+            yield draw
+            return
+        last = time.perf_counter()
+        taken: dict[str, float] = {}
+
+        def report(stage: str, done: int, total: int, info: Record) -> None:
+            nonlocal last
+            now = time.perf_counter()
+            taken[stage] = taken.get(stage, 0.0) + now - last
+            last = now
+            if draw is not None:
+                draw(stage, done, total, info)
+
+        yield report
+    for stage, seconds in taken.items():
+        print(f"omtwarp: {stage}: {seconds:.2f} s", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _bars(quiet: bool) -> Iterator[Progress | None]:
+    """Draw bars on standard error, where that is a terminal."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
     from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
+    from rich.table import Column
 
     class CalmConsole(Console):
         def show_cursor(self, show: bool = True) -> bool:
             return False  # a process that is interrupted must not leave the terminal without a cursor
 
-    name, words = TextColumn("{task.description:<12}"), TextColumn("{task.fields[words]}")
-    columns = (name, BarColumn(30), TaskProgressColumn(show_speed=False), words, TimeElapsedColumn())
-    with Bars(*columns, console=CalmConsole(stderr=True)) as bars:
+    console = CalmConsole(stderr=True)
+    width = BAR if console.width >= WIDE else NARROW_BAR
+    columns = (
+        TextColumn("{task.description}", table_column=Column(min_width=10, no_wrap=True)),
+        BarColumn(width, table_column=Column(min_width=width)),
+        TaskProgressColumn(show_speed=False, table_column=Column(min_width=4)),
+        TimeElapsedColumn(table_column=Column(min_width=7)),
+        TextColumn("{task.fields[words]}", table_column=Column(no_wrap=True)),
+    )
+    with Bars(*columns, console=console) as bars:
         tasks: dict[str, TaskID] = {}
 
         def report(stage: str, done: int, total: int, info: Record) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=total or None, words="")
-            words = "  ".join(
+            words = " ".join(
                 _word(name, info[name]) for name in ("cost", "flips", "area", "angle", "gap") if name in info
             )
             bars.update(tasks[stage], completed=done, total=total or None, words=words)
@@ -50,4 +90,4 @@ def steps(progress: Progress | None, stage: str, total: int) -> Callable[[int], 
 
 
 def _word(name: str, value: object) -> str:
-    return f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
+    return f"{name} {value:.5g}" if isinstance(value, float) else f"{name} {value}"

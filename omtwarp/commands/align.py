@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import QuietOption
+from omtwarp.commands._options import QuietOption, VerboseOption
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -72,6 +72,7 @@ def align_map(
         float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
     ] = 1.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Rotate a map's sphere by its shape's own axes, or to another map.
@@ -99,7 +100,7 @@ def align_map(
     for ours in (source, surface):
         for theirs in (other, to_surface):
             require_same_structure(ours, theirs)
-    with progress_bar(quiet) as progress:
+    with progress_bar(quiet, verbose) as progress:
         notify = steps(progress, "align", 3)
         moving = file_points(source, surface)
         fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)

@@ -22,6 +22,7 @@ from omtwarp.commands._options import (
     SchemeOption,
     SolverOption,
     UntilOption,
+    VerboseOption,
 )
 from omtwarp.commands._streams import input_table
 from omtwarp.errors import OmtwarpError
@@ -88,6 +89,7 @@ def cohort(
     device: DeviceOption = MapOptions.device,
     solver: SolverOption = MapOptions.solver,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results of the run as JSON.")] = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun continues.
@@ -101,7 +103,7 @@ def cohort(
 
     part = parse_shard(shard)
     items = read_manifest(input_table(manifest))
-    with _reporting(quiet) as progress:
+    with _reporting(quiet, verbose) as progress:
         result = run_cohort(
             items,
             output,
@@ -137,12 +139,12 @@ def cohort(
 
 
 @contextmanager
-def _reporting(quiet: bool) -> Iterator[Progress | None]:
+def _reporting(quiet: bool, verbose: bool = False) -> Iterator[Progress | None]:
     """Show the progress of a cohort and the time left: a bar on a terminal, otherwise a line at intervals."""
     if quiet:
         yield None
         return
-    if sys.stderr.isatty():
+    if sys.stderr.isatty() and not verbose:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
@@ -163,7 +165,7 @@ def _reporting(quiet: bool) -> Iterator[Progress | None]:
         nonlocal last
         first.append(done - 1) if not first else None
         now = time.monotonic()
-        if now - last >= LINES_EVERY or done == total:
+        if verbose or now - last >= LINES_EVERY or done == total:
             last = now
             left = (now - begun) / (done - first[0]) * (total - done)
             words = f"{done} of {total} done, {info['failed']} failed, about {left:.0f} s left"

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption
+from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption
 from omtwarp.commands._streams import input_file
 
 
@@ -20,6 +20,7 @@ def distance(
     ] = False,
     device: DeviceOption = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print the distances as JSON.")] = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Measure the distance of two shapes, whatever their positions and rotations.
@@ -34,7 +35,7 @@ def distance(
 
     start_device(device)
     ends = load_whole_map(first), load_whole_map(second)
-    with progress_bar(quiet) as progress:
+    with progress_bar(quiet, verbose) as progress:
         found = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
     if as_json:
         print(report_text({"first": str(first), "second": str(second), **found.to_dict()}), end="")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption
+from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption
 from omtwarp.commands._streams import STREAM, input_file, input_table
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_folder
@@ -37,6 +37,7 @@ def group(
     ] = False,
     device: DeviceOption = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Compare a group of maps: mean shape, principal components, distances, and where two groups differ.
@@ -59,7 +60,7 @@ def group(
     if labels is not None:
         two_groups(labels, len(paths))
     start_device(device)
-    with progress_bar(quiet) as progress:
+    with progress_bar(quiet, verbose) as progress:
         found = study_group(
             [load_whole_map(path) for path in paths],
             labels,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption, named
+from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption, named
 from omtwarp.commands._streams import STREAM, input_file, output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -71,6 +71,7 @@ def resample_map(
     ] = None,
     device: DeviceOption = MapOptions.device,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Carry data, or the surface itself, from one sphere to another.
@@ -97,7 +98,7 @@ def resample_map(
     as_labels = labels or (given is not None and given.is_labels)
     chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
     start_device(device)
-    with progress_bar(quiet) as progress:
+    with progress_bar(quiet, verbose) as progress:
         notify = steps(progress, "resample", 3)
         ends = [file_points(source, surface), file_points(to, None)]
         notify(1)

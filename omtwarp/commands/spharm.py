@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, MapOption, OptionalMesh, QuietOption, RepairOption
+from omtwarp.commands._options import DeviceOption, MapOption, OptionalMesh, QuietOption, RepairOption, VerboseOption
 from omtwarp.commands._streams import output_file
 from omtwarp.files import check_output, staged
 
@@ -51,6 +51,7 @@ def spharm(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the error and the power of every degree as JSON.")
     ] = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Expand a surface in spherical harmonics over its map to the sphere (SPHARM).
@@ -72,9 +73,9 @@ def spharm(
     if reconstruction is not None:
         check_output(reconstruction, tuple(MESH_SUFFIXES), mesh, finished, output)
     start_device(device)
-    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device)
+    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose)
     mesh_grid(result.sphere, result.faces, str(finished or mesh))  # harmonics need a map that covers the sphere once
-    with progress_bar(quiet) as progress:
+    with progress_bar(quiet, verbose) as progress:
         if progress is not None:
             progress("spharm", 0, 2, {})
         found = expand(result.sphere, result.vertices, degree, faces=result.faces, method=fit.value)

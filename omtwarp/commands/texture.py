@@ -202,6 +202,7 @@ def texture_mesh(
     cut = seam if seam == "auto" else one_number(seam, "--seam")
     start_device(device)
     picture = read_image(image) if image is not None else None
+    _require_one(mesh, finished)
     result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping)
     require_bijective(result, finished)
     blurred = ""
@@ -215,6 +216,18 @@ def texture_mesh(
     line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured, "
     line += f"{width} x {height} texels{blurred}{_with_files(files)}"
     show_facts(facts, line, as_json=as_json, quiet=quiet)
+
+
+def _require_one(mesh: Path | None, finished: Path | None) -> None:
+    """Refuse a mesh beside its map where nothing of the mesh's own is kept.
+
+    Raises:
+        OmtwarpError: both were given.
+    """
+    if mesh is not None and finished is not None:
+        raise OmtwarpError(
+            "a mesh beside --map is for --uv own or --keep-materials: add one of them, or leave the mesh out"
+        )
 
 
 def _with_files(files: list[Path]) -> str:
@@ -300,6 +313,7 @@ def _paint(
         if options["uv"] == "own":
             painted.require_uv(str(mesh))
     else:
+        _require_one(mesh, finished)
         result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, **mapping)
         require_bijective(result, finished)
     with warnings.catch_warnings(record=True) as caught:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption
+from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.files import check_output
@@ -41,6 +41,7 @@ def transfer(
     repair: RepairOption = False,
     device: DeviceOption = MapOptions.device,
     as_json: JsonOption = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned."""
@@ -49,8 +50,8 @@ def transfer(
     from omtwarp.painting import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
-    painted, result = painted_map(source, map_of_source, repair=repair, quiet=quiet, device=device)
-    plain, other = painted_map(target, map_of_target, repair=repair, quiet=quiet, device=device)
+    painted, result = painted_map(source, map_of_source, repair=repair, quiet=quiet, device=device, verbose=verbose)
+    plain, other = painted_map(target, map_of_target, repair=repair, quiet=quiet, device=device, verbose=verbose)
     made = transfer_texture(
         painted,
         result,

@@ -67,7 +67,7 @@ def test_unwrap_then_transfer(desk, capsys):
         ("texture plain.ply --map two.npz -o a.glb --uv own", "plain.ply: no texture coordinates in it"),
         ("texture --map two.npz -o a.glb --uv own", "need the mesh itself"),
         ("texture two.obj --map two.npz -o a.ply --uv own", "unknown suffix"),
-        ("texture two.obj --map two.npz -o a.glb --bake bumps", "give one"),
+        ("texture two.obj --map two.npz -o a.glb --bake bumps", "add one of them"),
         ("texture --map two.npz -o a.glb --bake bumps", "cannot bake 'bumps'"),
         ("texture --map two.npz -o a.glb --detail plain.ply", "--detail is for --bake normal"),
         ("texture --map two.npz -o a.glb --bake ao --seam 20", "--seam"),

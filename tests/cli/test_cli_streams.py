@@ -162,3 +162,24 @@ def test_completion_knows_the_commands():
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
     assert done.stdout.split() == ["texture"]
+
+
+@pytest.mark.parametrize("name", sorted(set(SUMMARIES) - {"benchmark", "check", "preview"}))
+def test_commands_that_map_or_compare_have_verbose(name):
+    assert any("--verbose" in option.opts for option in commands()[0][name].params)
+
+
+def test_verbose_says_how_long_stages_took(folder, monkeypatch, capfdbinary):
+    status, out, err = run(monkeypatch, capfdbinary, ["align", "map.npz", "-o", "turned.npz", "-v"])
+    assert status == 0 and b"turned.npz: turned by" in out
+    assert re.fullmatch(r"omtwarp: align: \d+\.\d\d s\n", err)
+
+
+def test_a_mesh_beside_its_map_needs_a_use(folder, monkeypatch, capfdbinary):
+    words = ["texture", "ball.ply", "--map", "map.npz", "-o", "area.glb", "--bake", "area"]
+    status, _, err = run(monkeypatch, capfdbinary, words)
+    assert status == 1 and err == (
+        "omtwarp: error: a mesh beside --map is for --uv own or --keep-materials: "
+        "add one of them, or leave the mesh out\n"
+    )
+    assert not (folder / "area.glb").exists()
