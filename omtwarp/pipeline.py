@@ -243,8 +243,7 @@ class _Run:
     """The computation of one map: the maps of the stages so far, and their records.
 
     A stage is a method of no arguments: it reads ``sphere``, the map of the previous stage, and ends with
-        :meth:`finish`.
-    :meth:`result` runs them in the order of :attr:`MapOptions.stages`.
+    :meth:`finish`. :meth:`result` runs them in the order of :attr:`MapOptions.stages`.
 
     Args:
         surface: what is mapped.
@@ -790,8 +789,7 @@ class _Run:
         """Return the map made so far with the least angle + weight * area distortion, which is what refinement lowers.
 
         With a small weight that may be the first map: from the last one refinement would have to return to it along
-            Möbius
-        transformations, which hardly change its energy.
+        Möbius transformations, which hardly change its energy.
         """
         if self.target is not None:
             return self.sphere

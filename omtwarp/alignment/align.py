@@ -126,8 +126,7 @@ def align(
     """Rotate a map's sphere to that of another map, or to the shape's own axes.
 
     Two maps are aligned where the features of their surfaces agree best: distance from the surface's centre and, where
-        a
-    map does not preserve area, area over area on the sphere; or the given features. Their spherical harmonics are
+    a map does not preserve area, area over area on the sphere; or the given features. Their spherical harmonics are
     correlated over all rotations at once, and Newton's method ends at the maximum, where noisy features, whose values
     differ between neighbours, have less weight.
 

@@ -29,10 +29,9 @@ def unwrap_uv(
 
     Every triangle belongs as a whole to the face of the cube in which its centroid lies, a long one to the face that
     contains it best: no vertex is added, and charts have jagged borders, a triangle wide. The six charts lie in three
-        by two
-    cells, at one scale, apart from each other, and no triangle overlaps another. Angles from the middle of a chart are
-    linear on the picture, so that its texels are of nearly the same size all over the sphere, and on the surface where
-    the map preserves areas.
+    by two cells, at one scale, apart from each other, and no triangle overlaps another. Angles from the middle of a
+    chart are linear on the picture, so that its texels are of nearly the same size all over the sphere, and on the
+    surface where the map preserves areas.
 
     Args:
         result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three as a

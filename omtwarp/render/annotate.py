@@ -22,8 +22,7 @@ def compose(
     """Lay a drawn surface (colours multiplied by coverage) over the background, at the left of a canvas.
 
     ``hidden`` is the colour of fully transparent pixels: that of the text drawn later, whose smooth edges would
-        otherwise
-    be blended with black.
+    otherwise be blended with black.
 
     Returns:
         RGB, or RGBA where it is to be transparent.

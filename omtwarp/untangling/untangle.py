@@ -327,8 +327,7 @@ class _Untangling:
 
         A patch too small for its triangles can end with more flips than it began with. Patches that cover their part of
         the sphere more than once are restored too: the next attempt finds tangled patches by their flipped triangles,
-            not
-        by vertices whose rings turn twice.
+        not by vertices whose rings turn twice.
         """
         whole = self.whole
         faces = self.surface.faces[whole.triangles]

@@ -133,7 +133,7 @@ def test_a_map_to_the_torus_is_the_same_to_round_off(solver):
 
 def test_scipy_carries_a_whole_map_alone(monkeypatch):
     """No built-in solver is as much as made."""
-    for name in ("omtwarp.solvers.mesh_factor.MultifrontalCholesky", "omtwarp.solvers.poisson.DeviceLaplacian"):
+    for name in ("omtwarp.solvers.mesh_factor.MultifrontalCholesky", "omtwarp.solvers.multigrid.DeviceLaplacian"):
         monkeypatch.setattr(name, lambda *_, **__: pytest.fail("a built-in solver was made"))
     monkeypatch.setattr("omtwarp.solvers.mesh_factor.SaddleFactor", lambda *_: pytest.fail("a built-in one was made"))
     mesh = SURFACE.vertices, SURFACE.faces
