@@ -68,7 +68,7 @@ def demo(
         say_stages(result)
     facts = facts_of(result, map_file, report_file)
     notify(summary(facts_of(result, map_file)))
-    globe = texture(result, pattern="globe", rotate=[180.0, 0.0, 0.0], device=device)  # Africa on its flank
+    globe = texture(result, pattern="globe", rotate=[0.0, -90.0, 0.0], device=device)  # Africa on its flank
     globe.export(model_file)
     notify(f"{model_file}: a globe pulled back to it")
     circles = texture(result, pattern="circles", device=device)
