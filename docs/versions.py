@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -34,9 +35,16 @@ def main(site: Path, tags: list[str]) -> None:
 
 
 def build(source: Path, target: Path) -> None:
-    """Build a checkout; its own configuration is used, and a warning is an error."""
-    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "-b", "html", str(source / "docs"), str(target)]
+    """Build a checkout; its own configuration is used, and a warning is an error.
+
+    The pages are built in the checkout, as notebooks leave what they executed beside the folder of the pages.
+    """
+    pages = source / "site" / "html"
+    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "-b", "html", str(source / "docs"), str(pages)]
     subprocess.run(command, check=True)
+    if target.exists():
+        shutil.rmtree(target)
+    shutil.move(pages, target)
 
 
 def write_list(site: Path, first: str) -> None:
