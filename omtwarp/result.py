@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, staged
-from omtwarp.inputs import holds_array, open_input, read_arrays
+from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -47,6 +47,7 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 # Largest distance of a point from the sphere: many times the rounding of single precision.
 UNIT_LENGTH = 1e-5
 STAGES = ("sphere", "conformal", "moser", "transported")
+OF_A_TORUS = "wraps"  # an array that only maps to a torus have
 
 
 class StageReport(TypedDict, total=False):
@@ -299,14 +300,15 @@ class MapResult(Shown):
 
 def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
     """Return the arrays of a map's file, or an error that says what is wrong with it."""
-    if source.is_file() and holds_array(source, "wraps"):
-        raise OmtwarpError(f"'{source}' is a map to a torus, where one to the sphere is needed")
     with open_input(source, LARGEST_MESH_FILE, "map") as stream:
         try:
-            return read_arrays(stream, (*LAYOUT, "report"))
+            arrays = read_arrays(stream, (*LAYOUT, "report", OF_A_TORUS))
         except OmtwarpError as error:
             words = f"'{source}' is not a map: {error}; make one with 'omtwarp map MESH -o MAP.npz'"
             raise OmtwarpError(words) from None
+    if arrays.pop(OF_A_TORUS, None) is not None:
+        raise OmtwarpError(f"'{source}' is a map to a torus, where one to the sphere is needed")
+    return arrays
 
 
 def _fitting(arrays: Mapping[str, object]) -> _Arrays:

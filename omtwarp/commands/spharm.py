@@ -62,7 +62,7 @@ def spharm(
     import numpy as np
 
     from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import map_from, start_device
+    from omtwarp.commands._work import map_from, require_whole, start_device
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.write import SUFFIXES as MESH_SUFFIXES
     from omtwarp.mesh.write import write_mesh
@@ -74,6 +74,7 @@ def spharm(
         check_output(reconstruction, tuple(MESH_SUFFIXES), mesh, finished, output)
     start_device(device)
     result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose)
+    require_whole(result, finished or mesh)
     mesh_grid(result.sphere, result.faces, str(finished or mesh))  # harmonics need a map that covers the sphere once
     with progress_bar(quiet, verbose) as progress:
         if progress is not None:

@@ -270,7 +270,7 @@ def test_texture_wants_one_subject_and_one_source(tmp_path, capsys):
     assert_one_line(err, "give a mesh")
     status, _, err = run(capsys, "texture", mesh, "--map", tmp_path / "m.npz", "-o", out, "--device", "cpu")
     assert status == 1
-    assert_one_line(err, "give one")
+    assert_one_line(err, "add one of them")
     status, _, err = run(capsys, "texture", mesh, "-o", out, "--image", "a.png", "--pattern", "globe")
     assert status == 1
     assert_one_line(err, "--image and --pattern")
