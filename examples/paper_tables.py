@@ -147,9 +147,10 @@ def measure(
     if options.optimality:
         from omtwarp.metrics.optimality import optimality
 
+        source = result.conformal if result.source is None else result.source  # what the flows transport
         for entry in rows:
             if entry["method"] in ("moser", "omt"):
-                report = optimality(surface, maps[entry["method"]], start=result.conformal, device=options.device)
+                report = optimality(surface, maps[entry["method"]], start=source, device=options.device)
                 entry |= {"relative_curl": report.relative_curl, "gap": report.gap}
     maps["start"] = result.conformal
     return rows, maps
