@@ -104,13 +104,13 @@ def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
         raise OmtwarpError(f"damaged, or no .npz: {detail}") from None
 
 
-def holds_array(path: str | os.PathLike[str], name: str) -> bool:
-    """Return whether a file is an ``.npz`` with an array of this name; False for what cannot be read."""
+def holds_array(path: str | os.PathLike[str], *names: str) -> bool:
+    """Return whether a file is an ``.npz`` with an array of one of these names; False for what cannot be read."""
     with contextlib.suppress(OmtwarpError, OSError, ValueError, zipfile.BadZipFile):
         with open_input(path, LARGEST_MESH_FILE) as stream:
             _check_directory(stream)
             with zipfile.ZipFile(stream) as archive:
-                return f"{name}.npy" in archive.namelist()
+                return not {f"{name}.npy" for name in names}.isdisjoint(archive.namelist())
     return False
 
 

@@ -183,10 +183,10 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
         OmtwarpError: a missing file, or one that is not a map, or is one to a torus where that will not do.
     """
     from omtwarp.inputs import holds_array
-    from omtwarp.result import MapResult
+    from omtwarp.result import OF_A_TORUS, MapResult
     from omtwarp.surface_map import SurfaceMap
 
-    if path.is_file() and holds_array(path, "wraps"):
+    if path.is_file() and holds_array(path, OF_A_TORUS):
         from omtwarp.torus.torus_map import TorusMap
 
         if not torus:
@@ -377,8 +377,9 @@ def map_from(
     """
     if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
         from omtwarp.inputs import holds_array
+        from omtwarp.result import OF_A_TORUS
 
-        if holds_array(mesh, "sphere") or holds_array(mesh, "wraps"):
+        if holds_array(mesh, "sphere", OF_A_TORUS):
             mesh, finished = None, mesh  # a map in place of a mesh
     if finished is not None:
         if mesh is not None:

@@ -21,7 +21,7 @@ from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbe
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.options import Record
-from omtwarp.result import MeshReport, StageReport
+from omtwarp.result import OF_A_TORUS, MeshReport, StageReport
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 from omtwarp.texturing.textured import unit_normals, vertex_normals
 from omtwarp.torus.pictures import TexturedTorus, ring_torus, textured_torus, torus_pattern
@@ -252,7 +252,7 @@ _LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "vertices": (np.float64, ("V", 3)),
     "faces": (np.int32, ("F", 3)),
     "coordinates": (np.float64, ("V", 2)),
-    "wraps": (np.int64, ("F", 3, 2)),
+    OF_A_TORUS: (np.int64, ("F", 3, 2)),
     "lattice": (np.float64, (2, 2)),
     "conformal": (np.float64, ("V", 2)),
     "vertex_origin": (np.int64, ("V",)),
