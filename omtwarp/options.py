@@ -15,6 +15,12 @@ from omtwarp.errors import OmtwarpError
 Record: TypeAlias = dict[str, float]
 """Numbers of one step of a stage by their names, ready for JSON; counts are int and yes or no is bool."""
 
+
+def continued(history: list[Record], records: list[Record]) -> list[Record]:
+    """Return a history with the records of further steps, whose iterations are counted on from its length."""
+    return history + [record | {"iteration": len(history) + k} for k, record in enumerate(records)]
+
+
 Progress: TypeAlias = Callable[[str, int, int, Record], None]
 """How long work reports on itself: ``progress(stage, done, total, details)``."""
 

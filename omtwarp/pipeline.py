@@ -41,7 +41,7 @@ from omtwarp.optimal import SHAPE_WEIGHT, OptimalMap, optimal_map
 from omtwarp.optimal.cells import exact_map
 from omtwarp.optimal.energy import AREA_WEIGHT
 from omtwarp.optimal.refinement import refine_map, refinement_weight
-from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage
+from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, continued
 from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapReport, MapResult, StageRecord
 from omtwarp.start.choice import bijective_start, shrunken_triangles
@@ -496,10 +496,7 @@ class _Run:
                 last = polished
                 sphere, more = self.untangle(sphere, polished.sphere)
                 repaired += more
-                first = len(self.history)
-                self.history = self.history + [
-                    record | {"iteration": first + k} for k, record in enumerate(polished.history[1:])
-                ]
+                self.remember(polished.history[1:])
         ended: dict[str, str | float | None] = {"converged": last.converged, "ended": last.ended}
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **ended)
 
@@ -563,14 +560,14 @@ class _Run:
             The map, and the weight that it was made with; ``measured`` and ``history`` are set.
         """
         found = solve(sphere, weight, None)
-        self.remember(found)
+        self.remember(found.history)
         excess = self.shape_excess(found.sphere)
         for _ in range(SHAPE_ROUNDS - 1):
             if excess <= 1.0 or not found.converged:
                 break
             lower = weight * float(np.clip(SHAPE_MARGIN / excess, *SHAPE_DECAY))
             measured, other = self.measured, solve(found.sphere, lower, found.multipliers)
-            self.remember(other)
+            self.remember(other.history)
             changed = self.shape_excess(other.sphere) if other.converged else np.inf
             # Where only the curl was known of the map before, its excess compares with nothing.
             if not other.converged or (measured is not None and changed > excess * (lower / weight) ** MIN_GAIN_POWER):
@@ -584,10 +581,9 @@ class _Run:
         cost = transport_cost(self.surface, self.points(sphere), start=self.start, device=self.device)
         return min(SHAPE_WEIGHT, share * SHAPE_BY_DISTANCE * float(np.sqrt(cost / SPHERE_AREA)))
 
-    def remember(self, found: OptimalMap) -> None:
-        """Append the steps of a minimisation to the history."""
-        known = len(self.history)
-        self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
+    def remember(self, records: list[Record]) -> None:
+        """Append the steps of a minimisation to the history, and count iterations on."""
+        self.history = continued(self.history, records)
 
     def optimal(
         self, sphere: NDArray[np.float64], weight: float, multipliers: NDArray[np.float64] | None = None
@@ -630,7 +626,7 @@ class _Run:
                 device=self.device,
                 progress=self.progress,
             )
-            self.remember(found)
+            self.remember(found.history)
         assert found is not None
         return found, weight
 
@@ -685,17 +681,18 @@ class _Run:
         """Measure how far a map is from optimal, and improve the bound where the gap is too large."""
         assert self.source is not None
         first, most = GAP_ASCENT_STEPS
+        enough = self.largest_gap
         measure = partial(
             optimality,
             self.surface,
             sphere,
             start=self.source,
-            enough=self.largest_gap,
+            enough=enough,
             device=self.device,
             progress=self.progress,
         )
         found = measure(ascent_steps=first if improve else ASCENT_STEPS)
-        close = self.largest_gap < found.gap <= WITHIN_REACH * self.largest_gap
+        close = enough < found.gap <= WITHIN_REACH * enough
         if improve and close and self.surface.vertex_count <= GAP_ASCENT_VERTICES:
             found = measure(ascent_steps=most, potential=found.potential)
         return found

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.options import AreaMatch, Progress, Record
+from omtwarp.options import AreaMatch, Progress, Record, continued
 from omtwarp.result import StageReport
 from omtwarp.torus.cells import TorusCellEnergy, quartered_torus
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
@@ -129,8 +129,7 @@ class _Run:
 
     def take(self, name: str, found: TorusTransport, details: StageReport) -> None:
         """Continue with a map that was found."""
-        known = len(self.history)
-        self.history += [record | {"iteration": known + k} for k, record in enumerate(found.history)]
+        self.history = continued(self.history, found.history)
         lattice = self.conformal.lattice
         self.torus = FlatTorus(quantised(found.points @ np.linalg.inv(lattice)), self.conformal.wraps, lattice)
         last = found.history[-1]
