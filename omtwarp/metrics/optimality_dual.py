@@ -166,8 +166,7 @@ class TransportDual:
         a, b, c = (self._corners[:, k] for k in range(3))
         triple = np.einsum("ij,ij->i", a, np.cross(b, c))
         solid = 2.0 * np.arctan2(triple, 1.0 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
-        nodal = potential[self.surface.faces[self.order]].mean(axis=1)
-        return float(solid @ (nodal + self.edge_terms.sum(axis=1) / 12.0))
+        return float(solid @ quadratic_means(potential, self.surface.faces[self.order], self.edge_terms))
 
     def spread(self, transform: Array) -> Spread:
         """Integrate the cost and its dual φ, given at the x_i, shape [V], over the triangles that carry the masses.
@@ -185,11 +184,22 @@ class TransportDual:
         self._launch(kernels.edge_bulges, count, [self._x, faces, displaced], [bulges])
         self._launch(kernels.triangle_costs, count, [self._x, self._y, faces], [means])
         masses = surface.face_areas * (self.mass / surface.vertex_areas)[corners].mean(axis=1)
-        nodal = transform[corners].mean(axis=1) + bulges.numpy().sum(axis=1) / 12.0
-        return Spread(float(masses @ means.numpy()), float(masses @ nodal))
+        duals = quadratic_means(transform, corners, bulges.numpy())
+        return Spread(float(masses @ means.numpy()), float(masses @ duals))
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
+
+
+def quadratic_means(nodal: Array, corners: NDArray[np.int32], edge_terms: Array) -> Array:
+    """Return the mean over every triangle of the quadratic w0 f0 + w1 f1 + w2 f2 + Σ w_k w_(k+1) e_k, shape [F].
+
+    Args:
+        nodal: the f, values at vertices, shape [V].
+        corners: vertices of the triangles, shape [F, 3].
+        edge_terms: the e, shape [F, 3]; the mean of a product of two barycentric coordinates is 1/12.
+    """
+    return nodal[corners].mean(axis=1) + edge_terms.sum(axis=1) / 12.0
 
 
 def space_order(points: Array) -> NDArray[np.int32]:

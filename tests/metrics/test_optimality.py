@@ -25,13 +25,8 @@ def latitude_map(frequency: int, shift: float = 0.6, twist: float = 0.0):
     y = surface.vertices / np.linalg.norm(surface.vertices, axis=1)[:, None]
     height, longitude = y[:, 2], np.arctan2(y[:, 1], y[:, 0])
     masses = surface.sum_to_vertices(triangle_areas(y, surface.faces))
-
-    def place(z, angle):
-        radius = np.sqrt(np.maximum(1.0 - z * z, 0.0))
-        return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-
-    x = place(height + shift * (1.0 - height**2) / 2.0, longitude)
-    return x, place(height, longitude + twist * (1.0 - height**2)), masses, surface.faces
+    x = place_at(height + shift * (1.0 - height**2) / 2.0, longitude)
+    return x, place_at(height, longitude + twist * (1.0 - height**2)), masses, surface.faces
 
 
 def random_rotation(seed: int) -> np.ndarray:
