@@ -2,6 +2,7 @@
 """Kernels that fill blocks of texels without an edge between their corners, and find texels that need more samples."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
+from omtwarp.texturing.kernels import mean_sample
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -86,10 +87,7 @@ def average_to_bytes(
     i, _compiled_once = wp.tid()
     per_texel = samples * samples
     for c in range(values.shape[1]):
-        total = wp.float64(0.0)
-        for k in range(per_texel):
-            total = total + values[i * per_texel + k, c]
-        picture[texels[i], c] = as_byte(total / wp.float64(per_texel))
+        picture[texels[i], c] = as_byte(mean_sample(values, i * per_texel, per_texel, c))
 
 
 @wp.kernel

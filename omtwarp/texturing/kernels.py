@@ -218,6 +218,15 @@ def sample_picture(
         out[i, c] = bilinear(picture, kind, p[0], p[1], c)
 
 
+@wp.func
+def mean_sample(values: wp.array2d[wp.float64], first: int, count: int, channel: int):
+    """Return the mean of a channel over the samples of a texel, which are rows of ``values`` next to one another."""
+    total = wp.float64(0.0)
+    for k in range(count):
+        total = total + values[first + k, channel]
+    return total / wp.float64(count)
+
+
 @wp.kernel
 def average_samples(
     values: wp.array2d[wp.float64],
@@ -230,10 +239,7 @@ def average_samples(
     i = wp.tid()
     per_texel = samples * samples
     for c in range(values.shape[1]):
-        total = wp.float64(0.0)
-        for k in range(per_texel):
-            total = total + values[i * per_texel + k, c]
-        out[texels[i], c] = wp.float32(total / wp.float64(per_texel))
+        out[texels[i], c] = wp.float32(mean_sample(values, i * per_texel, per_texel, c))
 
 
 @wp.kernel
