@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
+from omtwarp.commands._streams import say
 from omtwarp.errors import OmtwarpError
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     Raises:
         OmtwarpError: whatever is wrong with the file or the mesh, in one line.
     """
-    from omtwarp.commands._work import say
     from omtwarp.materials import read_painted_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import require_valid

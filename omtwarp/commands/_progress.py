@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
+from omtwarp.commands._streams import say
 from omtwarp.options import Progress, Record
 
 BAR, NARROW_BAR = 30, 8  # characters of a bar; on a terminal of 80 columns the narrow one leaves room for the figures
@@ -38,7 +39,7 @@ def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progres
 
         yield report
     for stage, seconds in taken.items():
-        print(f"omtwarp: {stage}: {seconds:.2f} s", file=sys.stderr)
+        say(f"{stage}: {seconds:.2f} s")
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO, cast
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, one_line
 from omtwarp.files import scratch
 from omtwarp.limits import LARGEST_MESH_FILE, amount
 
@@ -162,3 +162,8 @@ def output_file(suffix: str) -> Callable[[object], object]:
         return _current.output
 
     return chosen
+
+
+def say(text: str) -> None:
+    """Print one line about the work on standard error, apart from the output of a command."""
+    print(f"omtwarp: {one_line(text)}", file=sys.stderr, flush=True)

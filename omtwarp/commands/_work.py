@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, Unpack, overload, runtime_checkable
 
-from omtwarp.errors import OmtwarpError, one_line
+from omtwarp.commands._progress import progress_bar
+from omtwarp.commands._streams import say
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, parse_device
 
 if TYPE_CHECKING:
@@ -44,11 +45,6 @@ class Input:
     origins: dict[str, NDArray] = field(default_factory=dict)
     vertex_of_file: NDArray | None = None
     file_faces: NDArray | None = None
-
-
-def say(text: str) -> None:
-    """Print one line of progress, apart from the output of a command."""
-    print(f"omtwarp: {one_line(text)}", file=sys.stderr)
 
 
 def show_facts(facts: Mapping[str, object], line: str, *, as_json: bool, quiet: bool) -> None:
@@ -289,8 +285,6 @@ def make_map(
         target: the density on the sphere.
         options: those of :func:`omtwarp.map_to_sphere`.
     """
-    from omtwarp.commands._progress import progress_bar
-    from omtwarp.errors import OmtwarpWarning
     from omtwarp.pipeline import map_to_sphere
 
     result: MapResult | TorusMap

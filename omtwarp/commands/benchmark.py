@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import RefineOption
-from omtwarp.commands._streams import output_file
+from omtwarp.commands._streams import output_file, say
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import MOST_FACES, MOST_REPEATS
 
@@ -91,7 +91,7 @@ def benchmark(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._work import report_text, say, start_device
+    from omtwarp.commands._work import report_text, start_device
     from omtwarp.files import check_output, staged
 
     given = tuple(meshes or ())

@@ -24,7 +24,7 @@ from omtwarp.commands._options import (
     UntilOption,
     VerboseOption,
 )
-from omtwarp.commands._streams import input_table
+from omtwarp.commands._streams import input_table, say
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import MapOptions, Refinement
 
@@ -169,6 +169,6 @@ def _reporting(quiet: bool, verbose: bool = False) -> Iterator[Progress | None]:
             last = now
             left = (now - begun) / (done - first[0]) * (total - done)
             words = f"{done} of {total} done, {info['failed']} failed, about {left:.0f} s left"
-            print(f"omtwarp: {words}", file=sys.stderr, flush=True)
+            say(words)
 
     yield report

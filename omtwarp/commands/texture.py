@@ -24,7 +24,7 @@ from omtwarp.commands._options import (
     UntilOption,
     VerboseOption,
 )
-from omtwarp.commands._streams import output_file
+from omtwarp.commands._streams import output_file, say
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
@@ -293,7 +293,7 @@ def _paint(
 ) -> None:
     """Texture a mesh in its own coordinates, with its own materials, or with bakes."""
     from omtwarp.commands._painted import painted_map
-    from omtwarp.commands._work import map_from, require_bijective, say, show_facts, start_device
+    from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
     from omtwarp.errors import OmtwarpWarning
     from omtwarp.mesh.read import read_mesh
     from omtwarp.painting import paint
