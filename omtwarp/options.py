@@ -5,7 +5,7 @@ The command line and Python take their options from here. Nothing heavy is impor
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NotRequired, TypeAlias, TypedDict, TypeVar
@@ -16,7 +16,7 @@ Record: TypeAlias = dict[str, float]
 """Numbers of one step of a stage by their names, ready for JSON; counts are int and yes or no is bool."""
 
 
-def continued(history: list[Record], records: list[Record]) -> list[Record]:
+def continued(history: list[Record], records: Sequence[Record]) -> list[Record]:
     """Return a history with the records of further steps, whose iterations are counted on from its length."""
     return history + [record | {"iteration": len(history) + k} for k, record in enumerate(records)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -581,7 +581,7 @@ class _Run:
         cost = transport_cost(self.surface, self.points(sphere), start=self.start, device=self.device)
         return min(SHAPE_WEIGHT, share * SHAPE_BY_DISTANCE * float(np.sqrt(cost / SPHERE_AREA)))
 
-    def remember(self, records: list[Record]) -> None:
+    def remember(self, records: Sequence[Record]) -> None:
         """Append the steps of a minimisation to the history, and count iterations on."""
         self.history = continued(self.history, records)
 
