@@ -1,7 +1,7 @@
-"""Kernels of the optimal map whose cells are triangles made of four parts.
+"""Kernels of the optimal map that keeps the areas of cells, which are triangles made of four parts.
 
-Corner k of cell c, the middle of its edge from corner k to the next and its parts are numbered as
-:class:`omtwarp.mesh.quarter.QuarteredSurface` says: columns k and 3 + k of ``cells``, and faces 4 c to 4 c + 3.
+Numbering follows :class:`omtwarp.mesh.quarter.QuarteredSurface`: column k of ``cells`` is corner k, column 3 + k is the
+middle of the edge from corner k to the next, and the parts of cell c are faces 4 c to 4 c + 3.
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
@@ -19,14 +19,14 @@ def vertex_squares(
     # Data out:
     square: wp.array[wp.float64],
 ):
-    """Compute the square of the distance of every vertex to its start, shape [V]."""
+    """Compute the squared distance of every vertex to its start, shape [V]."""
     v = wp.tid()
     _pull, distance = logarithm(points[v], start[v])
     square[v] = distance * distance
 
 
-# Unlike transport_gradient, which sums the potentials of a triangle's corners beginning with the vertex itself: per
-# triangle, as here, that sum has one order for all three, and is rounded differently.
+# A kernel of its own beside transport_gradient: that one adds the potentials of a triangle's three corners, in an order
+# that begins with the vertex itself, and so rounds differently from one potential per triangle.
 @wp.kernel
 def cell_gradient(
     start: wp.array[wp.vec3d],
@@ -41,7 +41,7 @@ def cell_gradient(
     # Data out:
     gradient: wp.array[wp.vec3d],
 ):
-    """Compute the gradient of cost and Σ P_c a_c, P_c fixed, by the vertices, tangent to the sphere, shape [V]."""
+    """Compute the gradient of the cost plus Σ P_c a_c (P_c fixed) by the vertices, tangent to the sphere, shape [V]."""
     v, _compiled_once = wp.tid()
     v += first
     y = points[v]
@@ -63,7 +63,7 @@ def cell_couplings(
     # Data out:
     couplings: wp.array2d[wp.vec2d],
 ):
-    """Compute the derivatives of the area of every cell by its six vertices, in their tangent bases, shape [F, 6]."""
+    """Compute the derivatives of each cell's area by its six vertices, in their tangent bases, shape [F, 6]."""
     c, _compiled_once = wp.tid()
     c += first
     for k in range(3):

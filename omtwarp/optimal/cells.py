@@ -1,10 +1,10 @@
-"""The optimal map of a quartered mesh that keeps the area of every triangle of the mesh itself.
+"""The optimal map of a quartered mesh that keeps the area of every triangle of the original mesh.
 
-The cells whose areas are kept are the triangles c of the mesh, each the sum of four parts (P1-iso-P2/P0 in
+The cells whose areas are kept are the triangles c of the mesh, each the sum of four parts (the element P1-iso-P2/P0 of
 incompressible elasticity, which does not lock). A cell's mass A_c lies on its six vertices, a twelfth on each corner
 and a quarter on each middle of an edge, so that the vertices' masses are those of the quartered mesh. As in
-:mod:`omtwarp.optimal.energy` the cost is written with the image's cells, C' = Σ a_c Σ w_cv d(x_v, y_v)² / 4π, and the
-multipliers p_c belong to cells, which do not move.
+:mod:`omtwarp.optimal.energy` the cost is written with the areas of the image, C' = Σ a_c Σ w_cv d(x_v, y_v)² / 4π, and
+the multipliers p_c belong to cells of the mesh, which do not change when the map moves.
 """
 
 from __future__ import annotations
@@ -32,12 +32,11 @@ from omtwarp.untangling.kernels import solid_angles
 
 Numbers = NDArray[np.float64]
 
-CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a cell's mass
-ITERATIONS = 60  # at most; a map that needs more says that it is not optimal
-# Root mean square and largest relative error of the triangles' areas with which the minimisation ends, and the largest
-# after what is left of them was made right.
+CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a cell's mass, on each of its six vertices
+ITERATIONS = 60  # largest number of steps; a map that needs more reports that it has not converged
+# Root mean square and largest relative error of the triangles' areas at which the minimisation may end.
 MAX_CELL_RMS, MAX_CELL_ERROR = 1e-3, 0.05
-EXACT = 1e-6
+EXACT = 1e-6  # largest relative error after the remaining errors were corrected
 
 
 def exact_map(
@@ -52,21 +51,21 @@ def exact_map(
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
-    """Minimise transport cost over the maps of a quartered mesh that keep the area of every triangle of the mesh.
+    """Minimise the transport cost over the maps of a quartered mesh that keep the area of every original triangle.
 
     Args:
-        quartered: the mesh's triangles, F, in four parts each; V vertices.
+        quartered: the F triangles of a mesh in four parts each, V vertices in all.
         sphere: a map without flips to begin with, unit vectors, shape [V, 3].
         start: the points x that are transported, unit vectors, shape [V, 3].
         shape_weight: weight of angle and area distortion of the parts relative to the mean squared distance.
-        multipliers: of a map nearby, such as one with another shape weight, to begin with; shape [F].
-        iterations: most steps.
+        multipliers: initial multipliers, shape [F], such as those of a map with another shape weight.
+        iterations: largest number of steps.
         gain: end where the expected gain of a step falls below this share of the cost, and areas are kept to 1e-6.
         device: where the kernels run.
         progress: called after every step as ``progress("omt", step, most, record)``.
 
     Returns:
-        The map, never worse than the one given; its multipliers belong to the triangles, shape [F].
+        The map, whose energy is at most that of the one given; its multipliers belong to the triangles, shape [F].
 
     Raises:
         OmtwarpError: the map given has flipped triangles.
@@ -86,7 +85,7 @@ def minimise_cells(
     iterations: int,
     progress: Progress | None,
 ) -> OptimalMap:
-    """Minimise an energy of cells, and make their areas right to 1e-6; arguments and result as of :func:`exact_map`."""
+    """Minimise an energy of cells, then correct their areas to 1e-6; arguments and result as of :func:`exact_map`."""
     found = minimise(energy, sphere, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
     history = list(found.history)
 
@@ -102,16 +101,16 @@ def minimise_cells(
 
 
 class CellEnergy(TransportEnergy):
-    """Evaluates maps of a quartered surface: as its base, with triangles made of four parts in place of rings.
+    """Evaluates maps of a quartered surface as its base class does, with areas of original triangles as constraints.
 
     Args:
         quartered: the mesh's triangles in four parts each.
         start: x, unit vectors, vec3d, shape [V], on the device.
         device: a Warp device.
-        shape_weight: of the distortion of the parts.
+        shape_weight: β, the weight of the distortion of the parts.
     """
 
-    local_steps = False  # those are for areas around vertices
+    local_steps = False  # they need constraints on areas around vertices
     area_tolerances = (MAX_CELL_RMS, MAX_CELL_ERROR)
     exact_tolerance = EXACT
 
@@ -127,13 +126,13 @@ class CellEnergy(TransportEnergy):
         self._factor: SaddlePointFactor | None = None
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """Return the factorisation of the matrices that :meth:`blocks` gives; the same object at every call."""
+        """Return an object that factorises the matrices of :meth:`blocks`: the same one at every call."""
         if self._factor is None:
             self._factor = cell_saddle_factor(self.surface, self.cells)
         return self._factor
 
     def terms(self, points: wp.array) -> MapTerms:
-        """Return the areas of the cells, shape [F], in place of those around vertices."""
+        """Return the terms of a map, with the areas of the cells, shape [F], in place of those around vertices."""
         square = wp.empty(self.surface.vertex_count, dtype=wp.float64, device=self.device)
 
         def of_triangles(part: slice) -> tuple[list[object], list[object]]:
@@ -148,15 +147,16 @@ class CellEnergy(TransportEnergy):
         return MapTerms(areas, square.numpy(), self.shape.terms(points))
 
     def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """Return P_c, shape [F], from p_c."""
+        """Return P_c, the potential on each cell's image: p_c plus the mean squared distance over 4π, shape [F]."""
         return multipliers + self.cost_weight / SPHERE_AREA * self._means(terms)
 
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
-        """Return C' + Σ p_c (a_c - A_c) + β S."""
+        """Return the Lagrangian C' + Σ p_c (a_c - A_c) + β S."""
         cost = self.cost_weight * float(terms.ring @ self._means(terms)) / SPHERE_AREA
         return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
     def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
+        """Return the gradient of the Lagrangian with respect to the vertices, tangent to the sphere, shape [V, 3]."""
         count, device = self.surface.vertex_count, self.device
         mass = wp.array(self._masses(terms), dtype=wp.float64, device=device, copy=False)
         potential = wp.array(self.potential(terms, multipliers), dtype=wp.float64, device=device, copy=False)
@@ -174,7 +174,7 @@ class CellEnergy(TransportEnergy):
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Numbers, Numbers, Numbers]:
-        """Return the blocks of the matrix, with derivatives of cells' areas by vertices, shape [F, 6, 2]."""
+        """Return the blocks of the matrix, and the derivatives of cells' areas by their vertices, shape [F, 6, 2]."""
         count, device = self.surface.vertex_count, self.device
         hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
@@ -198,6 +198,6 @@ class CellEnergy(TransportEnergy):
         return terms.square[self.cells] @ self._shares
 
     def _masses(self, terms: MapTerms) -> Numbers:
-        """Return the image's area that every vertex stands for, shape [V]."""
+        """Divide the areas of the cells on the sphere among their vertices in the shares of mass, shape [V]."""
         shares = terms.ring[:, None] * self._shares
         return np.bincount(self.cells.ravel(), shares.ravel(), self.surface.vertex_count).astype(np.float64)

@@ -1,20 +1,21 @@
-"""Energy that the discrete optimal map minimises, and its derivatives.
+"""The energy that the discrete optimal map minimises, and its derivatives.
 
 Vertex v of the surface has mass m_v (a third of the area of the triangles around it, 4π in all), lies at x_v on the
 conformal sphere and is mapped to y_v. With a_v(y) the solid angle of the triangles around v, the discrete problem is
 
     minimise  C(y) + β S(y)   subject to   a_v(y) = 3 m_v for every vertex,    C = Σ m_v d(x_v, y_v)² / 4π,
 
-where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. Keeping the areas
-of all triangles instead would leave a map no freedom: 2V - 5 conditions on 2V - 3 coordinates. Keeping the areas around
-vertices, the cells on which the paper's density lives, leaves half of it, as in the smooth problem. C and the areas do
-not see every mode of a mesh; S determines the rest.
+where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. To keep the areas
+of all triangles instead would leave a map no freedom: 2V - 5 conditions on 2V - 3 coordinates. To keep the areas around
+vertices, on which the paper's density is defined, leaves half of it, as in the smooth problem. Some modes of a mesh
+change neither C nor these areas; S determines them.
 
-The cost is written with the cells of the image in place of the masses, C' = Σ a_v d(x_v, y_v)² / 12π. On maps that keep
-the areas C' = C, so that the problem is the same; but the multipliers p_v of C' belong to the points x_v, and do not
-change when y moves. They are -1/6π times Kantorovich's potential at x_v, while P_v = p_v + d(x_v, y_v)² / 12π is the
-one at y_v. With the multipliers of C, which belong to y_v, the second derivative of the Lagrangian has large indefinite
-terms of first order; with those of C' they cancel up to the error of the mesh, and what is left is, vertex by vertex,
+The cost is written with the areas of the image in place of the masses, C' = Σ a_v d(x_v, y_v)² / 12π. On maps that keep
+the areas C' = C, so that the problem is the same. But the multipliers p_v of C' belong to the points x_v, and do not
+change when y moves: they are -1/6π times Kantorovich's potential at x_v, while P_v = p_v + d(x_v, y_v)² / 12π is the
+potential at y_v. With the multipliers of C, which belong to y_v, the second derivative of the Lagrangian has large
+indefinite terms of first order. With those of C' these terms cancel up to the error of the mesh. What remains is, at
+each vertex,
 
     H_v = a_v / 6π · (second derivative of d²/2 - ψ) = a_v / 6π · (derivative of the inverse map y -> x),
 
@@ -40,20 +41,21 @@ from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
-# λ of the shape term: how much area distortion of triangles counts against angle distortion. Enough against slivers.
+# λ of the shape term: weight of the area distortion of triangles against angle distortion, large enough that no
+# slivers arise.
 AREA_WEIGHT = 10.0
-# Root mean square and largest relative error of the areas around vertices up to which they count as kept.
+# Largest root mean square and largest single relative error of the areas around vertices that count as kept.
 MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 9e-3
 
 
 @dataclass(frozen=True)
 class MapTerms:
-    """Areas, squared distances and distortion of a map.
+    """The terms of a map's energy: areas, squared distances and distortion.
 
     Attributes:
-        ring: the areas that are constrained: a_v, shape [V].
+        ring: the constrained areas, a_v, shape [V].
         square: d(x_v, y_v)², shape [V].
-        shape: distortion of the triangles.
+        shape: terms of the distortion of the triangles.
     """
 
     ring: Numbers
@@ -62,22 +64,22 @@ class MapTerms:
 
 
 class TransportEnergy:
-    """Evaluates maps of one surface.
+    """Evaluates the energy of maps of one surface, and its derivatives.
 
     Args:
         surface: the surface, V vertices, F faces and E edges.
         start: x, unit vectors, vec3d, shape [V], on the device.
         device: a Warp device.
         shape_weight: β.
-        cost_weight: factor of the cost; 0 leaves the shape alone.
+        cost_weight: factor of the cost; with 0 only the shape counts.
         area_weight: λ of the shape.
 
     Attributes:
         wanted: the areas that constraints ask for, 3 m_v, shape [V].
-        area_tolerances: root mean square and largest relative error up to which they count as kept.
+        area_tolerances: root mean square and largest relative error up to which areas count as kept.
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
         start_points: x on the host, shape [V, 3].
-        local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move vertices of its maps.
+        local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps.
     """
 
     local_steps = True
@@ -108,11 +110,11 @@ class TransportEnergy:
         self._newton = NewtonMatrix.of_surface(surface, self.shape.workspace)
 
     def saddle_factor(self) -> SaddlePointFactor:
-        """Return the factorisation of the matrices that :meth:`blocks` gives."""
+        """Return an object that factorises the matrices of :meth:`blocks`."""
         return surface_saddle_factor(self.surface)
 
     def flip_free_steps(self) -> FlipFreeSteps:
-        """Return the steps that move maps along directions."""
+        """Return an object that moves maps along directions without flipping triangles."""
         return FlipFreeSteps(self.surface, self.device)
 
     def terms(self, points: wp.array) -> MapTerms:
@@ -131,29 +133,29 @@ class TransportEnergy:
         return MapTerms(ring.numpy(), square.numpy(), self.shape.terms(points))
 
     def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """Return P_v, the potential of the target at the vertices, shape [V], from p_v."""
+        """Return P_v = p_v + d(x_v, y_v)² / 12π, the potential at the images of the vertices, shape [V]."""
         return multipliers + self.cost_weight / (3.0 * SPHERE_AREA) * terms.square
 
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
-        """Return C' + Σ p_v (a_v - 3 m_v) + β S."""
+        """Return the Lagrangian C' + Σ p_v (a_v - 3 m_v) + β S."""
         cost = self.cost_weight * float(terms.ring @ terms.square) / (3.0 * SPHERE_AREA)
         return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
     def missing(self, terms: MapTerms) -> Numbers:
-        """Return a_v - 3 m_v, shape [V]."""
+        """Return the error of every constrained area, a_v - 3 m_v, shape [V]."""
         return terms.ring - self.wanted
 
     def ring_errors(self, terms: MapTerms) -> tuple[float, float]:
-        """Return the root mean square, weighted by area, and largest of a_v / 3 m_v - 1."""
+        """Return the root mean square (weighted by area) and the largest of the relative errors a_v / 3 m_v - 1."""
         relative = self.missing(terms) / self.wanted
         return float(np.sqrt((self.wanted * relative**2).sum() / self.wanted.sum())), float(np.abs(relative).max())
 
     def cost(self, terms: MapTerms) -> float:
-        """Return Σ m_v d(x_v, y_v)², with masses 4π in all."""
+        """Return the transport cost Σ m_v d(x_v, y_v)², where the masses sum to 4π."""
         return float(self.surface.vertex_areas @ terms.square)
 
     def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """Return the gradient of the Lagrangian by the vertices, tangent to the sphere, shape [V, 3]."""
+        """Return the gradient of the Lagrangian with respect to the vertices, tangent to the sphere, shape [V, 3]."""
         count, device = self.surface.vertex_count, self.device
         ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
         potential = wp.array(self.potential(terms, multipliers), dtype=wp.float64, device=device, copy=False)
@@ -171,17 +173,17 @@ class TransportEnergy:
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Numbers, Numbers, Numbers]:
-        """Return the second derivative of the Lagrangian and first derivatives of the areas, in tangent bases.
+        """Return the second derivative of the Lagrangian and the first derivatives of the areas, in tangent bases.
 
         Args:
             points: the map, vec3d, shape [V].
-            terms: of the map.
+            terms: the terms of the map.
             curvature_share: see :func:`omtwarp.refine.kernels.triangle_hessian`.
             least: see :func:`omtwarp.optimal.kernels.cost_metric`.
 
         Returns:
-            Blocks of the vertices, shape [V, 2, 2], and of the edges, shape [E, 2, 2], positive semidefinite as a
-            matrix; and the derivatives as :meth:`omtwarp.solvers.cholesky.SaddleFactor.factorise` takes them.
+            The blocks of the vertices, shape [V, 2, 2], and of the edges, shape [E, 2, 2], of a positive semidefinite
+            matrix; and the areas' derivatives as :meth:`omtwarp.solvers.cholesky.SaddleFactor.factorise` takes them.
         """
         count, device = self.surface.vertex_count, self.device
         hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)

@@ -1,7 +1,7 @@
 """Kernels of the discrete optimal map: cost, areas around vertices, their derivatives, and the metric of the cost.
 
-Vertex v carries x_v on the conformal sphere to y_v; a_v is the solid angle of the triangles around v, its ring, which
-has to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optimal.energy`.
+The map takes x_v on the conformal sphere to y_v; a_v is the solid angle of the triangles around v, its ring, which has
+to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optimal.energy`.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
@@ -10,17 +10,17 @@ from omtwarp.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# Added to the normal equations of a vertex's neighbours, relative to their number: they stay solvable where all
-# neighbours lie on one line.
+# Added to the diagonal of the normal equations of a vertex's neighbours, per neighbour, so that they can be solved
+# where all neighbours lie on one line.
 LINE = wp.constant(wp.float64(1e-9))
 
 
 @wp.func
 def area_gradient(own: wp.vec3d, p: wp.vec3d, q: wp.vec3d) -> wp.vec3d:
-    """Return the gradient of the solid angle of (own, p, q) by its first corner, tangent to the sphere there."""
+    """Return the gradient of the solid angle of (own, p, q) with respect to ``own``, tangent to the sphere there."""
     normal = wp.cross(p, q)
     towards = p + q
-    # Six times the volume from differences: the sines of small triangles keep their digits.
+    # Six times the volume, computed from differences so that small triangles lose no digits.
     volume = oriented_volume(own, p, q)
     dots = ONE + wp.dot(own, p) + wp.dot(own, q) + wp.dot(p, q)
     gradient = TWO / (volume * volume + dots * dots) * (dots * normal - volume * towards)
@@ -39,7 +39,7 @@ def ring_terms(
     ring: wp.array[wp.float64],
     square: wp.array[wp.float64],
 ):
-    """Compute the solid angle around every vertex, and the square of its distance to its start, shape [V]."""
+    """Compute the solid angle around every vertex and its squared distance to its start, shape [V] each."""
     v = first + wp.tid()
     total = wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
@@ -63,7 +63,7 @@ def transport_gradient(
     # Data out:
     gradient: wp.array[wp.vec3d],
 ):
-    """Compute the gradient of cost and Σ P_v a_v, P_v fixed, by the vertices, tangent to the sphere, shape [V]."""
+    """Compute the gradient of the cost plus Σ P_v a_v (P_v fixed) by the vertices, tangent to the sphere, shape [V]."""
     v, _compiled_once = wp.tid()
     v += first
     y = points[v]
@@ -87,10 +87,10 @@ def ring_couplings(
     forward: wp.array[wp.vec2d],
     backward: wp.array[wp.vec2d],
 ):
-    """Compute the derivatives of areas around vertices in tangent bases, shape [E] each.
+    """Compute the derivatives of the areas around the ends of every edge, in tangent bases, shape [E] each.
 
-    ``forward`` holds that of the first end's area by the second end's coordinates, ``backward`` that of the second
-    end's area by the first end's. Both are sums over the two triangles of the edge.
+    ``forward`` holds the derivative of the first end's area by the second end's coordinates, ``backward`` that of the
+    second end's area by the first end's coordinates. Both are sums over the two triangles of the edge.
     """
     e = wp.tid()
     i, j = edges[e][0], edges[e][1]
@@ -114,7 +114,7 @@ def ring_couplings(
 
 @wp.func
 def turned_back(vector: wp.vec3d, y: wp.vec3d, x: wp.vec3d) -> wp.vec3d:
-    """Turn a vector by the rotation that takes x to y along their geodesic."""
+    """Rotate a vector by the rotation that takes x to y along their geodesic."""
     axis = wp.cross(x, y)
     cosine = wp.dot(x, y)
     return cosine * vector + wp.cross(axis, vector) + wp.dot(axis, vector) / wp.max(ONE + cosine, TINY) * axis
@@ -165,10 +165,11 @@ def cost_metric(
     # Data out:
     metric: wp.array2d[wp.float64],
 ):
-    """Compute the second derivative of cost plus potential at vertices, 2x2 in the tangent basis, shape [V, 4].
+    """Compute the second derivative of cost plus potential at every vertex, 2x2 in its tangent basis, shape [V, 4].
 
-    At the optimum it is a_v times the derivative of the inverse map y -> x, which is symmetric and positive there. That
-    derivative is fitted to the neighbours of the vertex, made symmetric, and its eigenvalues raised to ``least``.
+    At the optimum it is a_v times the derivative of the inverse map y -> x, which is symmetric and positive there. This
+    kernel fits that derivative to the neighbours of the vertex, makes it symmetric and raises its eigenvalues to
+    ``least``.
     """
     v, _compiled_once = wp.tid()
     v += first

@@ -1,9 +1,9 @@
 """Newton steps of the few vertices that limit the steps of the whole map.
 
-Next to needles a few vertices have far to go, and while they move a matrix of the whole map is soon out of date. After
-three or four steps nine tenths of the remaining gain comes from one vertex in a hundred. With all others held, their
-saddle-point system is small, and several steps of theirs cost less than one of all: on scans this saves three quarters
-of the factorisations.
+Next to needle triangles a few vertices have to move far, and while they do, the factorised matrix of the whole map is
+soon out of date. After three or four steps nine tenths of the remaining gain comes from one vertex in a hundred. With
+all other vertices fixed, the saddle-point system of these is small, and several steps of it cost less than one of the
+whole map: on scans this saves three quarters of the factorisations.
 """
 
 from __future__ import annotations
@@ -29,24 +29,25 @@ from omtwarp.untangling.kernels import solid_angles
 
 Numbers = NDArray[np.float64]
 
-# The vertices to move are the fewest that together have this share of what each alone could gain, as long as these are
-# at most so many of all, and with the rings around them that move too so many. With 0.1 instead of 0.05 of all a scan
-# of 20,000 vertices needs 4 factorisations of the whole map instead of 7.
+# The chosen vertices are the fewest that together have this share of the gains that single vertices could make. There
+# are no local steps where the chosen are a larger share of all vertices than the second number, or, with the rings
+# around them that move too, than the third. With 0.1 instead of 0.05 as the second, a scan of 20,000 vertices needs 4
+# factorisations of the whole map instead of 7.
 GAIN_SHARE = 0.95
 MAX_CHOSEN_SHARE, MAX_FREED_SHARE = 0.1, 0.5
 FREED_RINGS = 3
-MAX_STEPS = 8  # Newton steps of the patches at a time
+MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map
 MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
-REGULARISATION = 1e-6  # of every entry of the diagonal: the second derivative is only semidefinite
-LEAST_DAMPING = 1e-3  # see omtwarp.optimal.kernels.cost_metric
+REGULARISATION = 1e-6  # added to the diagonal, relative to each entry, as the second derivative is only semidefinite
+LEAST_DAMPING = 1e-3  # least eigenvalue kept of the inverse map's derivative: see cost_metric
 
 
 def freed_vertices(faces: NDArray[np.int32], gains: Numbers) -> NDArray[np.bool_] | None:
-    """Choose the vertices that local steps move, as a mask of shape [V]; None where they would be too many.
+    """Choose the vertices that local steps move, as a mask of shape [V], or None where they would be too many.
 
     Args:
         faces: of the surface, shape [F, 3].
-        gains: what moving each vertex alone is expected to gain, shape [V].
+        gains: the gain expected from moving each vertex alone, shape [V].
     """
     order = np.argsort(-gains, kind="stable")
     total = np.cumsum(gains[order])
@@ -60,16 +61,16 @@ def freed_vertices(faces: NDArray[np.int32], gains: Numbers) -> NDArray[np.bool_
 
 
 class LocalSteps:
-    """Moves patches of a surface's map, each by steps of its own length, that flip nothing.
+    """Moves patches of a surface's map, each by steps of its own length, without flipping a triangle.
 
     Args:
-        energy: of the surface's maps.
+        energy: the energy that is minimised.
         freed: which vertices may move, shape [V].
         points: the map, vec3d, shape [V], on the device.
-        terms: of the map.
+        terms: the terms of the map.
         multipliers: p_v, shape [V].
-        stiffness: of the penalty on areas, shape [V].
-        constrained: whether the multipliers follow; with a penalty alone they stay.
+        stiffness: weights of the squared area errors, shape [V].
+        constrained: whether steps change the multipliers; with a penalty in place of constraints they do not.
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class LocalSteps:
         free_rows = [self._sent(offsets[: self._free + 1], wp.int32), self._rows[1]]
         areas = self._sent(self._areas, wp.float64)
         self._triangles = TriangleKernels(self._faces, frames, areas, free_rows, energy.shape.workspace)
-        # Patches are a small part of the map's area: its scale is taken as constant.
+        # Patches are a small part of the map's area, so that its scale is taken as constant.
         self._pressures = energy.shape.pressures(terms.shape, energy.area_weight)
         self.multipliers, self._stiffness = multipliers[self._vertices], stiffness[self._vertices]
         self._wanted = energy.wanted[self._vertices]
@@ -113,13 +114,13 @@ class LocalSteps:
         self._factor = saddle_factor(surface.scaled_vertices[self._vertices], edges)
 
     def run(self, enough: float) -> tuple[wp.array, NDArray[np.intp], Numbers]:
-        """Take a few steps.
+        """Take Newton steps of all patches until the expected gain is small.
 
         Args:
-            enough: end where a step is expected to gain less.
+            enough: end where a step is expected to gain less than this.
 
         Returns:
-            The whole map, vec3d, shape [V]; the vertices whose multipliers changed, shape [P]; and these, shape [P].
+            The whole map, vec3d, shape [V]; the vertices of the patches, shape [P]; and their multipliers, shape [P].
         """
         points = self._sent(self._points, wp.vec3d)
         for _ in range(MAX_STEPS):
@@ -131,14 +132,15 @@ class LocalSteps:
         return vectors(whole, self._device), self._vertices, self.multipliers
 
     def _sent(self, values: NDArray[np.generic], dtype: type) -> wp.array:
+        """Return an array on the device, without a copy where that is possible."""
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device, copy=False)
 
     def _sums(self, values: Numbers) -> Numbers:
-        """Return the sums over the vertices of every patch, of values of shape [P]."""
+        """Sum values at the vertices, shape [P], over every patch."""
         return np.bincount(self._patch, values, self._patch_count).astype(np.float64, copy=False)
 
     def _rings(self, points: wp.array) -> tuple[Numbers, Numbers]:
-        """Return the areas around vertices, shape [P], and squared distances to where they come from."""
+        """Return the areas around vertices and their squared distances to their starts, shape [P] each."""
         count = len(self._vertices)
         solid = wp.empty(len(self._areas), dtype=wp.float64, device=self._device)
         wp.launch(solid_angles, dim=solid.size, inputs=[points, self._faces], outputs=[solid], device=self._device)
@@ -148,7 +150,7 @@ class LocalSteps:
         return self._outside + ring.numpy(), square.numpy()
 
     def _merits(self, points: wp.array, before: wp.array | None = None) -> tuple[Numbers, Numbers, Numbers, wp.array]:
-        """Return the merit of every patch, infinite where a triangle lost too much volume; rings, squares, volumes."""
+        """Return the merit of every patch, infinite where a triangle lost too much volume; areas, squares, volumes."""
         device, energy = self._device, self._energy
         ring, square = self._rings(points)
         missing = ring - self._wanted
@@ -170,7 +172,7 @@ class LocalSteps:
         return self._sums(of_vertices) + of_patches, ring, square, outputs[2]
 
     def _step(self, points: wp.array) -> tuple[wp.array, float]:
-        """Take one step of all patches, and return the map and the expected gain."""
+        """Take one step of all patches; return the map and the sum of the expected gains."""
         device, energy, free, count = self._device, self._energy, self._free, len(self._vertices)
         merits, ring, square, volume = self._merits(points)
         missing = ring - self._wanted
@@ -210,14 +212,14 @@ class LocalSteps:
             moved, lambda there: self._merits(there, volume)[0], merits, -decrements, longest, MAX_HALVINGS
         )
         if self._constrained:
-            # With its boundary held the area of a patch cannot change, so that its multipliers have a free constant;
-            # the total missing area would add to it at every step.
+            # With its boundary fixed the area of a patch cannot change, so that its multipliers are determined up to a
+            # constant, to which the patch's total area error would add at every step.
             constant = self._sums(self._wanted * q) / self._sums(self._wanted)
             self.multipliers = self.multipliers + length[self._patch] * (q - constant[self._patch])
         return points, float((length * decrements).sum())
 
     def _factorise(self, points: wp.array, ring: wp.array, factor: wp.float64) -> None:
-        """Factorise the saddle-point matrix with the neighbours of the freed vertices held."""
+        """Factorise the saddle-point matrix with the neighbours of the freed vertices fixed."""
         device, energy, free, count = self._device, self._energy, self._free, len(self._vertices)
         edges = len(self._edges)
         hessians = self._triangles.hessian(points, self._pressures, 1.0).to("cpu")
@@ -246,14 +248,14 @@ class LocalSteps:
 
 
 def _corners_around(faces: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return the corners of triangles around every vertex as compressed rows."""
+    """Return the corners of the triangles around every vertex as compressed rows: offsets, and corners."""
     offsets = np.zeros(count + 1, dtype=np.int32)
     np.cumsum(np.bincount(faces.ravel(), minlength=count), out=offsets[1:])
     return offsets, np.argsort(faces.ravel(), kind="stable").astype(np.int32)
 
 
 def _edges_of(faces: NDArray[np.int32], free: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return the edges with an end among the first vertices, that end first, and the two corners opposite to each."""
+    """Return the edges with an end among the first ``free`` vertices, that end first, and the two corners opposite."""
     one, other = np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
     corners = np.flatnonzero((one < free) | (other < free))
     low, high = np.minimum(one, other)[corners], np.maximum(one, other)[corners]

@@ -1,7 +1,7 @@
 """Refinement of the optimal map towards less distortion of shape, with areas around vertices kept.
 
-Up to a weight λ of 10 the mean angle distortion plus λ times the mean area distortion of the triangles is minimised. A
-larger λ on triangles would lock the mesh: 2V - 5 areas on 2V - 3 coordinates leave it no freedom to be smooth, and it
+Up to a weight λ of 10 the energy is the mean angle distortion plus λ times the mean area distortion of the triangles. A
+larger λ on triangles would lock the mesh: 2V - 5 areas leave its 2V - 3 coordinates no freedom to be smooth, and it
 buckles. The part of λ above 10 is therefore the weight of the areas around vertices, of which there are half as many:
 
     angle + min(λ, 10) · area + max(λ - 10, 0) · Σ_v m_v (a_v / 3m_v - 1)² / 4π.
@@ -25,7 +25,7 @@ from omtwarp.optimal.solver import minimise
 from omtwarp.options import AreaMatch, Progress, Refinement, parse_refinement
 from omtwarp.refine.solver import Refiner, RefineResult
 
-# λ: how much area counts against angle
+# λ, the weight of area against angle, of each named refinement
 WEIGHTS = {
     Refinement.AREA: 1000.0,
     Refinement.BALANCED: 10.0,
@@ -34,16 +34,17 @@ WEIGHTS = {
 # The largest weight of the areas of triangles. On a scan of 20,000 triangles the metric jumps from one to the next by
 # 0.054 at weights 2 and 10, 0.060 at 30 and 0.071 at 100.
 TRIANGLE_WEIGHT = 10.0
-# Weights between which an area distortion is matched, to this, in so many trials.
+# match:AREA looks for λ between these weights, by bisection of its logarithm, until the area distortion is within the
+# tolerance below the one asked for, or for that many trials.
 LEAST_WEIGHT, MOST_WEIGHT = 0.1, 1000.0
 MATCH_TOLERANCE, MATCH_TRIALS = 1e-4, 16
 
 
 def refinement_weight(weight: str | float | AreaMatch) -> float:
-    """Return the λ of a name or number.
+    """Return the weight λ of a refinement that is given as a name or a number.
 
     Raises:
-        OmtwarpError: neither one of the names nor a positive number.
+        OmtwarpError: the weight is neither one of the names nor a positive number.
     """
     parsed = parse_refinement(weight)
     if parsed is None or isinstance(parsed, AreaMatch):
@@ -74,15 +75,15 @@ def refine_map(
         weight: λ; ``area``, ``balanced`` or ``angle`` for 1000, 10 or 2; or ``match:AREA``, the least λ whose map has
             at most this mean area distortion of triangles, such as ``match:2.02``. An area that is out of reach with
             areas kept around vertices is matched by a λ of the areas of triangles alone, for which the map may buckle.
-        iterations: most steps taken.
-        tolerance: stop when the expected decrease falls below this and below a hundredth of what the energy is above
-            its least possible value.
+        iterations: largest number of steps.
+        tolerance: stop when the expected decrease falls below this and below a hundredth of the difference between the
+            energy and its least possible value.
         device: where the kernels run; :func:`omtwarp.device.policy.on_device` says where sparse systems are solved.
         progress: called as ``progress("refine", step, most, details)`` after every step; the details are ``area`` and
             ``angle``, the distortions reached.
 
     Returns:
-        The refined map and how it was reached.
+        The refined map, the history of its steps, and whether it converged.
 
     Raises:
         OmtwarpError: the mesh or the map cannot be used, the map has flipped triangles, or the weight is unknown.
@@ -116,7 +117,7 @@ def refine_map(
 
 
 class _Refinement:
-    """Refines maps of one surface at one weight after another."""
+    """Refines maps of one surface at one weight after another, with the same solver."""
 
     def __init__(self, surface: Surface, device: str, iterations: int, tolerance: float, progress: Progress | None):
         self.surface, self.device = surface, resolve_device(device)
@@ -124,13 +125,13 @@ class _Refinement:
         self.refiner = Refiner(surface, self.device)
 
     def run(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
-        """Return the map of least distortion at a weight, from a flip-free map, shape [V, 3]."""
+        """Minimise the distortion at a weight, beginning with a flip-free map, shape [V, 3]."""
         if weight <= TRIANGLE_WEIGHT:
             return self.by_triangles(sphere, weight)
         energy = TransportEnergy(
             self.surface, vectors(sphere, self.device), self.device, 1.0, cost_weight=0.0, area_weight=TRIANGLE_WEIGHT
         )
-        # Σ m (a / 3m - 1)² / 4π is Σ (a - 3m)² / 3m over 12π, half of which is what the penalty counts.
+        # Σ m (a / 3m - 1)² / 4π equals Σ (a - 3m)² / 3m over 12π; the penalty is half of that.
         penalty = 2.0 * (weight - TRIANGLE_WEIGHT)
         found = minimise(
             energy,
@@ -143,13 +144,13 @@ class _Refinement:
         return RefineResult(found.sphere, weight, list(found.history), found.converged, found.factorisations)
 
     def by_triangles(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
-        """Minimise with the whole weight of areas on those of triangles, none on those around vertices."""
+        """Minimise the distortion with the whole weight on the areas of triangles, none on those around vertices."""
         return self.refiner.minimise(
             sphere, weight, iterations=self.iterations, tolerance=self.tolerance, progress=self.progress
         )
 
     def match(self, sphere: NDArray[np.float64], area: float) -> RefineResult:
-        """Return the refined map whose area distortion is the one asked for, or the nearest one above it."""
+        """Find the weight whose refined map has the wanted area distortion, or the map nearest above where none has."""
         refine, least = self.run, LEAST_WEIGHT
         best = refine(sphere, MOST_WEIGHT)
         if self.area(best) > area:

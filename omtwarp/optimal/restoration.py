@@ -1,9 +1,10 @@
-"""Restoration of exact areas after a minimisation, by Newton's method on the areas themselves.
+"""Correction of the area errors that a minimisation leaves, by Newton's method on the areas themselves.
 
 Every step is the smallest, in the metric of the second derivative of cost and shape, that corrects the areas to first
-order, so that the map stays optimal up to the square of the correction. Where parts of a mesh are slivers the
+order, so that the map stays optimal up to the square of the correction. Where parts of a mesh are slivers, the
 multipliers of neighbouring cells differ strongly, and a minimisation that leaves the curvature of the areas out of its
-matrix ends there with errors of some 1e-3; the areas alone are right to round-off after a few steps.
+matrix ends there with relative errors of some 1e-3. Newton's method on the areas alone reaches round-off in a few
+steps.
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
-ROUNDS = 30  # at most
-STIFFNESS = 1e7  # of the areas relative to cost and shape, which only choose among the steps that correct areas
+ROUNDS = 30  # largest number of steps
+STIFFNESS = 1e7  # weight of areas relative to cost and shape, which only choose among the steps that correct areas
 MAX_HALVINGS = 12  # of a step, down to 1/4096
-SUFFICIENT = 0.1  # share of the decrease of the areas' errors that the first derivative predicts
-LEAST = 1e-3  # see omtwarp.optimal.kernels.cost_metric
-# Relative to the diagonal: what makes the matrix definite, and what it grows by where rounding asks for more.
+SUFFICIENT = 0.1  # a step is taken where it lowers the area errors by this share of what the first derivative predicts
+LEAST = 1e-3  # least eigenvalue kept of the inverse map's derivative: see omtwarp.optimal.kernels.cost_metric
+# Added to the diagonal, relative to its mean, to make the matrix definite: the first, or a later one where rounding
+# still leaves a pivot of the wrong sign.
 REGULARISATION = (1e-8, 1e-6, 1e-4, 1e-2)
 
 
@@ -42,13 +44,14 @@ def restore_areas(
     """Move a map without flips to the nearest one with exact areas.
 
     Args:
-        energy: says which areas are wanted, to which tolerances, and what near means.
+        energy: gives the wanted areas, their tolerance, and the metric in which steps are smallest.
         sphere: unit vectors, shape [V, 3], no triangle flipped.
-        rounds: most steps.
+        rounds: largest number of steps.
         notify: called after each step with its number and the terms of the map.
 
     Returns:
-        The map of the last step that made areas better, without flips, and whether they are right.
+        The map after the last step that reduced the area errors, without flips, and whether all areas are within the
+        tolerance.
     """
     device = energy.device
     points = vectors(sphere, device)
@@ -82,7 +85,7 @@ def restore_areas(
 def _step(
     energy: TransportEnergy, steps: FlipFreeSteps, factor: SaddlePointFactor, points: wp.array, terms: MapTerms
 ) -> tuple[wp.array, MapTerms] | None:
-    """Return the map and its terms after the longest share of a Newton step that improves areas, or None."""
+    """Return the map and its terms after the longest share of a Newton step that reduces area errors, or None."""
     count, device = energy.surface.vertex_count, energy.device
     coordinates, _ = factor.solve(np.zeros((count, 2)), -energy.missing(terms))
     direction = wp.empty(count, dtype=wp.vec3d, device=device)
@@ -100,11 +103,12 @@ def _step(
 
 
 def _error(energy: TransportEnergy, terms: MapTerms) -> float:
-    """Return the norm of the areas' errors, each relative to the root of the area wanted."""
+    """Return the norm of the area errors, each over the square root of the wanted area."""
     return float(np.sqrt((energy.missing(terms) ** 2 / energy.wanted).sum()))
 
 
 def _right(energy: TransportEnergy, terms: MapTerms) -> bool:
+    """Return whether all areas are within the tolerance."""
     rms, largest = energy.ring_errors(terms)
     return rms <= energy.exact_tolerance and largest <= energy.exact_tolerance
 

@@ -6,8 +6,8 @@ Every step solves the saddle-point system of :mod:`omtwarp.optimal.energy`,
 
 whose last block makes it a step of the augmented Lagrangian method with penalty μ (Nocedal and Wright, "Numerical
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A
-factorisation serves as long as the steps made with it gain enough. After each step the few vertices that have most to
-gain take steps of their own (:mod:`omtwarp.optimal.local`).
+factorisation is used again as long as the steps made with it gain enough. After each step the few vertices that have
+the most to gain take steps of their own (:mod:`omtwarp.optimal.local`).
 """
 
 from __future__ import annotations
@@ -36,50 +36,52 @@ from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
 Numbers = NDArray[np.float64]
 
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
-PENALTY = 1000.0  # μ: how heavily areas that are still wrong count beside cost
-MIN_COST = 1e-6  # radians²: least cost that gains are compared with
-REACH = 0.5  # radians: the farthest that a vertex goes in one step
+PENALTY = 1000.0  # μ: weight of the remaining area errors beside the cost
+MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
+REACH = 0.5  # radians: the farthest that a vertex moves in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix
 MAX_HALVINGS_OLD = 1  # of a step with an older one: beyond that a fresh matrix gains more
-UNTANGLED = 3  # of the halvings that are tried with untangling of what they flip
-MAX_MENDED = 0.002  # of the vertices: with so few untangled or held back the matrix is still reused
-MIN_GAIN_SHARE = 0.2  # share of the expected gain by which a step with an older matrix has to lower it
-# Relative to the diagonal: what holds the three rotations and makes H definite; and what it grows by where rounding
-# still leaves a pivot of the wrong sign.
+UNTANGLED = 3  # number of lengths, the longest, tried with flipped triangles untangled, not only with vertices held back
+MAX_MENDED = 0.002  # share of the vertices: the matrix is used again while no more are untangled or held back
+MIN_GAIN_SHARE = 0.2  # share by which a step with an older matrix has to lower the expected gain
+# Added to the diagonal, relative to its mean: it holds the three rotations and makes H definite. Where rounding still
+# leaves a pivot of the wrong sign, the diagonal grows by these shares, one after another.
 REGULARISATION = 1e-8
 STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 # Eigenvalues of the inverse map's derivative are raised to the damping. Where the conformal map has shrunk a limb the
-# cost hardly depends on the image, and a step would go farther than its second derivative is good for: the damping
-# grows after short steps and shrinks after full ones.
+# cost hardly depends on the image, and a step would leave the region where the second derivative is accurate: the
+# damping grows after short steps and shrinks after full ones.
 MOST_DAMPING = 1.0
 DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
 MIN_CURVATURE_SHARE = 0.03  # see refine.kernels.triangle_hessian
-# Gain over decrement, which is 1/2 where the function is quadratic: above the first, more of the matrix's negative
-# curvature is kept, below the second less, and below the third the next step has a fresh matrix. Conventions of trust
+# Gain over decrement, which is 1/2 where the function is quadratic. Above the first, more of the matrix's negative
+# curvature is kept; below the second, less; below the third, the next step has a fresh matrix. Conventions of trust
 # regions: with 0.1 to 0.48, 0.05 to 0.35 and 0.1 to 0.45 scans took as many steps, a body with thin arms 38 to 41.
 TRUSTED, DISTRUSTED, RENEWED = 0.4, 0.2, 0.3
 
-# Local steps end where one is expected to gain this share of what ends the minimisation.
+# Local steps end where the next is expected to gain less than this share of the gain that ends the minimisation.
 LOCAL_GAIN_SHARE = 0.1
-# Optimal: a further step would gain this share of the cost, and areas are right to the energy's tolerances.
+# A map is optimal where a further step would gain less than this share of the cost and its areas are within the
+# energy's tolerances.
 GAIN = 1e-4
 
 
 @dataclass(frozen=True)
 class OptimalMap:
-    """A discrete optimal map.
+    """A discrete optimal map, with how the minimisation reached it.
 
     Attributes:
         sphere: unit vectors, float64, shape [V, 3]; no triangle is flipped.
-        multipliers: p_v of :mod:`omtwarp.optimal.energy`, -1/6π times Kantorovich's potential at the points x_v, [V].
-        history: one record per step: ``cost`` (Σ m d², masses 4π in all), ``energy`` (cost, shape and errors of areas
-            in one number), ``ring_rms`` and ``ring_largest`` (errors of the areas around vertices), ``area`` and
-            ``angle`` (distortions of triangles), ``decrement`` (what the step was expected to gain), ``length`` of the
-            step, ``factorised``, ``mended`` (vertices untangled or held back), ``settled`` (vertices moved by local
-            steps after it). The first record is the start.
-        converged: whether gain and areas reached their tolerances.
-        ended: how it ended, in words.
-        factorisations: how many sparse matrices were factorised.
+        multipliers: p_v of :mod:`omtwarp.optimal.energy`, -1/6π times Kantorovich's potential at the points x_v, shape
+            [V].
+        history: one record per step, the first for the start: ``cost`` (Σ m d², masses 4π in all), ``energy`` (cost,
+            shape and area errors in one number), ``ring_rms`` and ``ring_largest`` (relative errors of the areas around
+            vertices), ``area`` and ``angle`` (mean distortions of triangles), ``decrement`` (expected gain),
+            ``length`` (share of the Newton step taken), ``factorised`` (whether the matrix is of this step),
+            ``mended`` (number of vertices untangled or held back) and ``settled`` (number moved by local steps).
+        converged: whether the expected gain and the areas reached their tolerances.
+        ended: why the minimisation ended, in words.
+        factorisations: number of sparse matrices that were factorised.
     """
 
     sphere: Numbers
@@ -105,7 +107,7 @@ def optimal_map(
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
-    """Minimise transport cost over the maps that keep the areas around vertices.
+    """Minimise the transport cost over all maps that keep the areas around vertices (section 4.3).
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices; its vertex areas, total 4π,
@@ -114,17 +116,17 @@ def optimal_map(
         start: the points x that are transported, unit vectors, shape [V, 3]; triangles may be flipped there.
         shape_weight: β, the weight of angle and area distortion of triangles relative to the mean squared distance.
         area_weight: λ, how much area distortion counts there against angle distortion.
-        area_penalty: μ, how heavily areas that are still wrong count beside cost on the way. The result is the same;
-            with less, steps are longer while a map is far from optimal, and areas come right later.
-        multipliers: of a map nearby, such as one with another shape weight, to begin with; shape [V].
-        iterations: most steps.
+        area_penalty: μ, the weight of area errors beside the cost during the minimisation. It does not change the
+            result: a smaller one allows longer steps while a map is far from optimal, and corrects areas later.
+        multipliers: initial multipliers, shape [V], such as those of a map with another shape weight.
+        iterations: largest number of steps.
         gain: end where the expected gain of a step falls below this share of the cost.
         device: where the kernels run; the saddle-point systems are solved on the host.
         progress: called after every step as ``progress("omt", step, most, record)``, the record being that of
             ``history``.
 
     Returns:
-        The map, never worse than the one given, and how it ended.
+        The map, whose energy is at most that of the one given, its history, and whether it converged.
 
     Raises:
         OmtwarpError: the mesh or a map cannot be used, or the map given has flipped triangles.
@@ -170,14 +172,18 @@ def minimise(
     progress: Progress | None,
     penalty: float | None = None,
 ) -> OptimalMap:
-    """Minimise an energy under its constraints; arguments and result as of :func:`optimal_map`.
+    """Minimise an energy under its area constraints, or with a penalty in their place; :func:`optimal_map` calls this.
 
     Args:
         energy: what is minimised.
         sphere, area_penalty, multipliers, iterations, progress: as of :func:`optimal_map`.
-        gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this.
-        penalty: μ, with which Σ (a_v - 3m_v)² / 3m_v, over 24π, is added to the energy in place of the constraints; the
-            history's stage is then ``refine``.
+        gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this
+            number.
+        penalty: μ; μ / 24π Σ (a_v - 3m_v)² / 3m_v is added to the energy in place of the constraints. ``progress`` is
+            then called with the stage ``refine``.
+
+    Returns:
+        The map as :func:`optimal_map` returns it.
 
     Raises:
         OmtwarpError: the map given has flipped triangles.
@@ -191,7 +197,7 @@ def minimise(
 
 
 class _Newton:
-    """One minimisation: the map, its multipliers, and the matrix of some earlier map.
+    """State of one minimisation: the multipliers, and the factorised matrix of this or an earlier map.
 
     Args:
         energy, gain, area_penalty, penalty: as of :func:`minimise`.
@@ -205,7 +211,8 @@ class _Newton:
         self.surface = energy.surface
         self.steps = energy.flip_free_steps()
         self.factor = energy.saddle_factor()
-        # Of the augmented Lagrangian: μ over the areas wanted, which sum to 12π for rings.
+        # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
+        # rings.
         self.stiffness = (area_penalty if penalty is None else penalty) / energy.wanted.sum() / energy.wanted
         self.multipliers = np.zeros(len(energy.wanted))
         self.max_rms, self.max_error = energy.area_tolerances
@@ -219,9 +226,9 @@ class _Newton:
         iterations: int,
         progress: Progress | None,
     ) -> OptimalMap:
-        """Take steps until the map reaches the tolerances.
+        """Take Newton steps until the map reaches the tolerances, or no step lowers the energy.
 
-        One function, as every decision on how to go on rests on the same matrix, step and map.
+        This stays one function: every decision on how to continue depends on the same matrix, step and map.
         """
         energy = self.energy
         points = vectors(sphere, self.device)
@@ -288,7 +295,7 @@ class _Newton:
         )
 
     def _settled(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, MapTerms, int]:
-        """Let the few vertices move that have most to gain: the map, its terms, and how many moved."""
+        """Move the few vertices that have the most to gain; return the map, its terms, and the number of them."""
         energy = self.energy
         if not energy.local_steps:
             return points, terms, 0
@@ -308,13 +315,13 @@ class _Newton:
         return moved, after, int(freed.sum())
 
     def _enough(self, terms: MapTerms) -> float:
-        """Return the least expected gain with which another step is taken."""
+        """Return the expected gain below which no further step is taken."""
         if not self.constrained:
             return 2.0 * self.gain
         return self.gain * max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST)
 
     def _reached(self, terms: MapTerms, decrement: float) -> bool:
-        """Return whether a map has reached the tolerances."""
+        """Return whether the expected gain, and under constraints the areas, are within their tolerances."""
         enough = decrement <= self._enough(terms)
         if not self.constrained:
             return enough
@@ -322,17 +329,19 @@ class _Newton:
         return enough and rms <= self.max_rms and largest <= self.max_error
 
     def _penalised_energy(self, terms: MapTerms) -> float:
-        """Return the cost, shape and area errors of a map in one number that does not depend on multipliers."""
+        """Return cost plus shape plus penalty on area errors, which unlike the merit needs no multipliers."""
         energy, missing = self.energy, self.energy.missing(terms)
         cost = energy.cost_weight * energy.cost(terms) / SPHERE_AREA
         penalty = 0.5 * float(self.stiffness @ missing**2)
         return cost + energy.shape_weight * terms.shape.total(energy.area_weight) + penalty
 
     def _merit(self, terms: MapTerms) -> float:
+        """Return the augmented Lagrangian of a map, which steps have to lower."""
         missing = self.energy.missing(terms)
         return self.energy.lagrangian(terms, self.multipliers) + 0.5 * float(self.stiffness @ missing**2)
 
     def _factorise(self, points: wp.array, terms: MapTerms) -> None:
+        """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong."""
         diagonal, off_diagonal, gradients = self.energy.blocks(points, terms, self.curvature_share, self.damping)
         own = diagonal[:, [0, 1], [0, 1]]
         self.base = points
@@ -348,13 +357,13 @@ class _Newton:
         raise OmtwarpError("the second derivative of the transport cost is not finite")
 
     def _estimate(self, points: wp.array, terms: MapTerms) -> None:
-        """Estimate the multipliers with which the Lagrangian is least steep, in the metric of the matrix."""
+        """Add to the multipliers what makes the gradient of the Lagrangian smallest in the metric of the matrix."""
         gradient = self.energy.gradient(points, terms, self.multipliers)
         _, q = self.factor.solve(-self._coordinates(gradient), np.zeros(len(self.multipliers)))
         self.multipliers = self.multipliers + q
 
     def _direction(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, Numbers, float]:
-        """Return the tangent vectors on the device, change of the multipliers, and the expected gain."""
+        """Return the Newton step (tangent vectors on the device), the multipliers' change, and the expected gain."""
         missing = self.energy.missing(terms)
         gradient = self.energy.gradient(points, terms, self.multipliers)
         u, q = self.factor.solve(-self._coordinates(gradient), -missing)
@@ -368,7 +377,7 @@ class _Newton:
         return wp.array(step, dtype=wp.vec3d, device=self.device), q, -slope
 
     def _coordinates(self, tangent: Numbers) -> Numbers:
-        """Return the tangent vectors, shape [V, 3], in the bases that the matrix was made in, shape [V, 2]."""
+        """Convert tangent vectors, shape [V, 3], to coordinates in the bases of the matrix, shape [V, 2]."""
         count = len(tangent)
         coordinates = wp.empty((count, 2), dtype=wp.float64, device=self.device)
         inputs = [self.base, wp.array(np.ascontiguousarray(tangent), dtype=wp.vec3d, device=self.device)]
@@ -378,10 +387,10 @@ class _Newton:
     def _search(
         self, points: wp.array, terms: MapTerms, direction: wp.array, decrement: float, halvings: int
     ) -> tuple[wp.array, MapTerms, float, int, float, float] | None:
-        """Search along the direction for a step that lowers the merit and flips nothing.
+        """Halve a step until it lowers the merit without flipping a triangle.
 
         Returns:
-            The map, its terms, the step's length, how many vertices were untangled or held back, and the merit before
+            The map, its terms, the step's length, the number of vertices untangled or held back, and the merit before
             and after; None where no step was found.
         """
         before = self._merit(terms)
@@ -409,6 +418,7 @@ class _Newton:
     def _record(
         self, terms: MapTerms, decrement: float, length: float, factorised: bool, mended: int, settled: int = 0
     ) -> Record:
+        """Return the entry of the history for a step, as :class:`OptimalMap` describes it."""
         rms, largest = self.energy.ring_errors(terms)
         return {
             "cost": self.energy.cost(terms),
