@@ -41,7 +41,7 @@ MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this whe
 REACH = 0.5  # radians: the farthest that a vertex moves in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix
 MAX_HALVINGS_OLD = 1  # of a step with an older one: beyond that a fresh matrix gains more
-UNTANGLED = 3  # number of lengths, the longest, tried with flipped triangles untangled, not only with vertices held back
+UNTANGLED = 3  # lengths tried with flipped triangles untangled, the longest first; others only hold vertices back
 MAX_MENDED = 0.002  # share of the vertices: the matrix is used again while no more are untangled or held back
 MIN_GAIN_SHARE = 0.2  # share by which a step with an older matrix has to lower the expected gain
 # Added to the diagonal, relative to its mean: it holds the three rotations and makes H definite. Where rounding still
