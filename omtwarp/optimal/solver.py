@@ -228,7 +228,7 @@ class _Newton:
     ) -> OptimalMap:
         """Take Newton steps until the map reaches the tolerances, or no step lowers the energy.
 
-        This stays one function: every decision on how to continue depends on the same matrix, step and map.
+        One function, as every decision on how to continue depends on the same matrix, step and map.
         """
         energy = self.energy
         points = vectors(sphere, self.device)
