@@ -1,4 +1,4 @@
-"""Any surface to its natural domain: sphere, hemisphere, disk, cap, or several of them."""
+"""Maps of any surface to its natural domain: a sphere, hemisphere, disk or cap, a torus, or one for each part."""
 
 from __future__ import annotations
 
@@ -145,10 +145,10 @@ def map_surface(
 
 
 def _check_domain(domain: Domain, part_count: int, components: bool, together: bool, exact: bool) -> None:
-    """Make sure that the parts of a surface that is neither sphere nor torus can be mapped to the domain.
+    """Refuse parts that cannot be mapped to the domain; the surface is neither one sphere nor one torus.
 
     Raises:
-        OmtwarpError: they cannot, or not with these options.
+        OmtwarpError: the parts cannot be mapped to the domain, or not with these options.
     """
     if together and (domain != Domain.AUTO or exact):
         raise OmtwarpError("parts side by side lie on caps: leave domain and exact out")
@@ -391,7 +391,7 @@ class _AtVertices(TypedDict):
 
 
 def _at_vertices(closed: MapResult, which: NDArray[np.int64]) -> _AtVertices:
-    """Return the rows of some vertices."""
+    """Take the rows of some vertices from the arrays of a map."""
 
     def rows(points: Floats | None) -> Floats | None:
         return None if points is None else points[which]
@@ -447,7 +447,7 @@ def _opened(part: Part, fill_area: str, to_rim: bool) -> _Opened:
 
 
 def _names(part: Part, opened: _Opened, given: InputNames | None) -> InputNames:
-    """Return what vertices and faces of a part, cut and filled, are called in the input."""
+    """Return the input's numbers of the vertices and faces of a part that was cut and filled."""
     vertices, faces = (np.full(len(rows), -1) for rows in (opened.filled.vertices, opened.filled.faces))
     vertices[: len(opened.vertex_origin)] = opened.vertex_origin
     faces[: len(opened.face_origin)] = opened.face_origin
@@ -456,7 +456,7 @@ def _names(part: Part, opened: _Opened, given: InputNames | None) -> InputNames:
 
 
 def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
-    """Return filled surface, its own areas times the weights of the part's faces, the area of the filling as asked for.
+    """Return the filled surface with weighted areas, and with the area that was chosen for the filling.
 
     The faces may be oriented inwards: a map depends on lengths only, and clockwise faces are counter-clockwise in a
     mirror image.
@@ -486,7 +486,7 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
 
 
 def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, domain: str) -> SurfaceMap:
-    """Return the map of the surface itself from that of the closed surface, whose first vertices and faces it has."""
+    """Restrict the map of a closed surface to its first vertices and faces, which are those of the surface itself."""
     count, face_count = len(opened.vertices), len(opened.faces)
 
     def own(points: Floats | None) -> Floats | None:
@@ -630,7 +630,7 @@ def _on_cap(result: SurfaceMap, share: float) -> SurfaceMap:
 
 
 def _rim(faces: NDArray, count: int) -> NDArray[np.bool_]:
-    """Return which vertices lie on the boundary, shape [count]."""
+    """Return a mask of the vertices on the boundary, shape [count]."""
     rim = np.zeros(count, dtype=bool)
     rim[boundary_half_edges(faces, count)] = True
     return rim

@@ -139,7 +139,7 @@ def _common(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command and exit: 0 done, 1 it could not be done (one line says why), 2 wrong usage, 130 interrupted.
+    """Run a command and exit: with 0 if done, 1 if it failed (one line says why), 2 on wrong usage, 130 if interrupted.
 
     Args:
         arguments: the command line without the program's name; ``sys.argv`` by default, where the process is taken to

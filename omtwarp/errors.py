@@ -1,8 +1,8 @@
-"""The one exception a user of omtwarp has to know, the category of its warnings, and their form in a terminal."""
+"""The package's exception, the category of its warnings, and their form in a terminal."""
 
 
 class OmtwarpError(ValueError):
-    """Input that cannot be used, or a request that cannot be met, in one clear line.
+    """Raised for input that cannot be used, or a request that cannot be met; its message is one line.
 
     The text names the defect, how many there are, where the first one is and how to repair it; the command line prints
     exactly this text and exits with a status other than 0.
@@ -30,7 +30,7 @@ def one_line(text: str) -> str:
 
 
 class OmtwarpWarning(UserWarning):
-    """A map that is one to one, but less good than it should be: the measure, the worst place and what would help.
+    """Warns of a map that is one to one but worse than it should be: the measure, the worst place and what would help.
 
     Example:
         >>> import warnings, omtwarp

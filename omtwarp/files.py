@@ -100,7 +100,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def _destination(path: Path) -> Path:
-    """Return the file that is written for a path: links followed, and nothing there that must not be replaced.
+    """Return the file to write for a path, with links followed; refuse a path whose file must not be replaced.
 
     Raises:
         OmtwarpError: a directory, a device or pipe, a link to itself, or no directory to write in.
@@ -129,7 +129,7 @@ def _destination(path: Path) -> Path:
 
 
 def _cannot_write(path: Path, error: OSError) -> OmtwarpError:
-    """Return the line about an output that failed, in the system's words."""
+    """Make the error for an output that failed, in the system's words."""
     return OmtwarpError(f"cannot write '{path}': {error.strerror or error}")
 
 
@@ -155,7 +155,7 @@ def written_by_omtwarp(path: Path) -> bool:
 
 
 def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path:
-    """Return a name for a companion of a file, such as the picture of a textured mesh.
+    """Choose a name for a companion of a file, such as the picture of a textured mesh.
 
     The name is free, or that of a file which the package wrote there before; never that of a file of the user's.
 
@@ -259,7 +259,7 @@ def _move(folder: Path, target: Path, given: Path, keep: tuple[Path | None, ...]
 
 @contextlib.contextmanager
 def scratch() -> Iterator[Path]:
-    """Give a new directory among the system's temporary ones, and remove it at the end."""
+    """Yield a new directory among the system's temporary ones, and remove it at the end."""
     parent = Path(tempfile.gettempdir())
     _sweep(parent)
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
@@ -330,7 +330,7 @@ def _die_by(number: int) -> None:
 
 @contextlib.contextmanager
 def _tidy_when_interrupted(folder: Path) -> Iterator[None]:
-    """Tidy up first on an interruption, while there is something to tidy up.
+    """On an interruption, remove what is staged before the process ends.
 
     Outside of this, an interruption ends the process at once, also in the middle of a long computation in native code
     (see :func:`omtwarp.cli.main`). Here Python's own handler has to run, which waits for native code to return; a

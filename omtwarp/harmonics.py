@@ -84,7 +84,7 @@ def degrees(degree: int) -> NDArray[np.int64]:
 
 
 def degree_of(count: int) -> int:
-    """Return the highest degree of that many coefficients.
+    """Return the highest degree L of an expansion with that many coefficients, (L + 1)².
 
     Raises:
         OmtwarpError: the number is not a square.

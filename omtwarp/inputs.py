@@ -115,7 +115,7 @@ def holds_array(path: str | os.PathLike[str], *names: str) -> bool:
 
 
 def _check_directory(source: BinaryIO) -> None:
-    """Look at how long an archive's list of entries is before it is read into memory.
+    """Check the length of an archive's list of entries before it is read into memory.
 
     Raises:
         OmtwarpError: it is too long.
@@ -166,7 +166,7 @@ def _check_header(stream: IO[bytes], length: int, name: str) -> None:
 
 
 def array_of(data: bytes, name: str = "data") -> NDArray:
-    """Return the array of an ``.npy`` file's content.
+    """Read an array from the content of an ``.npy`` file.
 
     Raises:
         OmtwarpError: it is none, or damaged, or holds objects.

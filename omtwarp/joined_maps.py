@@ -1,4 +1,4 @@
-"""Maps of the parts of a surface put together into one, in the input's order."""
+"""Joining of the maps of a surface's parts to one map in the input's order."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def joined(
 
 
 def _numbers(maps: list[SurfaceMap], count: int) -> tuple[list[NDArray], int]:
-    """Return the numbers of the vertices of each part in the whole, and how many there are.
+    """Return the numbers that the vertices of each part have in the whole, and the number of all vertices.
 
     The input's vertices come first, then new ones.
     """
@@ -117,7 +117,7 @@ class _Filling(TypedDict, total=False):
 def _filling(
     maps: list[SurfaceMap], numbers: list[NDArray], count: int, at_vertices: Callable[[list[Floats]], Floats]
 ) -> _Filling:
-    """Return the arrays about filled loops, none where no loop was filled."""
+    """Join the arrays about filled loops; there are none where no loop was filled."""
     if all(part.loops is None for part in maps):
         return {}
     loops, ends, pairs, points, images, faces, marks = [], [], [], [], [], [], []
@@ -155,7 +155,7 @@ def _filling(
 
 
 def _report(maps: list[SurfaceMap]) -> MapReport:
-    """Return the reports of the parts, and one certificate for all."""
+    """Join the reports of the parts to one with a certificate for all."""
     first = maps[0].report
     seconds = sum(part.report["seconds"] for part in maps)
     return {

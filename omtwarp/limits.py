@@ -22,7 +22,7 @@ MOST_REPEATS = 1000  # of a measurement
 
 
 def amount(bytes_: int) -> str:
-    """Return a number of bytes for readers, such as ``4.3 GB``."""
+    """Write a number of bytes for readers, such as ``4.3 GB``."""
     for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if bytes_ >= size:
             return f"{bytes_ / size:.1f} {unit}"

@@ -17,7 +17,7 @@ Record: TypeAlias = dict[str, float]
 
 
 def continued(history: list[Record], records: Sequence[Record]) -> list[Record]:
-    """Return a history with the records of further steps, whose iterations are counted on from its length."""
+    """Append the records of further steps to a history; their iterations are numbered on from its length."""
     return history + [record | {"iteration": len(history) + k} for k, record in enumerate(records)]
 
 
@@ -151,7 +151,7 @@ def choose(kind: type[Kind], value: object, *, without: tuple[Kind, ...] = ()) -
 
 
 def _shown(value: object) -> str:
-    """Return a value as it was given where it is text or a number, and its type otherwise."""
+    """Return a value as text for a message: itself where it is text or a number, its type otherwise."""
     return f"'{value}'" if isinstance(value, str | int | float) else f"of type {type(value).__name__}"
 
 
@@ -194,7 +194,7 @@ def parse_refinement(value: object) -> Refinement | AreaMatch | float | None:
 
 
 def parse_device(value: object) -> str:
-    """Return a device's name: ``auto`` (also for None), ``cpu``, ``cuda`` or ``cuda:N``, whether it exists or not.
+    """Check a device's name: ``auto`` (also for None), ``cpu``, ``cuda`` or ``cuda:N``; it need not exist.
 
     Raises:
         OmtwarpError: another name.

@@ -283,7 +283,7 @@ class _Run:
 
     @property
     def sphere(self) -> NDArray[np.float64]:
-        """The last map made."""
+        """The map of the latest stage."""
         return next(reversed(self.maps.values()))
 
     @property
@@ -297,17 +297,17 @@ class _Run:
             self.progress(str(stage), done, total, details)
 
     def points(self, sphere: NDArray[np.float64]) -> wp.array:
-        """Return a map where the kernels run; the one asked for last is there already."""
+        """Return a map as an array on the device; the one asked for last is kept there."""
         if self.uploaded is None or self.uploaded[0] is not sphere:
             self.uploaded = sphere, vectors(sphere, resolve_device(self.device))
         return self.uploaded[1]
 
     def goal(self, sphere: NDArray[np.float64]) -> Surface:
-        """Return surface with the areas that its triangles are to have on the sphere, were each to stay where it is."""
+        """Return the surface with the areas that its triangles should cover at their present places on the sphere."""
         return self.surface if self.target is None else self.target.goal(self.surface, sphere)
 
     def area_error(self, sphere: NDArray[np.float64]) -> float:
-        """Return how far areas on the sphere are from the goal's."""
+        """Return the area error of a map: how far areas on the sphere are from those of the goal."""
         return AreaMonitor(self.goal(sphere), resolve_device(self.device)).error(self.points(sphere))
 
     def finish(self, name: str, sphere: NDArray[np.float64], iterations: int, **details: str | float | None) -> None:
@@ -429,7 +429,7 @@ class _Run:
         return self.symmetric(sphere @ frame)
 
     def symmetric(self, sphere: NDArray[np.float64], repair: bool = False) -> NDArray[np.float64]:
-        """Return the map of a double made symmetric, where that flips nothing, or else unchanged."""
+        """Make the map of a double symmetric where that flips nothing; otherwise return it unchanged."""
         if self.mirror is None:
             return sphere
         found = symmetric_map(self.mirror, self.surface, sphere, repair=repair, device=self.device)
@@ -631,7 +631,7 @@ class _Run:
         return found, weight
 
     def nearer_to_optimal(self, found: OptimalMap, weight: float) -> tuple[OptimalMap, float]:
-        """Return a map and its weight of the shape term, or the ones by continuation where those have a smaller gap."""
+        """Choose the map or one by continuation, whichever has the smaller gap; return it and its shape weight."""
         before = self.bounded(found.sphere) if self.measured is None else self.measured
         self.measured = before
         if before.gap <= self.largest_gap:
@@ -646,7 +646,7 @@ class _Run:
         return other, lower
 
     def shape_excess(self, sphere: NDArray[np.float64]) -> float:
-        """Return gap and curl of a map over the limits for the shape term; at most 1 where both are within them."""
+        """Return the larger of gap and curl over their limits for the shape term: at most 1 if both are within."""
         assert self.source is not None
         self.measured = None
         curl = relative_curl(self.surface, sphere, start=self.source, device=self.device)
@@ -819,7 +819,7 @@ class _Run:
         return found
 
     def record_of(self, stage: Stage) -> StageRecord | None:
-        """Return the record of a stage, where it was run."""
+        """Return the record of a stage, or None where it was not run."""
         return next((record for record in self.records if record.name == stage), None)
 
     def barycentric(self) -> None:
@@ -897,7 +897,7 @@ def versions() -> dict[str, str]:
 
 
 def _normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the points put back on the unit sphere, shape [V, 3]."""
+    """Scale points to unit length, shape [V, 3]."""
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 

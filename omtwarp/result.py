@@ -176,7 +176,7 @@ class StageRecord:
     details: Mapping[str, str | float | None] = field(default_factory=dict)
 
     def to_dict(self) -> StageReport:
-        """Return the record as plain values, ready for JSON; details included."""
+        """Convert the record, with its details, to plain values ready for JSON."""
         plain = {name: value for name, value in vars(self).items() if name != "details"}
         whole = plain | {"area": dict(self.area), "angle": dict(self.angle)} | dict(self.details)
         return cast(StageReport, whole)
@@ -246,7 +246,7 @@ class MapResult(Shown):
         return f"MapResult({', '.join(known)})"
 
     def distortion(self, stage: str = "sphere") -> Distortion:
-        """Return the distortion of the final map, or of a stage: ``conformal``, ``moser`` or ``transported``.
+        """Measure the distortion of the final map, or of a stage: ``conformal``, ``moser`` or ``transported``.
 
         Raises:
             OmtwarpError: the stage was not run.
@@ -299,7 +299,7 @@ class MapResult(Shown):
 
 
 def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays of a map's file, or an error that says what is wrong with it."""
+    """Read the arrays of a map's file, and check them."""
     with open_input(source, LARGEST_MESH_FILE, "map") as stream:
         try:
             arrays = read_arrays(stream, (*LAYOUT, "report", OF_A_TORUS))
@@ -312,7 +312,7 @@ def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
 
 
 def _fitting(arrays: Mapping[str, object]) -> _Arrays:
-    """Return the arrays of a map in their types, those that there are.
+    """Convert the arrays of a map to their types; missing ones are left out.
 
     Raises:
         OmtwarpError: the first that is missing, not of numbers, out of range, or does not fit the others.
@@ -346,7 +346,7 @@ def require_unit_length(points: ArrayLike, name: str) -> None:
 
 
 def _read_report(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[MapReport, list[Record]]:
-    """Return the report and the history; empty where they are missing or malformed."""
+    """Read the report and the history of a map's file; each is empty where it is missing or malformed."""
     try:
         report = json.loads(str(arrays["report"])) if "report" in arrays else {}
     except (ValueError, RecursionError):

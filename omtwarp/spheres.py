@@ -108,14 +108,14 @@ class SphereGrid:
 
 
 def polygon_areas(corners: Floats) -> Floats:
-    """Return areas of convex polygons of four great-circle arcs on the unit sphere, corners [M, 4, 3], shape [M]."""
+    """Return the areas of convex polygons of four great-circle arcs, shape [M], from corners [M, 4, 3]."""
     return triangle_solid_angles(corners[:, 0], corners[:, 1], corners[:, 2]) + triangle_solid_angles(
         corners[:, 0], corners[:, 2], corners[:, 3]
     )
 
 
 def triangle_solid_angles(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Return the signed areas of spherical triangles, unit corners of shape [M, 3] (van Oosterom and Strackee 1983)."""
+    """Return the signed areas of spherical triangles with unit corners, [M, 3] each (Van Oosterom, Strackee 1983)."""
     triple = np.einsum("ij,ij->i", a, np.cross(b - a, c - a))  # differences: small triangles keep their digits
     dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
     return np.asarray(2.0 * np.arctan2(triple, 1.0 + dots[0] + dots[1] + dots[2]))
@@ -135,7 +135,7 @@ def vertex_cells(points: Floats, faces: Integers) -> tuple[Floats, Integers]:
 
 
 def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:
-    """Return the vertices of a sphere about the origin, of any radius, as unit vectors, float64, shape [V, 3].
+    """Scale the vertices of a sphere about the origin, of any radius, to unit vectors, float64, shape [V, 3].
 
     Raises:
         OmtwarpError: not three finite numbers per vertex, or distances from the origin that differ by more than 0.1 %.
@@ -213,7 +213,7 @@ def named_grid(name: str) -> SphereGrid:
 
 
 def is_named(name: str) -> bool:
-    """Return whether a text has the form of a grid's name, be there such a grid or not."""
+    """Return whether a text has the form of a grid's name, whether or not there is such a grid."""
     return (
         re.fullmatch(r"(ico|fsaverage)\d*|(healpix(-nested)?|equiangular|octahedral):.*", name.strip().lower())
         is not None
@@ -296,7 +296,7 @@ _HEALPIX_COLUMNS = np.array([1, 3, 5, 7, 0, 2, 4, 6, 1, 3, 5, 7])
 
 
 def _healpix_points(face: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
-    """Return unit vectors of places (x, y) in the unit square of the twelve base pixels (Górski et al., section 5)."""
+    """Return the unit vectors of points (x, y) of the twelve base pixels, unit squares (Górski et al., section 5)."""
     row = _HEALPIX_ROWS[face] + 1 - x - y
     cap = np.where(row < 1.0, row, np.where(row > 3.0, 4.0 - row, 1.0))
     z = np.where(row < 1.0, 1.0 - cap**2 / 3.0, np.where(row > 3.0, cap**2 / 3.0 - 1.0, (2.0 - row) * 2.0 / 3.0))
@@ -315,7 +315,7 @@ def _spread_bits(values: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def equiangular(height: int, width: int) -> SphereGrid:
-    """Return the pixels of equal steps in latitude and longitude; their centres are the points."""
+    """Return the grid of pixels with equal steps in latitude and longitude, whose centres are the points."""
     latitude = np.pi / 2.0 - np.pi * np.arange(height + 1) / height
     latitude[[0, -1]] = np.pi / 2.0, -np.pi / 2.0
     longitude = -np.pi + 2.0 * np.pi * np.arange(width + 1) / width
@@ -354,7 +354,7 @@ def octahedral(size: int) -> SphereGrid:
 
 
 def octahedral_directions(x: Floats, y: Floats) -> Floats:
-    """Return the unit vectors of places (x, y) of the square from -1 to 1."""
+    """Return the unit vectors of points (x, y) of the octahedral square, each from -1 to 1."""
     z = 1.0 - np.abs(x) - np.abs(y)
     sx, sy = np.where(x < 0, -1.0, 1.0), np.where(y < 0, -1.0, 1.0)
     folded = [np.where(z < 0, (1.0 - np.abs(y)) * sx, x), np.where(z < 0, (1.0 - np.abs(x)) * sy, y), z]

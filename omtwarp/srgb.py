@@ -15,13 +15,13 @@ SLOPE, OFFSET, EXPONENT = 12.92, 0.055, 2.4
 
 
 def to_linear(color: NDArray[Number]) -> NDArray[Number]:
-    """Return the light of sRGB colours, of any shape, in the precision they come in."""
+    """Convert sRGB colours of any shape to linear light, in their own precision."""
     light = np.where(color <= THRESHOLD, color / SLOPE, ((color + OFFSET) / (1.0 + OFFSET)) ** EXPONENT)
     return light.astype(color.dtype)
 
 
 def to_srgb(light: NDArray[Number]) -> NDArray[Number]:
-    """Return the sRGB colours of light, of any shape, in its precision; light outside of 0 to 1 is brought there."""
+    """Convert linear light of any shape to sRGB colours, in its own precision; values are clipped to 0 to 1."""
     clipped = np.clip(light, 0.0, 1.0)
     power = (1.0 + OFFSET) * clipped ** (1.0 / EXPONENT) - OFFSET
     return np.where(clipped <= LIGHT_THRESHOLD, SLOPE * clipped, power).astype(light.dtype)

@@ -97,7 +97,7 @@ class SurfaceMap(MapResult):
         return f"SurfaceMap({self.domain}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
 
     def distortion(self, stage: str = "sphere") -> Distortion:
-        """Return the distortion of the map, or of a stage: ``conformal``, ``moser`` or ``transported``.
+        """Measure the distortion of the map, or of a stage: ``conformal``, ``moser`` or ``transported``.
 
         Areas are compared within each part, every part scaled to the area of its image, and all parts count alike;
         where parts lie side by side on one sphere, areas of all are compared.

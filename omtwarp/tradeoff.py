@@ -34,7 +34,7 @@ def map_with_density_exponent(
     weight: float | None = WEIGHT,
     device: str | None = "auto",
 ) -> NDArray[np.float64]:
-    """Return a map whose areas on the sphere lie between those of the conformal map and those of the surface.
+    """Map a surface so that areas lie between those of the conformal map and those of the surface.
 
     Args:
         surface: the surface, V vertices.

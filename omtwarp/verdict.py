@@ -135,7 +135,7 @@ def _coarse_findings(surface: Surface) -> list[Finding]:
 
 
 def elongation(surface: Surface) -> NDArray[np.float64]:
-    """Return the longest edge of every triangle over the height above it, shape [F]; 1.15 for an equilateral one."""
+    """Return the ratio of every triangle's longest edge to the height above it, shape [F]; 1.15 if equilateral."""
     corners = surface.scaled_vertices[surface.faces]
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
     return edges.max(axis=1) ** 2 / np.maximum(2.0 * surface.own_areas, np.finfo(np.float64).tiny)
@@ -183,7 +183,7 @@ def judge(
 
 
 def refusal(found: Sequence[Finding]) -> OmtwarpError:
-    """Return the error for warnings that are not accepted: the first in full, and the kinds of the others."""
+    """Make the error for warnings that are not accepted: the first in full, the kinds of the others."""
     others = ", ".join(finding.kind for finding in found[1:])
     return OmtwarpError(f"not accepted with --strict: {found[0]}" + (f" (also: {others})" if others else ""))
 

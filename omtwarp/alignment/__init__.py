@@ -1,4 +1,4 @@
-"""Rotations that bring spheres into the same position: by a shape's own axes, to another map, to a group's mean."""
+"""Rotations that bring spheres into one position: by a shape's own axes, to another map, or to a group's mean."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ MIRROR = np.diag([-1.0, 1.0, 1.0])  # reflects in the plane x = 0
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A sphere in its new position.
+    """A map's sphere in its new position, and the rotation that brought it there.
 
     Attributes:
         rotation: the rotation that was applied to the sphere, shape [3, 3]; its determinant is -1 if the shape was
@@ -61,14 +61,14 @@ class Alignment:
     basis: str = ""
 
     def to_dict(self) -> dict[str, object]:
-        """Return everything but the sphere, ready for JSON."""
+        """Return all fields but the sphere as plain values, ready for JSON."""
         plain = {name: value for name, value in vars(self).items() if name not in ("sphere", "rotation", "frame")}
         frame = None if self.frame is None else self.frame.tolist()
         return plain | {"rotation": self.rotation.tolist(), "frame": frame}
 
 
 def mirror_image(points: SpherePoints) -> SpherePoints:
-    """Return a map of the mirror image of the surface: surface and sphere mirrored in x, faces reversed."""
+    """Mirror a map: x changes its sign on surface and sphere, and every face its orientation."""
     faces = np.ascontiguousarray(points.grid.triangles[:, ::-1])
     grid = SphereGrid(f"{points.grid.name}, mirrored", points.grid.points @ MIRROR, faces, points.grid.shape)
     return SpherePoints(grid, None if points.vertices is None else points.vertices @ MIRROR)
@@ -192,10 +192,10 @@ def align(
 
 
 def _check_options(by: str, degree: int) -> None:
-    """Make sure that there is such a way to align, and that degree.
+    """Refuse an unknown way to align, and a degree out of range.
 
     Raises:
-        OmtwarpError: there is not.
+        OmtwarpError: the way is unknown, or the degree is out of range.
     """
     if not isinstance(by, str) or by not in ("auto", "features", "vertices"):
         raise OmtwarpError(f"cannot align by '{by}': use auto, features or vertices")
@@ -210,7 +210,7 @@ def _same_faces(one: SpherePoints, other: SpherePoints) -> bool:
 
 
 def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
-    """Return, in words, why two spheres count as those of one surface with the same faces; empty where they do not."""
+    """Say why two spheres count as those of one surface with the same faces; empty where they do not."""
     if not _same_faces(moving, fixed):
         return ""
     if moving.vertices is None or fixed.vertices is None:
@@ -286,7 +286,7 @@ def common_features(
     features: Mapping[str, ArrayLike] | None,
     to_features: Mapping[str, ArrayLike] | None,
 ) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Return the features that both sides have, in the same order: those given, or else the surfaces' own."""
+    """Return the features of both sides in the same order: the given ones that both have, or else the surfaces' own."""
     if features and to_features:
         ours, theirs = (
             checked_features(features, moving, "the map"),

@@ -1,4 +1,4 @@
-"""Features of shapes as functions on the sphere, by coefficients of spherical harmonics."""
+"""Features of shapes as functions on the sphere, expanded in spherical harmonics."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose
 
 
 def spread(values: Floats, weights: Floats) -> float:
-    """Return the standard deviation over the sphere."""
+    """Return the standard deviation of a feature over the sphere."""
     mean = weights @ values / weights.sum()
     return float(np.sqrt(max(weights @ (values - mean) ** 2 / weights.sum(), 0.0)))
 

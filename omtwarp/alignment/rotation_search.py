@@ -58,7 +58,7 @@ class Best:
 
 
 def complex_coefficients(real: Floats) -> Complex:
-    """Return the coefficients with respect to complex harmonics with the Condon-Shortley phase, shape [(L + 1)², K]."""
+    """Convert real coefficients to those of complex harmonics with the Condon-Shortley phase, shape [(L + 1)², K]."""
     out = np.zeros(real.shape, dtype=np.complex128)
     for degree in range(degree_of(len(real)) + 1):
         middle = degree * degree + degree
@@ -72,7 +72,7 @@ def complex_coefficients(real: Floats) -> Complex:
 
 @lru_cache(maxsize=64)
 def momentum(degree: int) -> tuple[Complex, Complex, Complex]:
-    """Return the matrices J_x, J_y, J_z of a degree, order from -l to l."""
+    """Return the angular momentum matrices J_x, J_y and J_z of a degree l, with orders from -l to l."""
     m = np.arange(-degree, degree)
     raising = np.diag(np.sqrt(degree * (degree + 1) - m * (m + 1.0)), -1).astype(np.complex128)
     lowering = raising.conj().T
@@ -82,12 +82,12 @@ def momentum(degree: int) -> tuple[Complex, Complex, Complex]:
 
 @lru_cache(maxsize=64)
 def _eigenvectors(degree: int) -> Complex:
-    """Return the eigenvectors of J_y, by columns from eigenvalue -l to l."""
+    """Return the eigenvectors of J_y as columns, for eigenvalues from -l to l."""
     return np.asarray(np.linalg.eigh(momentum(degree)[1])[1])
 
 
 def rotation_blocks(rotation: Floats, degree: int) -> list[Complex]:
-    """Return D^l of every degree up to the highest."""
+    """Return the rotation matrix D^l of every degree l up to the highest."""
     alpha, beta, gamma = _zyz_angles(rotation)
     blocks = []
     for n in range(degree + 1):
@@ -108,13 +108,13 @@ def _zyz_angles(rotation: Floats) -> tuple[float, float, float]:
 
 
 def rotated(coefficients: Complex, rotation: Floats) -> Complex:
-    """Return the coefficients of the function carried along by a rotation, shape [(L + 1)², K]."""
+    """Rotate a function: return the coefficients of f(R⁻¹ x), shape [(L + 1)², K]."""
     blocks = rotation_blocks(rotation, degree_of(len(coefficients)))
     return np.concatenate([block @ coefficients[n * n : (n + 1) ** 2] for n, block in enumerate(blocks)])
 
 
 def correlation_grid(a: Complex, b: Complex, size: int) -> Floats:
-    """Return C at α = 2π p / size, β = 2π q / size, γ = 2π r / size, shape [size, size // 2 + 1, size]."""
+    """Return the correlation C at α = 2π p / size, β = 2π q / size, γ = 2π r / size, [size, size // 2 + 1, size]."""
     degree = degree_of(len(a))
     waves = np.zeros((size, size, size), dtype=np.complex128)
     for n in range(degree + 1):
@@ -126,7 +126,7 @@ def correlation_grid(a: Complex, b: Complex, size: int) -> Floats:
 
 
 def best_rotation(a: Complex, b: Complex) -> Best:
-    """Return the rotation that takes a function nearest to another, the mean left out of both.
+    """Find the rotation that brings a function nearest to another; the means of both do not count.
 
     Args:
         a, b: complex coefficients, shape [(L + 1)², K], weighted as features are to count.
@@ -164,7 +164,7 @@ def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
 
 
 def _starts(grid: Floats, size: int) -> list[Floats]:
-    """Return the highest of the grid's local maxima."""
+    """Return the highest local maxima of the correlation on the grid, where the climbs start."""
     around = maximum_filter(grid, size=3, mode=("wrap", "nearest", "wrap"))
     peaks = np.flatnonzero(grid == around)
     order = peaks[np.argsort(-grid.ravel()[peaks], kind="stable")]
@@ -207,7 +207,7 @@ def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int
 
 
 def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:
-    """Return the first and second derivatives of the correlation by a further small rotation, [3] and [3, 3]."""
+    """Return the correlation's first and second derivatives by a small further rotation, [3] and [3, 3]."""
     gradient, hessian = np.zeros(3), np.zeros((3, 3))
     for n in range(1, degree_of(len(b)) + 1):
         part = slice(n * n, (n + 1) ** 2)
@@ -221,7 +221,7 @@ def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:
 
 
 def _apart(one: Floats, other: Floats) -> float:
-    """Return the angle of the rotation between two, in degrees."""
+    """Return the angle in degrees of the rotation that leads from one rotation to another."""
     return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))
 
 

@@ -1,4 +1,4 @@
-"""The systems the paper compares with that are not stages of its own: spherical barycentric maps."""
+"""Maps that the paper compares with and that are not stages of its own method: spherical barycentric maps."""
 
 from omtwarp.baselines.barycentric import BarycentricMap, barycentric_map, barycentric_weights
 

@@ -408,7 +408,7 @@ def _multiplier(points: Array, masses: Array, force: Array) -> Array:
 
 
 def _pins(points: Array) -> tuple[int, int, Array]:
-    """Return a vertex to hold, a second a right angle away, and the direction in which the second is held too.
+    """Return the vertex to fix, a second about a right angle away, and the direction in which the second is fixed.
 
     The forces add up to no torque, so that the three equations left out hold by themselves.
     """

@@ -1,4 +1,4 @@
-"""Clocks, memory and the machine."""
+"""Measurement of time and memory, and a description of the machine."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from omtwarp.pipeline import versions
 
 
 class Clock:
-    """Wall-clock and processor seconds since it was made; the processor's are those of all threads of the process."""
+    """Measures wall-clock and processor seconds since it was made; the latter of all threads of the process."""
 
     def __init__(self) -> None:
         self.wall, self.cpu = time.perf_counter(), time.process_time()
 
     def read(self) -> tuple[float, float]:
-        """Return the seconds on the wall and on the processor."""
+        """Return the wall-clock and processor seconds since the clock was made."""
         return time.perf_counter() - self.wall, time.process_time() - self.cpu
 
 
 class PeakMemory:
-    """The most resident memory of this process since it was made, above what it held then."""
+    """Measures the peak of this process's resident memory above what the process held at the start."""
 
     def __init__(self) -> None:
         gc.collect()
@@ -49,7 +49,7 @@ class PeakMemory:
             self.resettable = False
 
     def read(self) -> int | None:
-        """Return the bytes, or None where the system does not provide them."""
+        """Return the peak in bytes, or None where the system does not report it."""
         peak = _resident("VmHWM")
         if not self.resettable or peak is None or self.base is None:
             return None

@@ -84,7 +84,7 @@ def all_meshes(
 
 
 def label(count: int) -> str:
-    """Return a number of faces in few letters: 5k, 1.3M."""
+    """Shorten a number of faces to a few characters: 5k, 1.3M."""
     if count >= 1_000_000:
         return f"{count / 1e6:.1f}M".replace(".0M", "M")
     return f"{count / 1e3:.0f}k" if count >= 1000 else str(count)

@@ -48,7 +48,7 @@ def run(
     largest_reference: int = LARGEST_REFERENCE,
     progress: Callable[[str], None] | None = None,
 ) -> Benchmark:
-    """Measure whole maps, intake to final map, kernels compiled before.
+    """Measure whole maps, from the arrays to the final map, with kernels compiled beforehand.
 
     Each mesh is mapped ``repeats`` times on each device after a small map has warmed the device up, and factorised
     with SciPy's ``splu`` (its defaults) and solved once before every map on the CPU: medians of all are given. A ratio
@@ -115,7 +115,7 @@ def measure_mesh(
     largest_reference: int,
     notify: Callable[[str], None],
 ) -> MeshTimes:
-    """Return the reference and maps of one mesh."""
+    """Measure the reference factorisation and the maps of one mesh."""
     system = reference_system(surface) if surface.face_count <= largest_reference else None
     references: list[tuple[float, float]] = []
     runs: list[MapTimes] = []
@@ -210,12 +210,12 @@ def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, NDArray[np.fl
 
 
 def factor_bytes(surface: Surface) -> int:
-    """Return bytes of the largest sparse factorisation of a map: of the saddle-point matrices of the optimal map."""
+    """Return the bytes of a map's largest sparse factor, that of the saddle-point matrices of the optimal map."""
     return MultifrontalCholesky(expand(surface_dissection(surface))).storage
 
 
 def median_of(runs: list[MapTimes]) -> MapTimes:
-    """Return the median of every number of maps of one mesh, stage by stage."""
+    """Return the median over repeated maps of one mesh of every number, stage by stage."""
     stages = [cast(StageTimes, _median([run["stages"][k] for run in runs])) for k in range(len(runs[0]["stages"]))]
     return cast(MapTimes, _median(runs) | {"stages": stages})
 
@@ -264,7 +264,7 @@ def growth_exponents(meshes: list[MeshTimes]) -> dict[str, dict[str, dict[str, f
 
 
 def fitted_exponent(curve: list[tuple[int, float]]) -> float | None:
-    """Return the slope of log(time) over log(size), or None for less than two sizes."""
+    """Return the slope of log(time) over log(size), or None for fewer than two sizes."""
     sizes, times = np.array(curve, dtype=float).T
     kept = times > 0.0
     if len(np.unique(sizes[kept])) < 2:

@@ -1,4 +1,4 @@
-"""A benchmark as Markdown."""
+"""Conversion of a benchmark's results to Markdown tables."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def markdown(result: Benchmark) -> str:
 
 
 def table(heads: list[str], rows: list[list[str]]) -> str:
-    """Return a Markdown table; the first column to the left, numbers to the right."""
+    """Return a Markdown table with its first column aligned left and the others right."""
     lines = ["| " + " | ".join(heads) + " |", "|" + "|".join([":--"] + ["--:"] * (len(heads) - 1)) + "|"]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 

@@ -23,10 +23,10 @@ GRACE = 30.0  # seconds that a host may take to load, and to end an item that ex
 
 
 class Executor(Protocol):
-    """An executor of items."""
+    """The interface of executors, which compute the items of a cohort."""
 
     def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
-        """Return the records of all jobs, in the order in which they are done."""
+        """Yield the records of all jobs, in the order in which these finish."""
         ...
 
 
@@ -99,7 +99,7 @@ class Host:
         return self._process
 
     def close(self) -> None:
-        """End the process."""
+        """End the child process."""
         process, self._process = self._process, None
         if process is None:
             return

@@ -60,7 +60,7 @@ class Job:
 
     @classmethod
     def from_json(cls, line: str) -> Job:
-        """Return the inverse of :meth:`to_json`."""
+        """Read a job from its line: the inverse of :meth:`to_json`."""
         return cls(**json.loads(line))
 
 

@@ -60,7 +60,7 @@ def read_manifest(source: str | Path | TextIO) -> list[Item]:
 
 
 def _checked(items: list[Item], source: str) -> list[Item]:
-    """Return the items, of which there is one at least and no two have the same name."""
+    """Refuse an empty list of items, and two items of one name; return the others unchanged."""
     if not items:
         raise OmtwarpError(f"{source} names no surface")
     twice = [name for name, count in Counter(item.id.casefold() for item in items).items() if count > 1]
@@ -78,7 +78,7 @@ def _from_table(path: Path) -> list[Item]:
 
 
 def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[Item]:
-    """Return the items of a table's text; columns are separated by tabs where the first line has one, by default."""
+    """Read items from a table's text, whose columns are separated by tabs where its first line has one."""
     first = text.partition("\n")[0]
     rows = csv.DictReader(io.StringIO(text), delimiter=delimiter or ("\t" if "\t" in first else ","))
     names = rows.fieldnames or []

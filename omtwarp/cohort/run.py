@@ -129,7 +129,7 @@ def run_cohort(
 
 
 def _asked(options: MapKeywords) -> dict[str, object]:
-    """Return all options of a map, those given in place of the defaults, ready for JSON.
+    """Complete the given options of a map by the defaults, ready for JSON.
 
     Raises:
         OmtwarpError: one is unknown, or has an unknown value.

@@ -15,7 +15,7 @@ ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "mes
 
 
 def columns_of(rows: Sequence[Row]) -> list[str]:
-    """Return the columns of a table: the manifest's own behind ``path``, the others in a fixed order."""
+    """Return the names of a table's columns: the manifest's own after ``path``, then the others in a fixed order."""
     own = list(dict.fromkeys(name for row in rows for name in row if name not in ORDER))
     return [*ORDER[:2], *own, *ORDER[2:]]
 
@@ -49,7 +49,7 @@ def write_table(rows: Sequence[Row], folder: Path) -> Path:
 
 
 def read_table(path: Path) -> list[Row]:
-    """Read a table back; numbers of a CSV come as numbers, empty fields as None."""
+    """Read a table that :func:`write_table` wrote; a CSV's numbers become numbers, its empty fields None."""
     if path.suffix == ".parquet":
         import pyarrow.parquet as parquet
 

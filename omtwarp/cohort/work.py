@@ -72,7 +72,7 @@ def numbers_of(result: MapResult) -> Row:
 
 
 def _limit_memory(limit: int) -> None:
-    """Let the process allocate so many more bytes; on Linux, where the kernel keeps account of them."""
+    """Limit how many more bytes the process may allocate; only Linux enforces such a limit."""
     if limit and sys.platform == "linux":
         import resource
 
@@ -81,7 +81,7 @@ def _limit_memory(limit: int) -> None:
 
 
 def _peak_memory() -> int:
-    """Return the most memory that the process has held, bytes; 0 where that is not known."""
+    """Return the peak memory of the process in bytes, 0 where the system does not report it."""
     if sys.platform == "win32":
         return 0
     import resource

@@ -1,4 +1,4 @@
-"""How commands show their help: options in groups, and examples as they are typed."""
+"""Help of commands: options in groups, and examples as they are typed."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Command(typer.core.TyperCommand):
 
 
 def _plain(usage: str) -> str:
-    """Return an option or argument without the words of Python's types: choices by their values, NUMBER and TEXT."""
+    """Replace Python's names of types in an option's help: choices by their values, others by NUMBER and TEXT."""
     usage = re.sub(r"(?<=[A-Z.\]]) <[^<>]*>$", "", usage)  # of an argument, which has its name
     usage = re.sub(r"<(?:float|int)(?: range)?>$", "NUMBER", usage)
     usage = re.sub(r"<(?:str|text)>$", "TEXT", usage)

@@ -30,18 +30,18 @@ def usage(parse: Callable[[str], Value]) -> Callable[[str], Value]:
 
 
 def named(kind: type[Kind], help: str) -> OptionInfo:
-    """Return an option whose values are the members of an enumeration of :mod:`omtwarp.options`."""
+    """Make a command-line option whose values are the members of an enumeration of :mod:`omtwarp.options`."""
     return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)), help=help)
 
 
 def refine_weight(text: str) -> str:
-    """Check what --refine is given, and leave it as it is: a name, a positive number, or an area to match."""
+    """Check the value of --refine: a name, a positive number, or an area to match; return it unchanged."""
     usage(parse_refinement)(text)
     return text
 
 
 def picture_size(text: str) -> str:
-    """Check what --size is given: WIDTHxHEIGHT, or one number for both."""
+    """Check the value of --size: WIDTHxHEIGHT, or one number for both; return it unchanged."""
     if not re.fullmatch(r"0*[1-9][0-9]{0,5}(x0*[1-9][0-9]{0,5})?", text.lower(), flags=re.ASCII):
         raise typer.BadParameter(f"'{text}' is not a size: use WIDTHxHEIGHT, such as 1024x768, or one number")
     return text

@@ -51,7 +51,7 @@ def painted_map(
     verbose: bool = False,
     **options: Unpack[MapChoices],
 ) -> tuple[PaintedMesh, MapResult]:
-    """Return a mesh with its materials, and its map: a finished one, or one made now.
+    """Return a mesh with its materials and its map, which is read where it is finished and computed otherwise.
 
     Raises:
         OmtwarpError: whatever is wrong with either, or a map of another mesh.

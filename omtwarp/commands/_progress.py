@@ -1,4 +1,4 @@
-"""Progress on a terminal: the stage, how far it is, the cost and the flips."""
+"""Progress on a terminal: the stage, the share of it that is done, its cost and its flips."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WIDE = 104  # columns of a terminal from which on the wide bar fits beside all f
 
 @contextlib.contextmanager
 def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progress | None]:
-    """Show progress on standard error; the callback is None where there is nobody to read.
+    """Show progress on standard error; the callback is None where nobody would read it.
 
     Args:
         quiet: whether to draw no bar.
@@ -81,7 +81,7 @@ def _bars(quiet: bool) -> Iterator[Progress | None]:
 
 
 def steps(progress: Progress | None, stage: str, total: int) -> Callable[[int], None]:
-    """Return a function that shows how many of a command's steps are done, if progress is shown at all."""
+    """Make a function that shows how many of a command's steps are done, if progress is shown at all."""
 
     def notify(done: int) -> None:
         if progress is not None:

@@ -99,7 +99,7 @@ def _replace_streams(streams: _Streams) -> None:
 
 
 def input_file(given: object) -> object:
-    """Return the path to read: the one given, or a file that holds standard input for ``-``; of lists, each.
+    """Replace ``-`` by a file that holds standard input, and leave other paths; a list is replaced path by path.
 
     A text stays a text: an argument that may also be a name of something.
 
@@ -134,7 +134,7 @@ def input_file(given: object) -> object:
 
 
 def input_table(given: str) -> str | io.StringIO:
-    """Return the table to read: the file's name that was given, or for ``-`` the text of standard input.
+    """Replace ``-`` by the text of standard input, and leave the names of tables' files.
 
     Raises:
         OmtwarpError: nothing comes from standard input, or it is no text.
@@ -148,7 +148,7 @@ def input_table(given: str) -> str | io.StringIO:
 
 
 def output_file(suffix: str) -> Callable[[object], object]:
-    """Return a callback for paths to write: for ``-`` a file of this format that is sent to standard output."""
+    """Make a callback for output paths that replaces ``-`` by a file whose content is sent to standard output."""
 
     def chosen(given: object) -> object:
         if given != STREAM or _current is None:

@@ -48,7 +48,7 @@ class Input:
 
 
 def show_facts(facts: Mapping[str, object], line: str, *, as_json: bool, quiet: bool) -> None:
-    """Print what a command made on standard output: its facts as JSON, or a line for readers."""
+    """Print the outcome of a command on standard output: its facts as JSON, or a line for readers."""
     if as_json:
         print(report_text(facts), end="")
     elif not quiet:
@@ -104,7 +104,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
 
 
 def composed(origin: NDArray | None, before: NDArray) -> NDArray:
-    """Return where vertices or faces come from after two steps, -1 where either made them.
+    """Combine the origins of vertices or faces over two steps; -1 marks those that either step made.
 
     The first step is ``before``.
     """
@@ -114,7 +114,7 @@ def composed(origin: NDArray | None, before: NDArray) -> NDArray:
 
 
 def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list[Path | None]:
-    """Return the output of every mesh: the named file of a single one, or a file of its name in the named directory.
+    """Return the output path of every mesh: the named file for one mesh, files in the named directory for several.
 
     Raises:
         OmtwarpError: the directory cannot be made, or two meshes of one name would write one file.
@@ -224,7 +224,7 @@ def load_whole_map(path: Path) -> MapResult:
 
 
 def report_text(report: object) -> str:
-    """Return a report, or several, as JSON; numbers that JSON does not have become null."""
+    """Convert a report, or several, to JSON; numbers that are not finite become null."""
 
     def plain(value: object) -> object:
         if isinstance(value, dict):
@@ -240,10 +240,10 @@ def report_text(report: object) -> str:
 
 @runtime_checkable
 class HasList(Protocol):
-    """An array or number of NumPy."""
+    """An array or number of NumPy, which has the method ``tolist``."""
 
     def tolist(self) -> object:
-        """Return the values as Python has them."""
+        """Return the values as Python's own numbers and lists."""
 
 
 @overload
@@ -354,7 +354,7 @@ def map_from(
     verbose: bool = False,
     **options: Unpack[MapChoices],
 ) -> MapResult | TorusMap:
-    """Return the map that a command works on: a finished one, or one made now from a mesh.
+    """Return the map that a command works on: read if it is finished, otherwise computed from the mesh.
 
     Args:
         mesh: a mesh, or a finished map in its place.

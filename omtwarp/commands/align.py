@@ -133,7 +133,7 @@ def align_map(
 
 
 def _features(ours: list[Path], theirs: list[Path]) -> tuple[list[str], list[NDArray], list[NDArray]]:
-    """Return the names and columns of the data of both sides."""
+    """Read the data of both sides, and return their names and columns."""
     from omtwarp.mesh.data import read_data
 
     if len(ours) != len(theirs):

@@ -15,13 +15,13 @@ from omtwarp.limits import MOST_FACES, MOST_REPEATS
 
 
 def face_counts(text: str) -> str:
-    """Check what --sizes is given: numbers of faces, such as 5000,20k,1M."""
+    """Check the value of --sizes: numbers of faces, such as 5000,20k,1M; return it unchanged."""
     parse_sizes(text)
     return text
 
 
 def parse_sizes(text: str) -> tuple[int, ...]:
-    """Return the numbers of faces from text; ``none`` for none."""
+    """Read numbers of faces from text such as 5000,20k,1M; ``none`` gives an empty list."""
     if text == "none":
         return ()
     sizes = []

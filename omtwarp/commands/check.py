@@ -127,7 +127,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None) -> MeshFacts:
 
 
 def lines_about(facts: MeshFacts) -> list[str]:
-    """Return the facts about a mesh for readers, a line each."""
+    """Describe a mesh for readers, one fact on each line."""
     from omtwarp.verdict import MAX_AREA_DISTORTION
 
     lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]

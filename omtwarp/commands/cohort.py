@@ -35,10 +35,10 @@ LINES_EVERY = 30.0  # seconds between lines on how far a cohort is, where there 
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """Read i/n.
+    """Read the value of --shard, i/n.
 
     Raises:
-        OmtwarpError: it is something else.
+        OmtwarpError: the text has another form.
     """
     part, _, parts = text.partition("/")
     if not (part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):

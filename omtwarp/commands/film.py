@@ -34,7 +34,7 @@ FILMS = (".mp4", ".gif", ".webp")
 
 
 def film_size(text: str | None) -> str | None:
-    """Check what --size is given, where it is given."""
+    """Check the value of --size where one is given; return it unchanged."""
     return None if text is None else picture_size(text)
 
 

@@ -95,7 +95,7 @@ def group(
 
 
 def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | None]:
-    """Return the names, files and groups; a table's column ``group`` makes groups."""
+    """Return the name, file and group of every member; groups come from a table's column ``group``."""
     from omtwarp.cohort.manifest import read_manifest
 
     if len(sources) == 1 and (sources[0] == str(STREAM) or Path(sources[0]).suffix.lower() in (".csv", ".tsv")):

@@ -205,7 +205,7 @@ def map_mesh(
 def as_in_file(
     result: MapResult | TorusMap, sound: Input, to_sphere: bool
 ) -> tuple[MapResult | TorusMap, NDArray | None]:
-    """Record in a map where its vertices and faces come from in the file.
+    """Replace the origins of a map's vertices and faces by their numbers in the file.
 
     Args:
         result: the map.
@@ -253,7 +253,7 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
 def surface_options(
     rims: list[Domain], *, fill_area: FillArea | None, components: bool, together: bool, cut: bool
 ) -> SurfaceKeywords | None:
-    """Return options of :func:`omtwarp.map_surface`, None where none was given: the surface has to be a sphere then.
+    """Collect the options of :func:`omtwarp.map_surface`; None where none is given and the surface has to be a sphere.
 
     Raises:
         OmtwarpError: more than one domain.
@@ -358,7 +358,7 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
 
 
 def summary(facts: MapFacts) -> str:
-    """Return a line for readers about a finished map."""
+    """Sum up a finished map in one line for readers."""
     size = f"{facts['vertices']} vertices, {facts['faces']} faces"
     line = f"{facts['output']}: {size}; flips {facts['flips']}, degree {facts['degree']:.6f}"
     line += f", area {facts['area']:.4f}, angle {facts['angle']:.4f}"

@@ -231,12 +231,12 @@ def _require_one(mesh: Path | None, finished: Path | None) -> None:
 
 
 def _with_files(files: list[Path]) -> str:
-    """Return the companions of the requested file, which is the last."""
+    """Return the requested file, as the last one, after its companions."""
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
 def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tuple[int, str]:
-    """Return the size at which no texel shows, and where the largest one still leaves some, in words.
+    """Return the size at which no texel is visible, and a line about what even the largest size leaves blurred.
 
     Args:
         result: the map.
@@ -332,7 +332,7 @@ def _paint(
 
 
 def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:
-    """Return the pictures that a mesh's materials have: of which, what it shows, and its size."""
+    """List the pictures of a mesh's materials: the material, what the picture shows, and its size."""
     found: list[dict[str, str | int]] = []
     for material in made.materials:
         for slot in ("picture", "occlusion_picture", "normal_picture"):
@@ -345,10 +345,10 @@ def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:
 
 
 def rotation(text: str) -> str | list[float] | None:
-    """Return the yaw, or yaw, pitch and roll, in degrees, or ``auto``.
+    """Read the value of --rotate: ``auto``, or one to three angles in degrees (yaw, pitch, roll).
 
     Raises:
-        OmtwarpError: anything else.
+        OmtwarpError: the text has another form.
     """
     if text in ("", "auto"):
         return text or None

@@ -161,10 +161,10 @@ class _Moments(Protocol):
     """Weighted moments of points, weights of sum one."""
 
     def of(self, points: wp.array) -> NDArray[np.float64]:
-        """Return the mean of points, vec3d, shape [V]."""
+        """Return the weighted mean of points, vec3d, shape [V]."""
 
     def square(self) -> NDArray[np.float64]:
-        """Return the mean of p p' of the points last given, shape [3, 3]."""
+        """Return the weighted mean of p pᵀ over the points last given to :meth:`of`, shape [3, 3]."""
 
 
 class _HostMoments:

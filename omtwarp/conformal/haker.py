@@ -101,7 +101,7 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
 
 
 def density(surface: Surface, sphere: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the density μ = (area on the surface) / (area on the sphere), section 4.1.
+    """Return the density μ of a map: area on the surface over area on the sphere (section 4.1).
 
     Args:
         surface: the surface, scaled to area 4π internally.
@@ -131,7 +131,7 @@ def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> 
 
 
 def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the right-hand sides a and b of section 4.1 as columns, shape [V, 2]."""
+    """Return the right-hand sides a and b of section 4.1, whose solutions are x and y, as columns, shape [V, 2]."""
     a, b, c = (points[k] for k in face)
     ab = b - a
     length = float(np.linalg.norm(ab))
@@ -173,6 +173,6 @@ def _to_sphere(plane: list[wp.array], masses: NDArray[np.float64]) -> wp.array:
 
 
 def _median(values: NDArray[np.float64], masses: NDArray[np.float64], half: float) -> float:
-    """Return the value below which half of the mass lies."""
+    """Return the weighted median: the value below which half of the mass lies."""
     order = np.argsort(values)
     return float(values[order[np.searchsorted(np.cumsum(masses[order]), half)]])

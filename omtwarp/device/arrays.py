@@ -1,4 +1,4 @@
-"""Maps and meshes as the kernels of a device read them."""
+"""Conversion of maps and meshes to the arrays that kernels on a device read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from omtwarp.device.start import wp
 
 
 def vectors(points: ArrayLike | wp.array, device: wp.Device) -> wp.array:
-    """Return the points as vec3d, shape [N], to be read only.
+    """Convert points to a read-only array of vec3d, shape [N], on a device.
 
     A Warp array that is on the device is taken as it is; on the CPU a float64 array of NumPy's is not copied either.
 
@@ -23,7 +23,7 @@ def vectors(points: ArrayLike | wp.array, device: wp.Device) -> wp.array:
 
 
 def triangles(faces: ArrayLike | wp.array, device: wp.Device) -> wp.array:
-    """Return the corners of triangles as vec3i, shape [F], to be read only; see :func:`vectors`.
+    """Convert triangles to a read-only array of vec3i, shape [F], on a device; see :func:`vectors`.
 
     Args:
         faces: whole numbers, shape [F, 3]; or a Warp array of vec3i.

@@ -6,7 +6,7 @@ import os
 
 
 def core_count() -> int:
-    """Return the cores that this process may use; ``OMTWARP_THREADS`` lowers it."""
+    """Return the number of cores that this process may use, which ``OMTWARP_THREADS`` lowers."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wanted = os.environ.get("OMTWARP_THREADS", "")
     return min(cores, max(int(wanted), 1)) if wanted.isdigit() else cores

@@ -30,7 +30,7 @@ class Workspace:
 
 
 def give_back() -> None:
-    """Return freed memory that the C library keeps to the system, where it has a function for it (glibc).
+    """Return freed memory from the C library to the system, where the library can (glibc).
 
     The arrays of a stage do not fit into the gaps that the stage before leaves: on meshes of some ten thousand
     triangles these gaps take more memory than the map itself.

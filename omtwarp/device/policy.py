@@ -58,7 +58,7 @@ def solving_with(solver: Solver) -> Iterator[None]:
 
 
 def wanted_solver() -> Solver:
-    """Return solver asked for: by :func:`solving_with`, by the environment variable ``OMTWARP_SOLVER``, or ``auto``.
+    """Return the selected solver: that of :func:`solving_with`, of the variable ``OMTWARP_SOLVER``, or ``auto``.
 
     Raises:
         OmtwarpError: the variable holds something else than a solver's name.
@@ -108,7 +108,7 @@ def launch_parts_of(device: wp.Device, count: int, cores: int, least: int = SMAL
 
 
 def list_threads(device: wp.Device) -> int:
-    """Return the threads that share a list whose length only the device knows."""
+    """Return the number of threads that work through a list whose length only the device knows."""
     return CUDA_LIST_THREADS if device.is_cuda else 1
 
 

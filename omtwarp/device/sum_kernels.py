@@ -1,4 +1,4 @@
-"""Kernels of sums in an order that depends on nothing but the number of terms: the same on every run and device."""
+"""Kernels that sum in an order that depends only on the number of terms: the same bits on every run and device."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 

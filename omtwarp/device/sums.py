@@ -1,4 +1,4 @@
-"""Sums on the device, in an order that depends on nothing but the number of terms; and sums by NumPy on the host."""
+"""Sums on the device in an order that depends only on the number of terms, and sums by NumPy on the host."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MAX_PARTIAL_ROWS = 64
 
 
 def partial_count(rows: int) -> int:
-    """Return how many threads sum this many rows, GROUP rows each."""
+    """Return the number of threads that sum this many rows, GROUP rows each."""
     return LANES * -(-rows // (LANES * GROUP))
 
 
@@ -31,7 +31,7 @@ class RowSums:
             self._levels.append(wp.empty((rows, columns), dtype=wp.float64, device=device))
 
     def __call__(self, values: wp.array) -> wp.array:
-        """Return partial sums of an array [rows, columns]: MAX_PARTIAL_ROWS at most, valid until the next call."""
+        """Return at most MAX_PARTIAL_ROWS partial sums of an array [rows, columns], valid until the next call."""
         for level in self._levels:
             wp.launch(sum_rows, dim=level.shape, inputs=[values], outputs=[level], device=self._device)
             values = level
@@ -53,7 +53,7 @@ class DeviceSum:
             self._workspace_for(length)
 
     def products(self, a: wp.array, b: wp.array) -> wp.array:
-        """Return partial sums of a · b, at most MAX_PARTIAL_ROWS; the kernels that need the total add them."""
+        """Return at most MAX_PARTIAL_ROWS partial sums of a · b; the kernels that need the total add them."""
         partial, _, sums = self._workspace_for(a.size)
         wp.launch(sum_products, dim=len(partial), inputs=[a, b], outputs=[partial], device=self.device)
         return sums(partial)
@@ -74,7 +74,7 @@ class DeviceSum:
         wp.launch(remove_mean, dim=a.size, inputs=[total], outputs=[a], device=self.device)
 
     def _workspace_for(self, length: int) -> tuple[wp.array, RowSums, RowSums]:
-        """Return the array of partial products, and the sums of values and of those partial products."""
+        """Return the workspace of a length: an array of partial products, and the sums of values and of products."""
         if length not in self._workspace:
             rows = partial_count(length)
             partial = wp.empty((rows, 1), dtype=wp.float64, device=self.device)

@@ -27,7 +27,7 @@ _loaded: set[tuple[wp.Kernel, str]] = set()
 
 
 def pool() -> ThreadPoolExecutor:
-    """Return the threads of this process; a forked one has its own."""
+    """Return the thread pool of this process; a forked process gets its own."""
     global _pool
     if _pool is None or _pool[0] != os.getpid():
         _pool = (os.getpid(), ThreadPoolExecutor(core_count(), thread_name_prefix="omtwarp"))

@@ -23,7 +23,7 @@ MAX_WHOLE_HALVINGS = 6
 
 
 class StepGuard:
-    """Keeps every triangle of a moving sphere map positively oriented and above a smallest area.
+    """Keeps every triangle of a moving sphere map positively oriented, and its area above a lower bound.
 
     The step of a vertex of a triangle that would flip is halved repeatedly, and the vertex finally held; the steps of
     its neighbours are shortened only where a triangle of theirs would flip as a result. Since the map before the step
@@ -60,7 +60,7 @@ class StepGuard:
         self._ready: dict[tuple[int, int, int], tuple[wp.Launch, ...]] = {}
 
     def count(self, points: wp.array) -> int:
-        """Return the triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V].
+        """Count the triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V].
 
         As exact as floating point is.
 

@@ -1,4 +1,4 @@
-"""How often the neighbours of a vertex go around it, decided exactly: 1 for a bijection, more for a branched covering.
+"""Exact count of how often the neighbours of a vertex go around it: once in a bijection, more in a branched covering.
 
 A continuous map of a closed surface to the sphere whose triangles are all positive is a covering everywhere but at
 vertices. Where the ring of neighbours goes k > 1 times around the image of a vertex, k sheets meet. On a connected

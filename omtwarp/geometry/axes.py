@@ -104,7 +104,7 @@ def rotation_onto_axes(
 
 
 def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
-    """Return a right-handed frame with an axis as its first or last, the others along the most distant coordinates."""
+    """Return a right-handed frame with an axis first or last; the coordinate axis farthest from it gives another."""
     towards = np.eye(3)[int(np.argmin(np.abs(axis)))]
     other = towards - (towards @ axis) * axis
     other /= np.linalg.norm(other)

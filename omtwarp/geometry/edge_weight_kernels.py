@@ -1,4 +1,4 @@
-"""Kernel of the cotangent weights of edges; on the CPU, where the matrices they belong to are factorised."""
+"""Kernel of the cotangent weights of edges, launched on the CPU, where their matrices are factorised."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.geometry.kernels import corner_cotangent

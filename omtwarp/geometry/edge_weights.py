@@ -12,7 +12,7 @@ from omtwarp.mesh.surface import Surface
 
 
 def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (cot R + cot S) / 2 of every edge, its weight in the matrix D of section 4.1, shape [E].
+    """Return the weight of every edge in the matrix D of section 4.1, (cot R + cot S) / 2, shape [E].
 
     Minus the entries of :func:`omtwarp.geometry.cotangent_laplacian` off the diagonal, in the order of
     :attr:`Surface.edges`.

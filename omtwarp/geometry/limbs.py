@@ -1,4 +1,4 @@
-"""How many vertices the limbs of a surface have around them, and how many a map that keeps area needs there.
+"""The numbers of vertices around the limbs of a surface, and the numbers that a map that keeps area needs there.
 
 Three points of the unit sphere lie on a circle of radius at most 1, so that their flat triangle with edges a, b and c
 has an area of at least abc / 4. Triangles that share 4π evenly among F therefore need abc <= 16π / F. A closed ring of
@@ -41,7 +41,7 @@ class Ring:
 
 
 def vertices_needed(share: float, face_count: int) -> float:
-    """Return how many vertices a ring needs that cuts off this share of the area of a mesh of so many faces."""
+    """Return the number of vertices needed on a ring that cuts off this share of the area of a mesh."""
     return float(4.0 * np.pi * np.sqrt(share * (1.0 - share)) * (face_count / (64.0 * np.pi)) ** (1.0 / 3.0))
 
 
@@ -73,7 +73,7 @@ def rings(surface: Surface) -> Iterator[Ring]:
 
 
 def thinnest_ring(surface: Surface) -> Ring | None:
-    """Find the ring that has the fewest vertices for those it needs; None where no ring cuts enough off."""
+    """Find the ring with the smallest ratio of vertices to vertices needed; None where no ring cuts off enough area."""
     return min(
         rings(surface),
         key=lambda ring: ring.around / vertices_needed(ring.share, surface.face_count),

@@ -254,11 +254,11 @@ class DifferentialOperators:
         return self._run(kernels.face_gradients, True, values, wp.float64, wp.vec3d, out, False)
 
     def rotate(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Return J in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
+        """Apply J, a turn by +90 degrees, in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
         return self._run(kernels.rotate_in_faces, True, field, wp.vec3d, wp.vec3d, out, False)
 
     def divergence(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Return outflow of each vertex' cell, [F, 3] -> [V]: :func:`divergence_matrix`, integrated (appendix A.2)."""
+        """Return the outflow of each vertex's cell, [F, 3] -> [V]: see :func:`divergence_matrix` (appendix A.2)."""
         return self._run(kernels.vertex_divergence, False, field, wp.vec3d, wp.float64, out, True)
 
     def laplacian(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
@@ -266,7 +266,7 @@ class DifferentialOperators:
         return self._run(kernels.vertex_laplacian, False, values, wp.float64, wp.float64, out, True)
 
     def interpolate_dual(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Interpolate vectors at dual vertices linearly at the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
+        """Interpolate vectors from dual vertices linearly to the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
 
         The vertex lies in the polygon of the circumcentres around it, whose sides bisect the edges. Its Wachspress
         coordinates there are area(T) / (|e_ij|^2 |e_ik|^2), normalised: always positive, and exact on linear

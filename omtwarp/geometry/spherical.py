@@ -42,7 +42,7 @@ def hat_gradient(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def triple_product(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    """Return a · (b × c), for vectors of which none is near another."""
+    """Return a · (b × c); accurate where no two of the vectors are close to each other."""
     return wp.dot(a, wp.cross(b, c))
 
 

@@ -42,7 +42,7 @@ def spherical_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) ->
 
 @wp.func
 def clamped(weights: wp.vec3d) -> wp.vec3d:
-    """Return the barycentric coordinates without negative ones, which sum to one: interpolation never extrapolates."""
+    """Set negative barycentric coordinates to zero and scale the sum to one, so that nothing is extrapolated."""
     inside = wp.vec3d(wp.max(weights[0], ZERO), wp.max(weights[1], ZERO), wp.max(weights[2], ZERO))
     total = wp.max(inside[0] + inside[1] + inside[2], TINY)
     return (ONE / total) * inside
@@ -120,7 +120,7 @@ def find_faces(
     found: wp.array[wp.int32],
     coordinates: wp.array[wp.vec3d],
 ):
-    """Compute the triangle that each point lies deepest in (of equals the first), and its coordinates there.
+    """Compute the triangle in which each point lies deepest (the first among equals), and its coordinates there.
 
     The triangle is -1 for none. Single precision only selects candidates; float64 decides.
     """
@@ -148,7 +148,7 @@ def find_faces(
 
 @wp.func
 def closest_on_edge(a: wp.vec3d, b: wp.vec3d, p: wp.vec3d) -> wp.float64:
-    """Return how far along the edge from a (0) to b (1) the point nearest to p lies."""
+    """Return the place of the point nearest to p on the edge from a (0) to b (1)."""
     along = b - a
     return wp.clamp(wp.dot(p - a, along) / wp.max(wp.dot(along, along), TINY), ZERO, ONE)
 

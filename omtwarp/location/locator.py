@@ -29,7 +29,7 @@ class Found:
     coordinates: NDArray[np.float64]
 
     def matrix(self, faces: NDArray[np.int32], vertex_count: int) -> sparse.csr_matrix:
-        """Return the linear interpolation from the vertices of the triangulation to the points, shape [P, V].
+        """Return the matrix of linear interpolation from the triangulation's vertices to the points, shape [P, V].
 
         Args:
             faces: the triangulation's, shape [F, 3].

@@ -23,7 +23,7 @@ ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of ano
 
 
 def linear(color: Floats) -> Floats:
-    """Return the colours with opacity from sRGB to linear light (IEC 61966-2-1), shape [..., 4]; the opacity stays."""
+    """Convert colours from sRGB to linear light (IEC 61966-2-1), shape [..., 4]; their opacity does not change."""
     return np.concatenate([to_linear(color[..., :3]), color[..., 3:]], axis=-1)
 
 
@@ -196,14 +196,14 @@ class PaintedArrays:
 
     @property
     def _same_place(self) -> float:
-        """How far apart two copies of a vertex may lie."""
+        """Return the distance within which two vertices count as copies of each other."""
         return SAME_PLACE * float(np.ptp(self.vertices, axis=0).max(initial=0.0))
 
     def _same_triangles(self, points: Floats, triangles: Ints) -> Ints:
-        """Return the triangle of this mesh at the place of each of a copy's, shape [G].
+        """Return, for each triangle of a copy, this mesh's triangle in the same place, shape [G].
 
         Raises:
-            OmtwarpError: some are at the place of none.
+            OmtwarpError: a triangle of the copy has no triangle of this mesh in its place.
         """
         if len(triangles) == len(self.faces):  # in the same order, mostly
             apart = np.abs(points[triangles] - self.vertices[self.faces]).max(initial=0.0)

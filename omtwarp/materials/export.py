@@ -53,7 +53,7 @@ def export(mesh: PaintedArrays, path: str | os.PathLike[str], *, keep: Iterable[
 
 
 def obj_files(mesh: PaintedArrays, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
-    """Return an OBJ with its material library and pictures, the OBJ last.
+    """Return the files of an OBJ: pictures and material library first, the OBJ last.
 
     Vertices are written once and in their order, faces material by material.
     """

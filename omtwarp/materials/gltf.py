@@ -38,7 +38,7 @@ def glb_bytes(mesh: PaintedArrays) -> bytes:
 def _primitive(
     file: GltfFile, mesh: PaintedArrays, faces: Ints, uv: Floats | None, normals: Floats, tangents: Floats | None
 ) -> dict[str, object]:
-    """Return the attributes and indices of triangles, with one row for every different corner."""
+    """Return the attributes and indices of triangles; corners that agree in all attributes share a row."""
     columns = [faces.reshape(-1, 1).astype(np.float64)]
     columns += [] if uv is None else [uv.reshape(-1, 2)]
     columns += [] if tangents is None else [tangents.reshape(-1, 4)]
@@ -58,7 +58,7 @@ def _primitive(
 
 
 def _material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, object]:
-    """Return a material as glTF's JSON; its pictures only where the mesh has texture coordinates."""
+    """Convert a material to glTF's JSON, with pictures only where the mesh has texture coordinates."""
     color = linear(np.array(material.color))
     surface: dict[str, object] = {
         "baseColorFactor": [float(x) for x in color],

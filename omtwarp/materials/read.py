@@ -92,7 +92,7 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
 
 
 def _beside(file: Path, name: str) -> Path | None:
-    """Return a regular file that another names, in its directory or below; None where there is none."""
+    """Find the regular file that another file names, in its directory or below; None where there is none."""
     folder = file.resolve().parent
     words = name.replace("\\", "/").strip().strip('"')
     if not words or "\0" in words:
@@ -204,7 +204,7 @@ def _ply_colors(vertex: dict[str, Column]) -> Bytes | None:
 
 
 def _numbers(column: Column) -> Floats:
-    """Return the values of a property that is no list.
+    """Return the values of a PLY property that holds one number per row.
 
     Raises:
         ValueError: it is a list.
@@ -268,7 +268,7 @@ def _from_scene(scene: trimesh.Scene, factors: Factors | None) -> PaintedMesh:
 
 
 def base_color_factors(header: object) -> Factors:
-    """Return the factors of a glTF file's materials, by name and by trimesh's values, which are rounded to bytes."""
+    """Return the unrounded factors of a glTF file's materials, by name and by the values that trimesh has rounded."""
     from trimesh.visual.color import to_rgba
 
     found: Factors = {}
@@ -281,7 +281,7 @@ def base_color_factors(header: object) -> Factors:
 
 
 def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Material, Floats | None, Bytes | None]:
-    """Return the material, the coordinates [V, 2] and the colours [V, 4] of a mesh of trimesh's."""
+    """Return the material, texture coordinates [V, 2] and colours [V, 4] of a mesh that trimesh read."""
     from trimesh.visual import ColorVisuals, TextureVisuals  # heavy, and loaded by whoever has a mesh of trimesh's
 
     visual = mesh.visual
@@ -357,7 +357,7 @@ def _as_bytes(picture: NDArray[np.generic]) -> Bytes:
 
 
 def _opaque(colors: Bytes) -> Bytes:
-    """Return the colours with an opacity, shape [N, 4]."""
+    """Add full opacity to colours that have none, shape [N, 4]."""
     if colors.shape[1] == 4:
         return colors
     return np.column_stack([colors, np.full(len(colors), 255, dtype=np.uint8)])

@@ -194,7 +194,7 @@ def _with(material: Material, key: str, values: list[str], picture: Callable[[st
 
 
 def _picture_name(words: list[str]) -> str:
-    """Return the name of the file among the words behind ``map_Kd``, after its options."""
+    """Return the file's name from the words after ``map_Kd``, which may begin with options."""
     rest = list(words)
     while rest and rest[0].lower() in _OPTIONS:
         taken = _OPTIONS[rest.pop(0).lower()]

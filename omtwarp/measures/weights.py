@@ -43,7 +43,7 @@ def weighted_surface(surface: Surface, weights: ArrayLike | None) -> Surface:
 
 
 def face_weights(weights: ArrayLike, corners: NDArray, vertices: int) -> NDArray[np.float64]:
-    """Return the weights of vertices or triangles as weights of triangles, the largest 1, shape [F].
+    """Convert weights of vertices or triangles to weights of triangles, the largest being 1, shape [F].
 
     Args:
         weights: positive and finite, shape [V] or [F].

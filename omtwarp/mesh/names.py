@@ -33,13 +33,13 @@ class InputNames:
 
 
 def named_face(names: InputNames | None, face: int) -> tuple[int, str]:
-    """Return the input's number of a face, -1 for a new one, and what to call it in a message."""
+    """Return a face's number in the input (-1 for a new one) and its name for messages."""
     number = face if names is None else int(names.faces[face])
     return number, f"face {number}" if number >= 0 else "an added face"
 
 
 def named_vertex(names: InputNames | None, vertex: int) -> tuple[int, str]:
-    """Return the input's number of a vertex, -1 for a new one, and what to call it in a message."""
+    """Return a vertex's number in the input (-1 for a new one) and its name for messages."""
     number = vertex if names is None else int(names.vertices[vertex])
     return number, f"vertex {number}" if number >= 0 else "an added vertex"
 

@@ -25,7 +25,7 @@ STRUCTURES = {"L": "CortexLeft", "R": "CortexRight"}
 
 
 def nibabel_module() -> ModuleType:
-    """Return the package nibabel.
+    """Import and return the package nibabel.
 
     Raises:
         OmtwarpError: it is not installed.
@@ -38,7 +38,7 @@ def nibabel_module() -> ModuleType:
 
 
 def structure_of(path: Path | None) -> str | None:
-    """Return the part of the brain that a file says it holds: ``CortexLeft``, ``CortexRight``, ....
+    """Return the part of the brain that a file names as its content: ``CortexLeft``, ``CortexRight`` and so on.
 
     The result is None if the file does not say.
 
@@ -57,7 +57,7 @@ def structure_of(path: Path | None) -> str | None:
 
 
 def gifti_image(path: Path) -> GiftiImage:
-    """Return the content of a GIFTI file, as nibabel has it.
+    """Read a GIFTI file, as nibabel's image.
 
     Raises:
         OmtwarpError: it cannot be read, or is something else.
@@ -77,7 +77,7 @@ def gifti_image(path: Path) -> GiftiImage:
 
 
 def require_same_structure(one: Path | None, other: Path | None) -> None:
-    """Make sure that two files do not say that they hold different parts of the brain.
+    """Refuse two files that name different parts of the brain as their content.
 
     Raises:
         OmtwarpError: they do.
@@ -152,7 +152,7 @@ _VTK_TYPES = {"float": ">f4", "double": ">f8", "int": ">i4", "vtktypeint64": ">i
 
 
 def read_vtk(data: bytes) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]:
-    """Return the points and polygons of legacy VTK PolyData, text or binary, of the versions 1 to 5.
+    """Read the points and polygons of legacy VTK PolyData, text or binary, versions 1 to 5.
 
     Returns:
         Points [V, 3] and a list of the corners of every polygon.

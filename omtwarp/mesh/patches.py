@@ -1,4 +1,4 @@
-"""Pieces of a surface whose vertices may move while all others stay."""
+"""Patches: pieces of a surface whose vertices may move while all others stay."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 
 def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
-    """Return the vertices within ``rings`` edges of the seed vertices, as a mask of shape [V]."""
+    """Return a mask, shape [V], of the vertices within ``rings`` edges of the seed vertices."""
     mask = seed.copy()
     for _ in range(rings):
         wider = mask.copy()
@@ -23,7 +23,7 @@ def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArr
 
 
 def touching(faces: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which triangles have a corner among the vertices chosen, shape [F]."""
+    """Return a mask, shape [F], of the triangles with a corner among the chosen vertices."""
     first, second, third = (chosen[faces[:, k]] for k in range(3))  # NumPy reduces rows of three slowly
     return first | second | third
 
@@ -78,21 +78,21 @@ class Patches:
         return cls(vertices, free, triangles, own, of_corner[:free], of_corner[own].max(axis=1), int(count))
 
     def sum_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sums over the freed vertices of every piece, shape [count], of values of shape [free]."""
+        """Sum values at the freed vertices, shape [free], over every piece; returns shape [count]."""
         return np.bincount(self.vertex_patch, values, minlength=self.count).astype(np.float64, copy=False)
 
     def sum_of_faces(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sums over the triangles of every piece, shape [count], of values of shape [T]."""
+        """Sum values on the triangles, shape [T], over every piece; returns shape [count]."""
         return np.bincount(self.face_patch, values, minlength=self.count).astype(np.float64, copy=False)
 
     def longest(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return largest length of the freed vertices' vectors in every piece, shape [count], of shape [free, ...]."""
+        """Return the largest length of the freed vertices' vectors [free, ...] in every piece, shape [count]."""
         lengths = np.zeros(self.count)
         np.maximum.at(lengths, self.vertex_patch, np.linalg.norm(vectors, axis=1))
         return lengths
 
     def only(self, kept: NDArray[np.bool_]) -> tuple[Patches, NDArray[np.intp]]:
-        """Return some of the patches, and the indices of their vertices among all patches'.
+        """Select some of the patches; return them, and the indices of their vertices among those of all patches.
 
         Args:
             kept: which, shape [count].

@@ -29,7 +29,7 @@ Column = NDArray | tuple[NDArray, NDArray]
 
 @dataclass(frozen=True)
 class _Property:
-    """A property: its name, the type of its numbers and, for a list, the type of its length."""
+    """A property in a PLY header: its name, the type of its numbers and, for a list, the type of its length."""
 
     name: str
     type: str
@@ -38,7 +38,7 @@ class _Property:
 
 @dataclass(frozen=True)
 class _Element:
-    """An element: its name, how many there are, and the properties of each."""
+    """An element in a PLY header: its name, its number of rows, and the properties of each row."""
 
     name: str
     count: int
@@ -46,7 +46,7 @@ class _Element:
 
 
 def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the vertices and polygons of a PLY file, in the file's order.
+    """Read the vertices and polygons of a PLY file, in the file's order.
 
     Returns:
         Vertices, float64 [V, 3]; the corners of all polygons one after another, int64; how many each has, int64 [F].
@@ -59,7 +59,7 @@ def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArr
 
 
 def ply_columns(data: bytes) -> dict[str, dict[str, Column]]:
-    """Return every property of every element of a PLY file, lists as (lengths, values one after another).
+    """Read every property of every element of a PLY file; a list as its lengths and its values one after another.
 
     Raises:
         OmtwarpError: the file is not as long as its header says.
@@ -70,7 +70,7 @@ def ply_columns(data: bytes) -> dict[str, dict[str, Column]]:
 
 
 def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float64], NDArray, NDArray]:
-    """Return the vertices, the corners of all polygons and their numbers, as :func:`read_ply` returns them.
+    """Take vertices, the corners of all polygons and their numbers from columns, as :func:`read_ply` returns them.
 
     Raises:
         OmtwarpError: no vertices or no faces among the elements.
@@ -86,7 +86,7 @@ def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float
 
 
 def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
-    """Return the elements, the byte order (``<`` or ``>``, None for text), and what follows the header.
+    """Read a PLY header: the elements, the byte order (``<`` or ``>``, None for text), and the bytes after it.
 
     One function, as each kind of line that a header has is read in a line or two.
 
@@ -126,7 +126,7 @@ def _cut(elements: list[_Element]) -> OmtwarpError:
 
 
 def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[str, dict[str, Column]]:
-    """Return every property of every element, lists as (lengths, values).
+    """Read every property of every element of a binary file; a list as its lengths and its values.
 
     Raises:
         OmtwarpError: the body is shorter or longer than the header says.
@@ -158,7 +158,7 @@ def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[s
 
 
 def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> dict[int, int]:
-    """Return the lengths of the lists of an element's first row, by the property's number."""
+    """Read the lengths of the lists in an element's first row, by the property's number."""
     lengths: dict[int, int] = {}
     for k, part in enumerate(element.properties):
         size = np.dtype(part.type).itemsize
@@ -176,7 +176,7 @@ def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> di
 def _binary_rows(
     body: bytes, place: int, element: _Element, order: str, elements: list[_Element]
 ) -> tuple[int, dict[str, Column]]:
-    """Return the rows of an element whose lists differ in length, one by one; and where they end.
+    """Read the rows of an element whose lists differ in length, one by one; return them and their end.
 
     Raises:
         OmtwarpError: the body ends before the rows do.
@@ -206,7 +206,7 @@ def _binary_rows(
 
 
 def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, Column]]:
-    """Return every property of every element of a text file, lists as (lengths, values); numbers are float64.
+    """Read every property of every element of a text file as float64; a list as its lengths and its values.
 
     Raises:
         OmtwarpError: fewer or more numbers than the header says, or words among them.
@@ -238,7 +238,7 @@ def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, 
 def _row_starts(
     numbers: NDArray[np.float64], place: int, element: _Element, elements: list[_Element]
 ) -> tuple[NDArray[np.int64], int]:
-    """Return where every row of an element begins among the numbers, and where the element ends.
+    """Find the place among the numbers where each row of an element begins, and where the element ends.
 
     Raises:
         OmtwarpError: the numbers end before the rows do, or a length is none.

@@ -61,7 +61,7 @@ class QuarteredSurface:
         return np.concatenate([sphere, middle])
 
     def sum_of_parts(self, per_part: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Add a number per part, shape [4 F], over the parts of every triangle, shape [F]."""
+        """Sum numbers on the parts, shape [4 F], over every original triangle; returns shape [F]."""
         return per_part.reshape(-1, PARTS).sum(axis=1)
 
 

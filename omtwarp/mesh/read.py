@@ -140,7 +140,7 @@ def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def utf8(data: bytes) -> bytes:
-    """Return the text without a byte order mark, and in UTF-8 where the mark says that it is in another encoding."""
+    """Remove a byte order mark from a text, and convert to UTF-8 what the mark says is in another encoding."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16").encode("utf-8")
     return data.removeprefix(codecs.BOM_UTF8)
@@ -184,7 +184,7 @@ def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
 def _from_polygons(
     polygons: list[list[bytes]], triangulate: bool, vertices_before: NDArray | None = None
 ) -> tuple[NDArray[np.int64], list[str]]:
-    """Return the triangles from lists of corners as a text file has them.
+    """Convert the polygons of a text file, lists of corners, to triangles.
 
     ``vertices_before`` says that corners count from 1, or if negative back from the last vertex before their face.
     """
@@ -198,7 +198,7 @@ def _from_polygons(
 
 
 def fans(flat: NDArray[np.int64], corners: NDArray[np.int64], triangulate: bool) -> tuple[NDArray[np.int64], list[str]]:
-    """Return the triangles from polygons: the corners of all one after another, and how many each has."""
+    """Cut polygons, given by all corners one after another and their numbers of corners, into fans of triangles."""
     if not len(corners):
         raise OmtwarpError("not a triangle mesh: no faces in it")
     if (corners < 3).any():
@@ -268,7 +268,7 @@ def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
-    """Return the one mesh of a scene, moved to where the scene puts it."""
+    """Return the only mesh of a scene, moved to the place that the scene gives it."""
     order = list(scene.geometry)
     placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
     placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order

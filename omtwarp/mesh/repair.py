@@ -315,7 +315,7 @@ def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 
 
 def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:
-    """Return the closed loops around the holes, against the direction of the boundary's half-edges.
+    """Find the closed loops around the holes, against the direction of the boundary's half-edges.
 
     Loops that touch themselves are left out.
     """
@@ -340,7 +340,7 @@ def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:
 def _patch(
     points: NDArray[np.float64], loop: list[int], known: set[tuple[int, int]]
 ) -> list[tuple[int, int, int]] | None:
-    """Return the triangulation of a loop with the least area whose inner edges are all new; None where there is none.
+    """Find the triangulation of a loop with the least area whose inner edges are all new; None where there is none.
 
     Source: G. Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12 (1995).
     """

@@ -72,7 +72,7 @@ def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> In
 
 
 def _boundary_vertices(count: int, faces: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Return which vertices belong to an edge of one triangle alone, shape [V]."""
+    """Return a mask, shape [V], of the vertices on edges that belong to one triangle only."""
     corners = faces.astype(np.int64)
     ring = np.roll(corners, -1, axis=1)
     low, high = np.minimum(corners, ring).ravel(), np.maximum(corners, ring).ravel()
@@ -84,7 +84,7 @@ def _boundary_vertices(count: int, faces: NDArray[np.integer]) -> NDArray[np.boo
 
 
 def compressed(number: Ints) -> tuple[NDArray[np.bool_], Ints]:
-    """Return which vertices stay when copies are joined, and the new number of every vertex, both shape [V]."""
+    """Return a mask of the vertices that stay when copies are joined, and every vertex's new number, shape [V] each."""
     stays = number == np.arange(len(number))
     return stays, (np.cumsum(stays) - 1)[number]
 
@@ -129,7 +129,7 @@ def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False)
 
 
 def _in_one_piece(faces: Ints) -> bool:
-    """Return whether triangles are connected through their vertices."""
+    """Return whether all triangles are connected through their vertices."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -144,7 +144,7 @@ def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
 
 
 def ellipsoid(axes: tuple[float, float, float] = (1.0, 0.7, 0.5), face_count: int = 5120) -> Surface:
-    """Return an ellipsoid with the half axes given."""
+    """Return an ellipsoid with the given half axes."""
     sphere = icosphere_near(face_count)
     return Surface(sphere.vertices * np.asarray(axes, dtype=np.float64), sphere.faces)
 
@@ -421,7 +421,7 @@ def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:
 
 
 def _average_of_neighbours(surface: Surface, points: Points) -> Points:
-    """Return the mean of every vertex's neighbours, shape [V, 3]."""
+    """Return the mean position of every vertex's neighbours, shape [V, 3]."""
     flat = surface.faces.ravel()
     following = points[np.roll(surface.faces, -1, axis=1).ravel()]
     degree = np.bincount(flat, minlength=surface.vertex_count)
@@ -587,14 +587,14 @@ def _capped_grid(grid: Points, north: Points, south: Points, flip: bool = False)
 
 
 def _sorted_faces(faces: Faces) -> Faces:
-    """Return every face begun at its smallest vertex, and faces in order: independent of how a library lists them."""
+    """Begin every face at its smallest vertex and sort the faces, so that their order does not depend on a library."""
     start = faces.argmin(axis=1)
     faces = np.take_along_axis(faces, (np.arange(3)[None] + start[:, None]) % 3, axis=1)
     return faces[np.lexsort(faces.T[::-1])]
 
 
 def _normals(points: Points, a: NDArray, b: NDArray, c: NDArray) -> Points:
-    """Return the normals of triangles, twice their area long."""
+    """Return the normals of triangles, whose lengths are twice the triangles' areas."""
     return np.cross(points[b] - points[a], points[c] - points[a])
 
 

@@ -185,7 +185,7 @@ class Surface:
         return self._sides.reshape(-1, 2)
 
     def kept(self, name: str, make: Callable[[], Kind]) -> Kind:
-        """Return what ``make`` computes from shape and connectivity; computed once for each name and kept.
+        """Return what ``make`` computes from shape and connectivity, computed once under each name and kept.
 
         Solvers and others cache here what they derive from a surface, so that it lives as long as the surface and is
         shared by :meth:`with_areas`. It must not refer to the surface, nor depend on its measure.
@@ -203,7 +203,7 @@ class Surface:
         self._kept.pop(name, None)
 
     def on(self, device: str | wp.Device | None) -> SurfaceArrays:
-        """Return the arrays below on a device, for kernels; each is sent there once."""
+        """Return the surface's arrays on a device, for kernels; each is copied there once."""
         where = resolve_device(device)
         return SurfaceArrays(self, where, self._sent.setdefault(str(where), {}))
 

@@ -97,7 +97,7 @@ def check(vertices: ArrayLike, faces: ArrayLike) -> list[Defect]:
 def require_valid(
     vertices: ArrayLike, faces: ArrayLike, name: str = ""
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the mesh as arrays when it can be mapped, and say in one line why not otherwise.
+    """Return the arrays of a mesh that can be mapped; raise an error with the reason for any other.
 
     Args:
         vertices: coordinates in any unit, shape [V, 3].
@@ -118,13 +118,13 @@ def require_valid(
 
 
 def describe(defects: list[Defect], name: str = "") -> str:
-    """Return a line for a list of defects: the first in full, the kinds of the others in brackets."""
+    """Sum up a list of defects in one line: the first in full, the kinds of the others in brackets."""
     others = ", ".join(defect.kind for defect in defects[1:])
     return (f"{name}: " if name else "") + str(defects[0]) + (f" (also: {others})" if others else "")
 
 
 def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the vertices as float64 [V, 3] and faces as int64 [F, 3], without changing a number.
+    """Convert vertices to float64 [V, 3] and faces to int64 [F, 3] without changing a number.
 
     Raises:
         OmtwarpError: other shapes, faces with more than three corners, or indices that are not whole numbers.
@@ -152,7 +152,7 @@ def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def zero_area_faces(unit: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which faces have no area beyond rounding, shape [F]; ``unit`` as :func:`unit_coordinates` gives it.
+    """Return a mask of the faces whose area is zero up to rounding, shape [F]; ``unit`` is of :func:`unit_coordinates`.
 
     Coordinates near 1 are rounded at 1e-16, which moves twice the area by that times the longest edge: areas
     below a few times this count as zero.
@@ -164,7 +164,7 @@ def zero_area_faces(unit: NDArray[np.float64], faces: NDArray[np.int64]) -> NDAr
 
 
 def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.bool_]:
-    """Return which faces have the vertices, in any order, of a face before them, shape [F]."""
+    """Return a mask of the faces that have the vertices of an earlier face, in any order, shape [F]."""
     low, middle, high = np.sort(faces, axis=1).T
     edge = low * vertex_count + middle
     order = np.lexsort((high, edge)) if vertex_count >= 2**21 else np.argsort(edge * vertex_count + high, kind="stable")
@@ -398,14 +398,14 @@ class Topology:
 
 
 def _components(count: int, links: NDArray) -> tuple[int, NDArray[np.int32]]:
-    """Return the number of connected components of a graph and the component of every node, shape [count]."""
+    """Return the number of a graph's connected components, and the component of every node, shape [count]."""
     graph = sparse.coo_array((np.ones(len(links), dtype=np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
     pieces, labels = csgraph.connected_components(graph, directed=False)
     return int(pieces), labels
 
 
 def _spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
-    """Return which links make up a spanning forest of a graph, shape [len(links)]."""
+    """Return a mask of the links that make up a spanning forest of a graph, shape [len(links)]."""
     # The weight of a link is its own number, so that the tree's entries say which links were taken.
     number = np.arange(1, len(links) + 1, dtype=np.float64)
     graph = sparse.csr_array((number, (links[:, 0], links[:, 1])), shape=(count, count))
@@ -416,13 +416,13 @@ def _spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
 
 
 def _coincident_vertices(points: NDArray[np.float64], boundary: NDArray[np.int64]) -> int:
-    """Return how many vertices of the boundary have the very coordinates of another vertex of it."""
+    """Count the vertices of the boundary that have exactly the coordinates of another one."""
     ends = np.unique(boundary)
     return len(ends) - len(np.unique(points[ends], axis=0))
 
 
 def _signed_volume(points: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
-    """Return the volume enclosed, in units of half the extent cubed; 0 where it is lost in rounding."""
+    """Return the enclosed volume, in units of half the extent cubed; 0 where it is smaller than its rounding error."""
     p0, p1, p2 = (unit_coordinates(points)[faces[:, k]] for k in range(3))
     each = np.einsum("ij,ij->i", p0, np.cross(p1, p2)) / 6.0
     volume = float(each.sum())
@@ -430,7 +430,7 @@ def _signed_volume(points: NDArray[np.float64], faces: NDArray[np.int64]) -> flo
 
 
 def number(count: int | np.integer, one: str, many: str = "") -> str:
-    """Return ``1 face``, ``7 faces``."""
+    """Write a number with its noun: ``1 face``, ``7 faces``."""
     return f"{int(count)} {one if count == 1 else many or one + 's'}"
 
 

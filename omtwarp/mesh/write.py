@@ -1,4 +1,4 @@
-"""Writing a mesh with its vertices and faces as they are, in double precision where the format has it."""
+"""Writing of meshes with vertices and faces unchanged, in double precision where the format has it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _write(
     triangles: NDArray[np.int32],
     beside: Mapping[str, NDArray] | None,
 ) -> None:
-    """Write a mesh in a format of no particular field."""
+    """Write a mesh in a general format, not one of neuroimaging."""
     if suffix == ".ply":
         file.write_bytes(ply_bytes(points, triangles, beside))
     elif suffix == ".obj":
@@ -85,7 +85,7 @@ def _write(
 def ply_bytes(
     points: NDArray[np.float64], faces: NDArray[np.int32], properties: Mapping[str, NDArray[np.generic]] | None = None
 ) -> bytes:
-    """Return a mesh in binary PLY with further properties of its vertices, all in double precision."""
+    """Encode a mesh as binary PLY with further properties of its vertices, all in double precision."""
     given = properties or {}
     names = ["x", "y", "z", *("_".join(name.split()) or "value" for name in given)]
     head = f"ply\nformat binary_little_endian 1.0\ncomment omtwarp\nelement vertex {len(points)}\n"

@@ -69,7 +69,7 @@ class Certificate:
 
 
 def certify(surface: MeshLike, sphere: ArrayLike, *, device: str | None = "auto") -> Certificate:
-    """Examine a sphere map of a surface.
+    """Decide exactly whether a sphere map of a surface is one to one and onto.
 
     A map of a closed surface to the sphere whose triangles are all positively oriented is a covering, branched where
     the ring of a vertex goes around it more than once; a degree of 1 makes it one to one. Orientation and turns are
@@ -101,7 +101,7 @@ def certify(surface: MeshLike, sphere: ArrayLike, *, device: str | None = "auto"
 
 
 def certify_triangles(faces: ArrayLike, sphere: ArrayLike, *, device: str | None = "auto") -> Certificate:
-    """Examine a sphere map as :func:`certify` does, from its faces, shape [F, 3], alone.
+    """Decide the same as :func:`certify`, for a map that is given by its faces, shape [F, 3], and points.
 
     Raises:
         OmtwarpError: the arrays are not of numbers, or a corner is not among the points.

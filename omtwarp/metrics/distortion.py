@@ -31,7 +31,7 @@ HIGH = 95  # percentile that stands for the worst triangles but for a few, which
 
 
 class Aggregates(TypedDict):
-    """The fields of :class:`Distortion` that are no arrays."""
+    """The fields of :class:`Distortion` other than its arrays."""
 
     flips: int
     degree: float
@@ -86,7 +86,7 @@ class Distortion:
 
 
 def distortion(surface: MeshLike, sphere: ArrayLike | wp.array, *, device: str | None = "auto") -> Distortion:
-    """Measure a sphere map of a surface.
+    """Measure the area and angle distortion, the flips and the degree of a sphere map of a surface.
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices, any unit; it may have

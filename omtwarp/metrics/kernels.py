@@ -87,7 +87,7 @@ def not_finite(
     # Data out:
     marks: wp.array[wp.float64],
 ):
-    """Compute 1 for a point with a coordinate that is not finite, else 0."""
+    """Mark with 1 every point with a coordinate that is not finite, and others with 0."""
     i = wp.tid()
     p = points[i]
     marks[i] = wp.where(wp.isfinite(p[0] + p[1] + p[2]), ZERO, ONE)

@@ -111,7 +111,7 @@ class Optimality:
     stream: Array
 
     def to_dict(self) -> dict[str, float | int | None]:
-        """Return the numbers alone, ready for JSON; None for one that is not finite."""
+        """Return the numbers by name, ready for JSON, with None for one that is not finite."""
         values = {name: value for name, value in vars(self).items() if not isinstance(value, np.ndarray)}
         return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
@@ -272,7 +272,7 @@ def _measure(
 
 
 class Bounded(Protocol):
-    """A potential, and the bound that it gives."""
+    """A potential, and the lower bound on the cost that it gives."""
 
     @property
     def potential(self) -> Array:
@@ -287,10 +287,10 @@ Found = TypeVar("Found", bound=Bounded)
 
 
 class DualProblem(Protocol[Found]):
-    """Kantorovich's dual problem of a map: what :func:`ascend` asks of it."""
+    """The interface of Kantorovich's dual problem of a map, as :func:`ascend` uses it."""
 
     def bound(self, potential: Array) -> Found:
-        """Return the bound of a potential."""
+        """Return the lower bound on the cost that a potential gives."""
 
     def ascent_direction(self, current: Found) -> tuple[Array, float]:
         """Return a change of the potential, and the slope of the bound along it."""
@@ -328,7 +328,7 @@ def ascend(dual: DualProblem[Found], best: Found, most: int, near: Callable[[Fou
 
 
 def _excess(cost: float, bound: float) -> float:
-    """Return the cost over bound, less 1; infinite where the bound is zero."""
+    """Return cost / bound - 1, infinite where the bound is zero."""
     if bound > 0.0:
         return cost / bound - 1.0
     return 0.0 if cost == bound else float("inf")
@@ -421,7 +421,7 @@ def _log_maps(base: Array, target: Array, device: str | None) -> Array:
 
 
 def _points(given: ArrayLike, surface: Surface, name: str) -> Array:
-    """Return points of the unit sphere, shape [V, 3], normalised once more: the bound's digits rest on their lengths.
+    """Normalise points of the unit sphere, shape [V, 3], again, since the bound's accuracy depends on their lengths.
 
     Raises:
         OmtwarpError: they are no such points.
@@ -431,7 +431,7 @@ def _points(given: ArrayLike, surface: Surface, name: str) -> Array:
 
 
 def _masses(given: ArrayLike, count: int) -> Array:
-    """Return the positive masses, shape [V], scaled to sum to 4π.
+    """Check that masses, shape [V], are positive, and scale them to the sum 4π.
 
     Raises:
         OmtwarpError: another shape, or masses that are not positive.

@@ -27,7 +27,7 @@ _NARROWEST = 1e-3  # of the median interval: flipped triangles make empty ones, 
 
 @dataclass(frozen=True)
 class Bound:
-    """A potential and the c-transform it leads to.
+    """A potential and its c-transform.
 
     Attributes:
         potential: ψ at the y_i, float64, shape [V].
@@ -224,5 +224,5 @@ def space_order(points: Array) -> NDArray[np.int32]:
 
 
 def leaf_count(items: int) -> int:
-    """Return the least power of two that is at least 2 and at least ``items``."""
+    """Return the smallest power of two that is at least 2 and at least ``items``."""
     return 1 << max(items - 1, 1).bit_length()

@@ -56,14 +56,14 @@ def next_subtree(node: int) -> int:
 
 @wp.func
 def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
-    """Return c(x, y) = d(x, y)² / 2."""
+    """Return the cost c(x, y) = d(x, y)² / 2."""
     d = geodesic_distance(x, y)
     return HALF * d * d
 
 
 @wp.func
 def potential_at(nodal: wp.vec3d, edge: wp.vec3d, b: wp.vec3d) -> wp.float64:
-    """Return ψ at barycentric coordinates b."""
+    """Return the potential ψ at barycentric coordinates b of a triangle."""
     return wp.dot(b, nodal) + b[0] * b[1] * edge[0] + b[1] * b[2] * edge[1] + b[2] * b[0] * edge[2]
 
 
@@ -210,7 +210,7 @@ def lowest_on_interval(slope: wp.float64, bend: wp.float64, low: wp.float64, hig
 
 @wp.func
 def swap(order: wp.array[wp.int32], i: int, j: int):
-    """Exchange two entries."""
+    """Exchange two entries of an order."""
     kept = order[i]
     order[i] = order[j]
     order[j] = kept
@@ -413,7 +413,7 @@ def build_nodes(
 
 @wp.func
 def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: wp.float64) -> wp.float64:
-    """Return a number that c(x, z) - ψ(z) does not go below at any sample z of a node.
+    """Return a lower bound on c(x, z) - ψ(z) over all samples z of a node.
 
     With v = 1 - x · z, θ²/2 = Σ (2v)^n / (n² C(2n, n)): it and all its derivatives grow with v. So it lies above the
     parabola with its value and slope κ = θ / sin θ at the centre's v and with its second derivative at the least v

@@ -17,7 +17,7 @@ ROUNDS = 4  # of repair after symmetrising; one was enough on every surface trie
 
 
 def mirror_frame(double: Double, sphere: Floats, masses: Floats) -> Floats:
-    """Return rotation that brings a nearly symmetric map's plane of symmetry to the equator, the surface to the north.
+    """Find the rotation that brings a nearly symmetric map's plane of symmetry to the equator, the surface north of it.
 
     Among all planes it is the one whose reflection brings mirror images nearest to each other: the eigenvector of the
     least eigenvalue of sum m (y y'ᵀ + y' yᵀ) for pairs y, y'.
@@ -41,7 +41,7 @@ def mirror_frame(double: Double, sphere: Floats, masses: Floats) -> Floats:
 
 
 def symmetrised(double: Double, turned: Floats) -> Floats:
-    """Return a map made exactly symmetric about the equator: means of mirror images, the boundary with z = 0.
+    """Make a map exactly symmetric about the equator: average mirror images, and set z = 0 on the boundary.
 
     Args:
         double: the surface and its copy.
@@ -62,7 +62,7 @@ def is_symmetric(double: Double, sphere: Floats) -> bool:
 def symmetric_map(
     double: Double, surface: Surface, sphere: Floats, *, repair: bool = True, device: str | None = "auto"
 ) -> Floats | None:
-    """Return an exactly mirror-symmetric map that is one to one, near one that is nearly symmetric.
+    """Make a nearly mirror-symmetric map exactly symmetric and one to one.
 
     Args:
         double: the surface and its copy.

@@ -69,7 +69,7 @@ def cap_radius(share: Floats) -> Floats:
 
 
 def _apart(start: Floats, shares: Floats, covered: float) -> Floats | None:
-    """Return centres of disjoint caps found from a start; None where some still overlap."""
+    """Move the centres of caps from a start until no two overlap; None where some still do."""
     radius = cap_radius(covered * shares)
     i, j = np.triu_indices(len(shares), 1)
     least = radius[i] + radius[j] + GAP

@@ -19,7 +19,7 @@ SOLVES = 3  # of the convex combinations: the first leaves no flips except by ro
 
 
 def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
-    """Return whether every triangle of a plane map is not counter-clockwise, decided exactly, shape [F].
+    """Return a mask of the triangles of a plane map that are not counter-clockwise, decided exactly, shape [F].
 
     Twice the area of a triangle is the determinant of its corners (x, y, 1), which the predicate of the sphere decides.
 
@@ -99,7 +99,7 @@ def untangle_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) 
 
 
 def _unflipped(after: Floats, before: Floats) -> Floats:
-    """Return unit vector y with the largest least det[y, a, b] / |a x b| over pairs of points, shape [K, 3] each."""
+    """Return the unit vector y whose smallest det[y, a, b] / |a x b| over pairs of points, [K, 3] each, is largest."""
     normals = np.cross(after, before)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
     rows = np.concatenate([-normals, np.ones((len(normals), 1))], axis=1)
@@ -127,7 +127,7 @@ def _drawn_inside(points: Floats, held: NDArray[np.bool_]) -> Floats:
 
 
 def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: NDArray[np.bool_]) -> Floats:
-    """Return the places of all vertices as convex combinations of their neighbours."""
+    """Place all inner vertices at convex combinations of their neighbours."""
     count = len(points)
     corners = points[faces]
     one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, -2, axis=1) - corners

@@ -142,13 +142,13 @@ class _OnHalf(TransportEnergy):
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the blocks of the base, for a factorisation at these points."""
+        """Return the blocks of the base class, and note the points for the factorisation on the half."""
         self._mirror.at(points)
         return super().blocks(points, terms, curvature_share, least)
 
 
 class SymmetricEnergy(_OnHalf):
-    """Evaluates symmetric maps of a double: as its base, with systems and steps of one half.
+    """Evaluates symmetric maps of a double as its base class does, with systems and steps of one half.
 
     Args:
         double: the surface and its copy, W vertices.
@@ -286,7 +286,7 @@ class MirrorFactor:
         return self._coordinates(folded(self._double, step.numpy()))
 
     def _coordinates(self, tangent: Floats) -> Floats:
-        """Return the tangent vectors, shape [W, 3], in the bases of the map, shape [W, 2]."""
+        """Convert tangent vectors, shape [W, 3], to coordinates in the bases of the map, shape [W, 2]."""
         out = wp.empty((len(tangent), 2), dtype=wp.float64, device=self._device)
         inputs = [self._points, vectors(tangent, self._device)]
         wp.launch(to_tangent, dim=len(tangent), inputs=inputs, outputs=[out], device=self._device)

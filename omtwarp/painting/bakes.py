@@ -54,7 +54,7 @@ class Target:
     device: wp.Device
 
     def spread(self, values: Floats, faces: Ints) -> Floats:
-        """Return the values at vertices, shape [V] or [V, C], as values at this target's corners, shape [T, 3, C]."""
+        """Spread values at vertices, shape [V] or [V, C], to this target's corners, shape [T, 3, C]."""
         at = values.reshape(len(values), -1)[faces[self.face]]
         return np.einsum("tij,tjc->tic", self.weights, at)
 
@@ -109,7 +109,7 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
 
 
 def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]) -> Bytes:
-    """Return the normals of a detailed surface in the frames of a coarser one, as glTF's ``normalTexture`` holds them.
+    """Bake the normals of a detailed surface in the frames of a coarser one, as glTF's ``normalTexture`` holds them.
 
     Each texel takes the normal at the nearest point of the detailed surface.
 
@@ -155,14 +155,14 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
 
 
 def object_normals(target: Target) -> Bytes:
-    """Return the normals in the mesh's own axes as colours: red, green and blue from -1 to 1 along x, y and z."""
+    """Encode normals in the mesh's own axes as colours: red, green and blue are x, y and z from -1 to 1."""
     picture = bake_corners(target.uv, target.normals, target.size, device=target.device).reshape(-1, 3)
     length = np.linalg.norm(picture, axis=1, keepdims=True)
     return _as_picture(np.where(length > 0, picture / np.maximum(length, np.finfo(np.float32).tiny), 0.0), target.size)
 
 
 def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
-    """Return the unit vectors as bytes: 0 is -1 and 255 is 1, as glTF decodes them."""
+    """Encode unit vectors as bytes, where 0 is -1 and 255 is 1, as glTF decodes them."""
     return np.rint((np.clip(vectors, -1.0, 1.0) * 0.5 + 0.5) * 255.0).astype(np.uint8).reshape(size[1], size[0], 3)
 
 
@@ -256,7 +256,7 @@ def mean_curvature(vertices: Floats, faces: Ints) -> Floats:
 
 
 def area_ratio(vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
-    """Return the area on the sphere over area of the surface around vertices, both of all set to 1, shape [V]."""
+    """Return the area around vertices on the sphere over that on the surface, both totals set to 1, shape [V]."""
     shares = []
     for points in (sphere, vertices):
         each = triangle_areas(points, faces)

@@ -256,7 +256,7 @@ class _Job:
     def _finish(
         self, material: Material, color: NDArray[np.float32] | None, target: bakes.Target, tangents: Floats | None
     ) -> Material:
-        """Return the material with its colour and the bakes that were asked for."""
+        """Complete a material by its new colour and the bakes that were asked for."""
         wanted = self.wanted
         if color is not None:
             found = replace(material, picture=_opaque_if_it_is(as_bytes(color)), color=WHITE)
@@ -353,7 +353,7 @@ class _Job:
 
 
 def _extent(material: Material, size: int | None) -> tuple[int, int]:
-    """Return the width and height of a material's new picture."""
+    """Choose the width and height of a material's new picture."""
     if material.picture is None:
         return (size or SIZE, size or SIZE)
     height, width = material.picture.shape[:2]
@@ -361,7 +361,7 @@ def _extent(material: Material, size: int | None) -> tuple[int, int]:
 
 
 def _with_opacity(picture: NDArray[np.generic]) -> NDArray[np.float32]:
-    """Return a picture of three or four channels as one of four."""
+    """Add an opacity of 1 to a picture that has none."""
     values = picture.astype(np.float32, copy=False)
     if values.shape[2] == 4:
         return values
@@ -374,7 +374,7 @@ def _opaque_if_it_is(picture: Bytes) -> Bytes:
 
 
 def _resized(picture: Bytes, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Return a picture in another size, with opacity, from 0 to 1."""
+    """Return a picture in another size with an opacity channel, values from 0 to 1."""
     from PIL import Image
 
     if picture.shape[1::-1] != size:
@@ -401,7 +401,7 @@ def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Float
 
 
 def _weights(points: Floats, corners: Floats) -> Floats:
-    """Return the points in triangles as combinations of their corners.
+    """Return the matrix of points in triangles as combinations of their corners.
 
     Args:
         points: shape [T, 3, 3], three points for each triangle.

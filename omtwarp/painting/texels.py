@@ -60,7 +60,7 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
-    """Return the part of the covered texels that lie in more than one triangle, from 0 to 1."""
+    """Return the share of the covered texels that lie in more than one triangle, from 0 to 1."""
     if not len(uv):
         return 0.0
     texels = np.stack([uv[..., 0] * width, (1.0 - uv[..., 1]) * height], axis=-1)
@@ -85,7 +85,7 @@ def bake_corners(
     samples: int = SAMPLES,
     device: wp.Device,
 ) -> Picture:
-    """Return the values at corners, linear over every triangle, as a picture; 0 where nothing is.
+    """Bake values at corners, linear over every triangle, to a picture; texels outside of all triangles are 0.
 
     Args:
         uv: coordinates of the corners, shape [F, 3, 2].
@@ -107,7 +107,7 @@ def bake_corners(
 
 
 def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device: wp.Device) -> NDArray[np.bool_]:
-    """Return which texels triangles cover, with the padding around them, shape [H, W]."""
+    """Return a mask of the texels that triangles and the padding around them cover, shape [H, W]."""
     ones = np.ones((len(uv), 3, 1))
     return bake_corners(uv, ones, size, padding=padding, samples=1, device=device)[..., 0] > 0.5
 
@@ -115,7 +115,7 @@ def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device
 def bake_materials(
     layout: Layout, own: Floats | None, which: Ints, materials: tuple[Material, ...], colors: Floats | None, rings: int
 ) -> Picture:
-    """Return the colours of materials at the texels of a layout, through the triangles' own coordinates.
+    """Bake the colours of materials to the texels of a layout, through the triangles' own coordinates.
 
     Args:
         layout: the triangles on the picture to be made.
@@ -164,7 +164,7 @@ def bake_materials(
 
 
 def tinted(picture: NDArray[np.float32], factor: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a picture times a colour, multiplied as light; sRGB and opacity from 0 to 1, shape [H, W, 4]."""
+    """Multiply a picture by a colour as light; both are sRGB with opacity from 0 to 1, shape [H, W, 4]."""
     if (factor == 1.0).all():
         return picture
     rgb = to_srgb(to_linear(picture[..., :3]) * to_linear(factor[:3]))

@@ -124,7 +124,7 @@ def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device
 
 
 def _material(mesh: PaintedMesh, picture: NDArray[np.float32]) -> Material:
-    """Return a material with the transferred picture, as rough and metallic as the mesh's most common one."""
+    """Make a material of the transferred picture, as rough and metallic as the mesh's most common material."""
     common = mesh.materials[int(np.bincount(mesh.material_of).argmax())]
     texels = as_bytes(picture)
     if texels[..., 3].min() == 255:

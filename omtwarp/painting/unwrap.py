@@ -97,7 +97,7 @@ def _signed_areas(plane: Floats) -> Floats:
 
 
 def _placed(plane: Floats, chart: NDArray[np.intp], aspect: float, margin: float) -> Floats:
-    """Return the coordinates of corners on the picture, each chart in the middle of its cell, all at one scale."""
+    """Return corners' coordinates on the picture: each chart lies in the middle of its cell, all at one scale."""
     low, high = np.zeros((6, 2)), np.zeros((6, 2))
     for k in np.unique(chart):
         points = plane[chart == k].reshape(-1, 2)

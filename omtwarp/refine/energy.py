@@ -47,7 +47,7 @@ class Terms:
         return self.d_ratio.numpy()
 
     def total(self, weight: float) -> float:
-        """Return angle + λ area, less what a perfect map would have, and the barrier against upright needles."""
+        """Return angle + λ area less the value of a perfect map, plus the barrier against upright needles."""
         return self.angle + weight * self.area + needle_weight(weight) * self.needle
 
 
@@ -89,7 +89,7 @@ class TriangleKernels:
         self.faces, self.frames, self.areas, self.rows = faces, frames, areas, rows
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
-        """Return a temporary array.
+        """Return a temporary array from the shared workspace.
 
         It is float64 of shape [rows, columns], or vec3d of shape [rows] where there are three.
         """
@@ -111,7 +111,7 @@ class TriangleKernels:
         return outputs
 
     def gradient(self, points: wp.array, pressures: Pressures) -> wp.array:
-        """Return the gradient by the points that have rows, tangent to the sphere, vec3d.
+        """Return the gradient with respect to the points that have rows, tangent to the sphere, vec3d.
 
         Args:
             points: vec3d.
@@ -133,7 +133,7 @@ class TriangleKernels:
         return gradient
 
     def hessian(self, points: wp.array, pressures: Pressures, curvature_share: float) -> wp.array:
-        """Return Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
+        """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
@@ -170,7 +170,7 @@ class DistortionEnergy:
         self._sums = None if shares_host_memory(device) else DistortionSums(count, device)
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
-        """Return the points on the device, vec3d, shape [V].
+        """Copy points to the device as vec3d, shape [V].
 
         On the CPU they share the memory of the given array, which must not change.
         """
@@ -200,7 +200,7 @@ class DistortionEnergy:
         return self.triangles.gradient(points, self.pressures(terms, weight))
 
     def hessian(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> wp.array:
-        """Return Hessian of every triangle in the tangent bases of its corners, positive semidefinite, shape [F, 21].
+        """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """

@@ -94,7 +94,7 @@ def triangle_gradient(
     # Data out:
     corner_gradient: wp.array[wp.vec3d],
 ):
-    """Compute gradient of A [fro / D + linear D + inverse / D + barrier needle] by the three corners, shape [3F]."""
+    """Compute the gradient of A [fro / D + linear D + inverse / D + barrier needle] by the corners, shape [3F]."""
     t = wp.tid()
     face = faces[t]
     frame = frames[t]
@@ -251,7 +251,7 @@ def newton_decrements(
     # Data out:
     decrement: wp.array[wp.float64],
 ):
-    """Compute gᵀ B⁻¹ g of every vertex, with B its own block: twice what it gains alone.
+    """Compute gᵀ B⁻¹ g of every vertex, with B its own block: twice the gain of moving it alone.
 
     The result is 0 where the block has no inverse.
     """

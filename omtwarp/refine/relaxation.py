@@ -31,7 +31,7 @@ MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
 
 
 def stiff_vertices(decrements: NDArray[np.float64], gain: float) -> NDArray[np.bool_]:
-    """Return the vertices with far more to gain than most, as a mask of shape [V]; one at least.
+    """Return a mask, shape [V], of the vertices with much more to gain than most; at least one is in it.
 
     Args:
         decrements: what moving each vertex alone is expected to gain, twice over, shape [V].
@@ -84,7 +84,7 @@ class Relaxation:
         self._triangles = TriangleKernels(faces, frames, areas, rows, energy.workspace)
 
     def run(self) -> wp.array:
-        """Return the map after a few steps, vec3d, shape [V].
+        """Take a few steps of all patches, and return the map, vec3d, shape [V].
 
         Raises:
             OmtwarpError: the distortion is not finite.
@@ -102,7 +102,7 @@ class Relaxation:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def _taken(self, vectors: wp.array, places: wp.array) -> wp.array:
-        """Return the vectors at some places, without leaving the device."""
+        """Gather the vectors at some indices on the device."""
         out = wp.empty(len(places), dtype=wp.vec3d, device=self._device)
         wp.launch(take_vectors, dim=len(places), inputs=[vectors, places], outputs=[out], device=self._device)
         return out

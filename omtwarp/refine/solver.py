@@ -102,7 +102,7 @@ class _MatrixPolicy:
         return MAX_HALVINGS if self.renew else MAX_HALVINGS_CORRECTED
 
     def is_exhausted(self) -> bool:
-        """Return, after a failed search, whether no better matrix is left to try; otherwise the next step has one."""
+        """Return, after a failed search, whether no better matrix is left to try; if one is, the next step uses it."""
         if self.renew and self.curvature_share == 1.0:
             return True
         if self.renew:
@@ -199,7 +199,7 @@ class Refiner:
     def _relaxed(
         self, now: _Iterate, weight: float, curvature_share: float, gain: float, tolerance: float
     ) -> tuple[_Iterate, int]:
-        """Return the map after the stiffest vertices have had steps of their own, and how many had.
+        """Give the stiffest vertices steps of their own; return the map and the number of these vertices.
 
         ``gain`` is what the other steps are expected to gain, at the most.
         """
@@ -213,7 +213,7 @@ class Refiner:
         return now, 0
 
     def _search(self, now: _Iterate, direction: Direction, weight: float, halvings: int) -> _Step | None:
-        """Return a step along the direction that lowers the energy and flips nothing; None where none is found."""
+        """Search along the direction for a step that lowers the energy and flips nothing; None where there is none."""
         points, d_volume, before = now.points, now.terms.d_volume, now.terms.total(weight)
         length = 1.0 / max(1.0, 2.0 * direction.reach)  # no vertex may swing farther than half a radian
         for attempt in range(halvings):

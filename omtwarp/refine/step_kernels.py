@@ -90,7 +90,7 @@ def largest_of_strides(
     # Data out:
     largest: wp.array[wp.float64],
 ):
-    """Compute the largest of every so many-th number, none of them negative; as many as there are threads."""
+    """Compute in thread t the largest of values t, t + T, t + 2T and so on (none negative), T the number of threads."""
     t = wp.tid()
     best = wp.float64(0.0)
     for i in range(t, values.shape[0], largest.shape[0]):

@@ -50,7 +50,7 @@ class Direction:
 
 
 class Steps(Protocol):
-    """A finder of search directions; points and gradients are vec3d arrays of shape [V] on the device."""
+    """The interface of search directions; points and gradients are vec3d arrays of shape [V] on the device."""
 
     def assemble(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> None:
         """Compute the Newton matrix of a map, and drop all pairs."""
@@ -233,7 +233,7 @@ def steps_for(energy: DistortionEnergy) -> Steps:
 
 
 def flat(vectors: wp.array) -> wp.array:
-    """Return the numbers of contiguous vectors one after the other, in the same memory."""
+    """View contiguous vectors as a flat array of numbers in the same memory."""
     size = vectors.size * (3 if vectors.dtype is wp.vec3d else 1)
     return wp.array(ptr=vectors.ptr, dtype=wp.float64, shape=(size,), device=vectors.device)
 

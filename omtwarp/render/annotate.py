@@ -52,12 +52,12 @@ def ink(background: object, transparent: bool) -> tuple[int, int, int]:
 
 
 def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return Pillow's own font."""
+    """Return Pillow's built-in font at a size."""
     return ImageFont.load_default(size=max(size, 8.0))
 
 
 def bar_width(size: tuple[int, int]) -> int:
-    """Return the pixels that a colour bar takes at the right of a picture."""
+    """Return the width in pixels of the colour bar at the right of a picture."""
     return max(64, round(0.17 * min(size)))
 
 

@@ -19,7 +19,7 @@ BASE = 100_003  # a prime above the number of cells along an axis, which are 400
 
 
 def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
-    """Return the arrows in the renderers' form; None where the field is zero everywhere.
+    """Convert a field's arrows to the renderers' form; None where the field is zero everywhere.
 
     Raises:
         OmtwarpError: the field has the wrong shape or a value that is not finite.

@@ -117,7 +117,7 @@ def as_view(view: str | tuple[float, float] | Camera, base: Camera) -> Camera:
 
 
 def as_views(views: object, base: Camera) -> list[Camera]:
-    """Return one view or several; ``"six"`` is front, back, left, right, top and bottom, None the camera itself."""
+    """Return the cameras of one or several views; ``"six"`` is front to bottom, None the base camera itself."""
     if views is None:
         return [base]
     if isinstance(views, str) and views == "six":

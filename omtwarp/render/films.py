@@ -93,7 +93,7 @@ class _Story:
 
     @property
     def flows(self) -> bool:
-        """Whether the two maps differ."""
+        """Whether the conformal and the optimal map differ, so that the film shows the flow between them."""
         return not np.array_equal(self.first, self.last)
 
     def part(self, time: float) -> Part:
@@ -356,7 +356,7 @@ class _Studio:
     def _motion(
         self, first: float, last: float, aspect: float, most: int, progress: Progress | None
     ) -> tuple[list[float], Floats]:
-        """Return about ``most`` moments of a part of the film at most, and the motion from its beginning to each."""
+        """Return at most about ``most`` moments of a part of the film, and the motion from its beginning to each."""
         width, height = PROBE_WIDTH, max(round(PROBE_WIDTH / aspect), 16)
         seen: dict[float, NDArray[np.int16]] = {}
 
@@ -414,7 +414,7 @@ class _Studio:
 
 
 def _eased(x: Floats) -> Floats:
-    """Return the distance at times in [0, 1] of a motion that accelerates and slows down over EASE."""
+    """Return the distance covered, at times in [0, 1], by a motion that speeds up and slows down over EASE."""
     speed = 1.0 / (1.0 - EASE)
     begun = speed * x**2 / (2.0 * EASE)
     ending = 1.0 - speed * (1.0 - x) ** 2 / (2.0 * EASE)

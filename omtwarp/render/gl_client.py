@@ -137,7 +137,7 @@ class DrawingProcess:
             self._idle = None
 
     def close(self) -> None:
-        """End the process."""
+        """End the child process."""
         if self._owner != os.getpid():
             return
         self._cancel_idle()
@@ -158,7 +158,7 @@ _no_use: str | None = None
 
 
 def reason_against() -> str | None:
-    """Return why no picture can be drawn with OpenGL here; None while no reason is known."""
+    """Say why no picture can be drawn with OpenGL here; None while no reason is known."""
     global _no_use
     if _no_use is None and importlib.util.find_spec("pyrender") is None:
         _no_use = f"pyrender is not installed ({INSTALL_PYRENDER}; on Debian and Ubuntu also {INSTALL_GL})"

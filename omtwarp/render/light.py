@@ -33,7 +33,7 @@ class Light:
             raise OmtwarpError(f"{len(self.directional)} directional lights given, at most 4 can be drawn")
 
     def unit_directions(self) -> list[tuple[np.ndarray, float]]:
-        """Return the directional lights with directions of unit length."""
+        """Scale the directions of directional lights to unit length."""
         return [(np.asarray(way, float) / np.linalg.norm(way), float(power)) for way, power in self.directional]
 
 

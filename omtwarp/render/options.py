@@ -174,7 +174,7 @@ def _check_film(options: PreviewOptions) -> None:
 
 
 def cameras_of(options: PreviewOptions) -> list[Camera]:
-    """Return a camera for each picture.
+    """Return one camera for each picture that the options ask for.
 
     Raises:
         OmtwarpError: an unknown view, or several for a film.
@@ -188,7 +188,7 @@ def cameras_of(options: PreviewOptions) -> list[Camera]:
 
 
 def view_of(subject: Subject, options: PreviewOptions) -> SurfaceView:
-    """Return the subject with the changes by the options.
+    """Convert the subject to a view, with the changes that the options ask for.
 
     Raises:
         OmtwarpError: the subject cannot be read or drawn.

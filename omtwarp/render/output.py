@@ -1,4 +1,4 @@
-"""Writing pictures and films: whole or not at all."""
+"""Writing of pictures and films; a file is written completely or not at all."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ def comparison(
 
 
 def _captions(given: bool | Sequence[str], cameras: list[Camera]) -> list[str]:
-    """Return a text for each view of a sheet: none, its name, or what was given."""
+    """Return the caption of each view of a sheet: none, the view's name, or the given text."""
     if given is False:
         return [""] * len(cameras)
     if given is True:

@@ -1,4 +1,4 @@
-"""Draws with pyrender, offscreen through EGL: on a GPU where there is one, with Mesa's llvmpipe on the CPU elsewhere.
+"""Drawing with pyrender, offscreen through EGL: on a GPU where there is one, with Mesa's llvmpipe on the CPU elsewhere.
 
 Everything here runs in the drawing process. It imports pyrender, so import it only there, after
 :func:`omtwarp.render.pyrender_compat.import_pyrender`.
@@ -228,7 +228,7 @@ class GLRenderer:
 
 
 def _averaged(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
-    """Return the mean over blocks of ``side`` x ``side`` pixels."""
+    """Average blocks of ``side`` x ``side`` pixels."""
     height, width = pixels.shape[:2]
     # Not as RGBA: Pillow would take the colours as unmultiplied and weight them by their coverage again.
     picture = Image.frombuffer("RGBX", (width, height), np.ascontiguousarray(pixels).tobytes(), "raw", "RGBX", 0, 1)
@@ -251,7 +251,7 @@ def _camera(shot: Shot, aspect: float) -> Camera:
 
 
 def _open_context() -> Platform:
-    """Return a context on the first device that gives one.
+    """Open an OpenGL context on the first device that provides one.
 
     Device 0 may be a graphics card the user may not open, so each is tried; ``EGL_DEVICE_ID`` goes first.
     """

@@ -1,4 +1,4 @@
-"""Makes the released pyrender 0.1.45 usable with today's Python, NumPy and PyOpenGL, without a display.
+"""Changes to pyrender 0.1.45 at run time, which needs them on today's Python, NumPy and PyOpenGL without a display.
 
 Call :func:`import_pyrender` before anything else imports pyrender or OpenGL in the process. It runs in the drawing
 process only (see :mod:`omtwarp.render.drawing_process`), so that its changes affect no other code.

@@ -1,4 +1,4 @@
-"""Draws with Warp: one ray per pixel through a bounding volume hierarchy, more where the picture has edges.
+"""Drawing with Warp: one ray per pixel through a bounding volume hierarchy, more where the picture has edges.
 
 It needs no OpenGL, runs on the CPU and on CUDA devices, and takes the same jobs as pyrender with the same camera,
 lights, texture filter and lines.
@@ -77,7 +77,7 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
 
 
 def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp.Mesh]:
-    """Return the parts as one mesh with unshared corners, so that a face's number is enough to find its points."""
+    """Join the parts to one mesh with unshared corners, so that a face's number is enough to find its points."""
     offsets = np.cumsum([0] + [len(part.positions) for part in parts])
     faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets[:-1], strict=True)])
     positions = np.concatenate([part.positions for part in parts])

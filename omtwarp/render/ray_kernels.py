@@ -83,7 +83,7 @@ class Look:
 
 @wp.func
 def to_linear(c: wp.float32):
-    """Return the light of an sRGB value (IEC 61966-2-1), as :func:`omtwarp.srgb.to_linear`."""
+    """Convert an sRGB value to linear light (IEC 61966-2-1), as :func:`omtwarp.srgb.to_linear` does."""
     linear = c / 12.92
     if c > 0.04045:
         linear = wp.pow((c + 0.055) / 1.055, 2.4)
@@ -92,7 +92,7 @@ def to_linear(c: wp.float32):
 
 @wp.func
 def to_srgb(c: wp.float32):
-    """Return the sRGB value of light (IEC 61966-2-1), as :func:`omtwarp.srgb.to_srgb`."""
+    """Convert linear light to an sRGB value (IEC 61966-2-1), as :func:`omtwarp.srgb.to_srgb` does."""
     clamped = wp.clamp(c, 0.0, 1.0)
     encoded = clamped * 12.92
     if clamped > 0.0031308:
@@ -152,7 +152,7 @@ def trilinear(picture: Picture, u: float, v: float, level: float):
 
 @wp.func
 def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
-    """Return the mean over the ellipse that the derivatives span.
+    """Return the mean colour of an image over the ellipse that the derivatives span.
 
     Samples are taken along its long axis, at the mip level of the short one.
     """

@@ -41,7 +41,7 @@ class ScalarField:
     logarithmic: bool = False
 
     def limits(self) -> tuple[float, float]:
-        """Return the values at the two ends of the colour map.
+        """Return the two values that the ends of the colour map stand for.
 
         Raises:
             OmtwarpError: there is no finite value, the range is empty, or a logarithmic range is not positive.
@@ -66,7 +66,7 @@ class ScalarField:
         return low, high
 
     def normalised(self) -> NDArray[np.float64]:
-        """Return the values moved to [0, 1]; NaN stays."""
+        """Scale values to [0, 1] between the limits of the colour map; NaN stays."""
         low, high = self.limits()
         values = np.asarray(self.values, dtype=np.float64)
         if self.logarithmic:
@@ -309,7 +309,7 @@ class RenderJob:
 
 
 def as_image(image: Image | ArrayLike) -> NDArray[np.uint8]:
-    """Return a PIL image or an array as sRGB bytes, shape [height, width, 3].
+    """Convert a PIL image or an array to sRGB bytes, shape [height, width, 3].
 
     Raises:
         OmtwarpError: neither, or empty.
@@ -381,7 +381,7 @@ def normalised_points(view: SurfaceView) -> NDArray[np.float64]:
 
 
 def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
-    """Return the surface in the form the renderers take: one part, or one for every material that is used."""
+    """Convert a surface to the renderers' form: one part, or one for every material that is used."""
     if view.materials is None:
         return [_build_part(view, edges)]
     _, faces = _arrays(view)
@@ -401,7 +401,7 @@ def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
 
 
 def smooth_parts(face_count: int) -> int:
-    """Return into how many parts edges of a mesh of so many triangles are divided to show its map smooth."""
+    """Return the number of parts into which each edge of a mesh is divided to show its map smooth."""
     return int(np.clip(np.sqrt(SMOOTH_FACES / face_count), 1, MOST_PARTS))
 
 
@@ -482,7 +482,7 @@ def _look_of(view: SurfaceView) -> _Look:
 
 
 def _corner_values(value: NDArray, vertex_count: int, face_count: int) -> NDArray | None:
-    """Return the values per corner [F, 3, C] or face [F, C] as rows of corners [3F, C]; None for values per vertex."""
+    """Convert values per corner [F, 3, C] or face [F, C] to rows of corners [3F, C]; None for values per vertex."""
     if value.ndim == 3:
         return value.reshape(-1, value.shape[-1])
     if len(value) == face_count and len(value) != vertex_count:
@@ -505,7 +505,7 @@ def _own_corners(
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the vectors [N, 3] with length one; zero stays zero."""
+    """Scale vectors, shape [N, 3], to unit length; zero stays zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
 
 

@@ -198,7 +198,7 @@ def checker_image(columns: int = 24, rows: int = 12, cell: int = 64) -> NDArray[
 
 
 def read_image(image: Picture) -> NDArray[np.uint8]:
-    """Return a picture from a file, a PIL image or an array, uint8 [H, W, 3].
+    """Read a picture from a file, a PIL image or an array, as uint8 [H, W, 3].
 
     Raises:
         OmtwarpError: the file is missing or is no picture.
@@ -236,7 +236,7 @@ def painted_view(mesh: PaintedMesh) -> SurfaceView:
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh | None:
-    """Return a mesh file with its texture and colours, as one ``trimesh.Trimesh`` with vertices as the file has them.
+    """Read a mesh file with its texture and colours as one ``trimesh.Trimesh``, with vertices as in the file.
 
     Returns:
         None for a scene of several geometries, which differ in their materials.

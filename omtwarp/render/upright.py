@@ -33,7 +33,7 @@ LEAST_DETAIL = 1e-9  # added to both sides' bends and areas, in extents, so that
 
 
 def posed(view: SurfaceView, up: str | None = None, front: str | None = None) -> SurfaceView:
-    """Return the view with its axes upwards and towards the viewer filled in, from what is given or from the shape.
+    """Complete a view by the axes that point up and to the viewer, as given or guessed from the shape.
 
     Args:
         view: a surface; axes that it has itself are taken before guesses.
@@ -116,7 +116,7 @@ def _mirror_axis(corner: Floats, area: Floats, centre: Floats) -> int | None:
 
 
 def _standing(points: Floats, centre: Floats, up: int) -> float:
-    """Return the share of the footprint between the feet, 0 where the surface would not stand."""
+    """Return the area between a surface's feet over that of its outline from above, 0 where it would fall over."""
     from scipy.spatial import ConvexHull, QhullError
 
     flat = np.delete(points, up, axis=1)

@@ -39,7 +39,7 @@ class Row:
 
 
 def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored: bool) -> Markup:
-    """Return the histograms of ratios above one another on a common axis of powers of two, each scaled to its own peak.
+    """Draw histograms of ratios above one another on a common axis of powers of two, each scaled to its own peak.
 
     Args:
         rows: from top to bottom.
@@ -87,7 +87,7 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
 
 
 def ratio_range(rows: Sequence[Row], mirrored: bool) -> tuple[float, float, float]:
-    """Return the lowest and highest exponent of the axis, and the step of its labels.
+    """Choose the lowest and highest exponent of the axis, and the step of its labels.
 
     It holds 99 % of every distribution.
     """
@@ -106,7 +106,7 @@ def ratio_range(rows: Sequence[Row], mirrored: bool) -> tuple[float, float, floa
 
 
 def power_name(exponent: float) -> str:
-    """Return two to the power of the exponent in a few characters: 1/4, 1, 1.4, 64, 10³, 10⁻⁶."""
+    """Write two to the power of an exponent in a few characters: 1/4, 1, 1.4, 64, 10³, 10⁻⁶."""
     value = 2.0**exponent
     decimal = math.log10(value)
     if abs(decimal - round(decimal)) < ROUND and abs(decimal) > 2.5:
@@ -134,7 +134,7 @@ def curve(
     mark: tuple[int, str] | None = None,
     height: float = 300.0,
 ) -> Markup:
-    """Return a line through points, with a horizontal level and one marked point.
+    """Draw a curve through points, with a horizontal level and one marked point.
 
     Args:
         x, y: the points; with a logarithmic axis those with y <= 0 are left out.
@@ -200,7 +200,7 @@ class _Plot:
         return self.bottom - share * (self.bottom - self.top)
 
     def axes(self, x_label: str, y_label: str) -> list[Markup]:
-        """Return the lines and numbers of both axes, and their names."""
+        """Draw both axes with their lines, numbers and names."""
         parts = [element("text", y_label, class_="axis-name", x=0, y=14)]
         for tick in self.ticks:
             at = self.y(tick)

@@ -24,7 +24,7 @@ def html(template: str, /, *values: object, **named: object) -> Markup:
 
 
 def element(name: str, *content: str | float, **attributes: object) -> Markup:
-    """Return an element with attributes and content, both escaped where they are no HTML.
+    """Make an element whose attributes and content are escaped where they are not HTML.
 
     Args:
         name: of the element, a literal.
@@ -44,19 +44,19 @@ def join(pieces: Iterable[str | float], between: str = "") -> Markup:
 
 
 def asset(name: str) -> Markup:
-    """Return a file of the package's own that goes into the page as it is."""
+    """Read a file of the package that goes into the page unchanged."""
     text = (files("omtwarp.reporting") / "assets" / name).read_text("utf-8")
     return Markup(text)  # noqa: S704
 
 
 def script(name: str) -> Markup:
-    """Return the text of a script of the package's own, in a form that nothing in it can end or nest its element."""
+    """Read a script of the package, in a form in which no part of it ends or nests the script element."""
     text = str(asset(name)).replace("</script", "<\\/script").replace("<!--", "<\\!--")
     return Markup(text)  # noqa: S704
 
 
 def data_block(text: str) -> Markup:
-    """Return JSON, or base64, for an element that is not executed.
+    """Make a script element that holds JSON, or base64, and is not executed.
 
     It has no ``<``, which JSON has only inside of texts.
     """

@@ -35,7 +35,7 @@ PICTURE_WIDTH = 1024  # texels around the sphere of the texture of still picture
 
 
 def notebook_view(result: MapResult | TorusMap) -> str:
-    """Return HTML of a map for a notebook: a picture, and over it an interactive view where scripts may run.
+    """Make the HTML of a map for a notebook: a picture, and over it an interactive view where scripts may run.
 
     The view is a page of its own in a frame that may run the two scripts in it, by their hashes, and load nothing.
     A notebook that is not trusted, or that is shown where there are no frames, keeps the picture.
@@ -64,7 +64,7 @@ def notebook_view(result: MapResult | TorusMap) -> str:
 
 
 def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
-    """Return the page in the frame: the viewer of the report page, alone."""
+    """Make the page in the notebook's frame, which holds only the viewer of the report page."""
     scene = make_scene(result, stages, PATTERN, most_faces=MOST_FACES, texels=FACE_TEXELS)
     three, viewer = script("three/three.min.js"), script("viewer.js")
     return fill_page(

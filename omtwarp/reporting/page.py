@@ -194,7 +194,7 @@ def _verdict(report: MapReport, stages: Sequence[Stage]) -> Markup:
 
 
 def viewer_section(stages: Sequence[Stage], poster: str, poster_alt: str, texture: str) -> Markup:
-    """Return the interactive view's elements, over a picture that is shown until it draws.
+    """Make the elements of the interactive view, over a picture that is shown until the view draws.
 
     Args:
         stages: of the map, the last one shown first.

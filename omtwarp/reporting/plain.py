@@ -44,19 +44,19 @@ def write_plain_page(path: Path, title: str, body: Sequence[str]) -> Path:
 
 
 def table(names: Sequence[str], lines: Sequence[Sequence[str | float]]) -> Markup:
-    """Return a table with a line of names above it."""
+    """Make a table with its columns' names in the first line."""
     head = element("tr", *(element("th", name) for name in names))
     return element("table", head, *(element("tr", *(element("td", cell) for cell in line)) for line in lines))
 
 
 def figure(picture: Image | list[Image], name: str, *words: str) -> Markup:
-    """Return a PIL image in the page, with its name and words below it."""
+    """Embed a PIL image in the page, with its name and description below it."""
     image = html('<img alt="{}" src="{}">', name, data_uri(picture, "webp"))
     return element("figure", image, element("figcaption", element("b", name), *words))
 
 
 def pictures(figures: Sequence[Markup]) -> Markup:
-    """Return the figures side by side, as many as fit into the window."""
+    """Put figures side by side, as many in a row as the window holds."""
     return element("div", *figures, class_="pictures")
 
 

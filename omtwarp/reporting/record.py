@@ -45,18 +45,18 @@ HISTORY: list[object] = [{"iteration": NUMBER, "cost": NUMBER}]
 
 
 def shown_report(result: MapResult) -> MapReport:
-    """Return the part of a result's report that a page shows."""
+    """Take from a result's report the fields that a page shows."""
     return cast(MapReport, _fitting(result.report, REPORT) or {})
 
 
 def shown_history(result: MapResult) -> list[Record]:
-    """Return the iterations of a result's history of which the cost is known."""
+    """Take from a result's history the iterations whose cost is known."""
     fitting = cast(list[Record], _fitting(result.history, HISTORY) or [])
     return [entry for entry in fitting if "cost" in entry]
 
 
 def _fitting(value: object, shape: object) -> object:
-    """Return the value as far as it has the shape; None where it has not.
+    """Keep the parts of a value that have the expected types; return None where the value itself does not.
 
     One function, as it calls itself for what a dict or a list holds.
     """

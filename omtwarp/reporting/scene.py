@@ -151,7 +151,7 @@ def make_scene(
 
 
 def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACES) -> tuple[Floats, NDArray[np.int32]]:
-    """Return the mesh itself, or a simplified one on a part of its vertices, numbered as before."""
+    """Return the mesh to show: itself, or simplified to some of its vertices, which keep their numbers."""
     if len(faces) <= most:
         return vertices, faces
     for level in simplify(Surface(vertices, faces), resolve_device("cpu")).levels:
@@ -164,7 +164,7 @@ def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACE
 
 
 def vertex_scalars(faces: NDArray[np.int32], stage: Stage) -> tuple[Floats, Floats]:
-    """Return the distortion at the vertices: mean over the faces around them.
+    """Return the distortion at the vertices, the mean over the faces around each.
 
     Returns:
         log2 of the area ratio, and log2 of the ratio of the singular values, shape [V] each.
@@ -201,7 +201,7 @@ def alignment(directions: Floats, placed: Floats) -> Floats:
 
 
 def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto") -> list[str]:
-    """Return a texture as the six faces of an OpenGL cube map with equiangular faces, as data URIs.
+    """Convert a texture to the six equiangular faces of an OpenGL cube map, as data URIs.
 
     Args:
         texture: equirectangular picture (path, PIL image, array), or the name of a pattern.
@@ -229,7 +229,7 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
 
 
 def data_uri(image: Image | list[Image], kind: str) -> str:
-    """Return a PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
+    """Encode a PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
     assert not isinstance(image, list)  # which a preview is of several frames alone
     stream = io.BytesIO()
     if kind == "png":
@@ -240,7 +240,7 @@ def data_uri(image: Image | list[Image], kind: str) -> str:
 
 
 def colour_ramp(name: str, part: float = 1.0, count: int = 64) -> str:
-    """Return the first part of a colour map as hexadecimal text, two digits a channel."""
+    """Write the first part of a colour map as hexadecimal text, two digits per channel."""
     return colormap_table(name, round(count / part))[:count].tobytes().hex()
 
 
@@ -253,6 +253,6 @@ def _levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
 
 
 def _axes(up: str, front: str) -> Floats:
-    """Return the surface's axes that point right, up and towards the viewer, as rows."""
+    """Return as rows the axes of the surface that point right, up and towards the viewer."""
     upward, forward = axis_vector(up), axis_vector(front)
     return np.stack([np.cross(upward, forward), upward, forward])

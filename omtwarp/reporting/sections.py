@@ -23,7 +23,7 @@ AS_MILLISECONDS, AS_SECONDS = 0.1, 120  # seconds below which a time is written 
 
 
 def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
-    """Return the most important numbers."""
+    """Show the most important numbers of a map."""
     first, last = stages[0], stages[-1]
     cost = last.record.get("transport_cost")
     figures = [
@@ -46,7 +46,7 @@ def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
 
 
 def pictures(stages: Sequence[Stage], stills: dict[str, str], shown: str) -> Markup:
-    """Return still pictures of the first and the last stage: ``stills`` by key, ``shown`` names the texture."""
+    """Show pictures of the first and the last stage: ``stills`` by key; ``shown`` names the texture."""
     pair = [stages[0], stages[-1]] if len(stages) > 1 else [stages[0]]
     figures = []
     for stage in pair:
@@ -86,7 +86,7 @@ def _picture_caption(stage: Stage) -> Markup:
 
 
 def distributions(stages: Sequence[Stage]) -> Markup:
-    """Return the histograms of area and angle ratios at every stage."""
+    """Show histograms of the area and angle ratios at every stage."""
     area, angle = [], []
     for stage in stages:
         weights = stage.weights
@@ -118,7 +118,7 @@ def distributions(stages: Sequence[Stage]) -> Markup:
 
 
 def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Stage]) -> Markup:
-    """Return the cost over iterations, where the map started, and how far it is from optimal."""
+    """Show the cost over the iterations, its value at the start, and how far the map is from optimal."""
     optimality = report.get("optimality") or {}
     cards = []
     if len(history) > 1:
@@ -263,7 +263,7 @@ def certificate(report: MapReport, shown_faces: int) -> Markup:
 
 
 def footer(report: MapReport) -> Markup:
-    """Return the versions, and the paper."""
+    """Show the versions of the packages and a reference to the paper."""
     versions = report.get("versions", {})
     names = ", ".join(f"{name} {value}" for name, value in versions.items())
     return html(
@@ -302,7 +302,7 @@ def _swatch(stage: Stage) -> Markup:
 
 
 def _number(value: float | None) -> str:
-    """Return a number with a sensible number of digits."""
+    """Write a number with as many digits as a reader needs."""
     value = math.nan if value is None else float(value)
     if not math.isfinite(value):
         return "∞" if value > 0 else "undefined"

@@ -97,7 +97,7 @@ def _stages(result: TorusMap) -> Markup:
 
 
 def _number(form: str, value: object) -> str:
-    """Return a value of a report in words, which may come from a file."""
+    """Write a value of a report, which may come from a file, as text."""
     if value is None:
         return ""
     try:

@@ -17,7 +17,7 @@ SMALLEST_SHARE = 1e-14
 
 
 def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None = "auto") -> sparse.csr_matrix:
-    """Return the area on the unit sphere that the cell of each target point shares with that of each source point.
+    """Return the areas on the unit sphere that cells of target points share with cells of source points.
 
     Polygons are cut by great circles in float64, so that every area is exact up to round-off. Rows sum to the target's
     areas and columns to the source's.
@@ -68,7 +68,7 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
 
 
 def _owners(owners: NDArray[np.int32], count: int) -> sparse.csr_matrix:
-    """Return which point each cell belongs to, shape [M, N]."""
+    """Return the 0/1 matrix, shape [M, N], that assigns each of M cells to its point."""
     cells = len(owners)
     return sparse.csr_matrix((np.ones(cells), owners, np.arange(cells + 1)), shape=(cells, count))
 

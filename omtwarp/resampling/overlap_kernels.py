@@ -39,7 +39,7 @@ def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
 
 @wp.func
 def overlap_area(subject: wp.array2d[wp.vec3d], s: int, cutter: wp.array2d[wp.vec3d], t: int) -> wp.float64:
-    """Return the area that polygons s and t share.
+    """Return the area of the intersection of polygons s and t.
 
     The first is cut by the sides of the other (Sutherland and Hodgman 1974).
     """

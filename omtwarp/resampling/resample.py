@@ -41,7 +41,7 @@ class SpherePoints:
     vertices: Floats | None = None
 
     def surface_areas(self) -> Floats:
-        """Return a third of the area of the triangles around every vertex, or the cells' area, shape [N]."""
+        """Return the area at every point, shape [N]: a third of the triangles around a vertex, or that of a cell."""
         if self.vertices is None or self.grid.faces is None:
             return self.grid.areas
         shares = np.repeat(triangle_areas(self.vertices, self.grid.faces) / 3.0, 3)
@@ -54,7 +54,7 @@ PointsLike: TypeAlias = SpherePoints | SphereGrid | MapResult | str | os.PathLik
 
 
 def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
-    """Return one end of a resampling, given in any form.
+    """Convert one end of a resampling from any accepted form.
 
     Args:
         given: a :class:`~omtwarp.MapResult`; the name of a grid (see :mod:`omtwarp.spheres`); a file: a map in
@@ -90,7 +90,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
 
 
 def file_points(given: str | os.PathLike[str], surface: Path | None) -> SpherePoints:
-    """Return one end of a resampling from a grid's name or a file, and the file of the sphere's surface.
+    """Read one end of a resampling from a grid's name or a file; return it and the file of the sphere's surface.
 
     Args:
         given: see :func:`as_points`.
@@ -187,7 +187,7 @@ class Resampling:
         return np.asarray(names[votes.indices[first]])
 
     def surface(self) -> Floats:
-        """Return the source's surface at the target's points, float64, shape [T, 3].
+        """Resample the source's surface to the target's points, float64, shape [T, 3].
 
         With the target's faces it is the same surface on another mesh, which is common to all subjects.
 
@@ -274,7 +274,7 @@ def resample(
 
 
 def _of_truth(values: object) -> TypeGuard[NDArray[np.bool_]]:
-    """Return whether data are an array of truth values, such as a mask of a region."""
+    """Return whether data are an array of booleans, such as a mask of a region."""
     return isinstance(values, np.ndarray) and values.dtype.kind == "b"
 
 

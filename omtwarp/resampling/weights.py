@@ -1,4 +1,4 @@
-"""Sparse matrices that carry data at the points of one sphere to those of another."""
+"""Sparse matrices that resample data from the points of one sphere to those of another."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 
 def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
-    """Return the linear interpolation in the flat triangle nearest to each target point, shape [T, S].
+    """Return the matrix of linear interpolation in the flat triangle nearest to each target point, shape [T, S].
 
     The weights are those of Connectome Workbench's BARYCENTRIC. Constants are kept, integrals are not.
     """
@@ -25,7 +25,7 @@ def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "au
 
 
 def nearest(source: SphereGrid, target: SphereGrid) -> sparse.csr_matrix:
-    """Return the source point nearest to each target point, shape [T, S]."""
+    """Return the matrix that takes the value of the source point nearest to each target point, shape [T, S]."""
     _, chosen = cKDTree(source.points).query(target.points)
     count = len(target.points)
     return sparse.csr_matrix((np.ones(count), chosen, np.arange(count + 1)), shape=(count, len(source.points)))
@@ -38,7 +38,7 @@ def adaptive(
     target_areas: Floats,
     device: str | None = "auto",
 ) -> sparse.csr_matrix:
-    """Return the barycentric weights that use every source point, corrected for areas, shape [T, S].
+    """Return barycentric weights in which every source point takes part, corrected for areas, shape [T, S].
 
     Connectome Workbench's ADAP_BARY_AREA: each target point takes its own barycentric weights, or those of the source
     points that lie in the triangles around it where these are more. Weights are then scaled so that each source point
@@ -69,7 +69,7 @@ def adaptive(
 
 
 def conservative(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
-    """Return the means over each target cell of the function that is constant on source cells, shape [T, S].
+    """Return the matrix of means over each target cell of the function that is constant on source cells, [T, S].
 
     Overlaps are exact (:func:`omtwarp.resampling.overlap.overlap_areas`), so that integrals with respect to the cells'
     areas are kept up to round-off, as are constants, bounds and signs.

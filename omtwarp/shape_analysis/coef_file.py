@@ -62,7 +62,7 @@ def read_coef(path: str | os.PathLike[str]) -> Expansion:
 
 
 def _order(degree: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return our row for each of the file's rows, and its factor."""
+    """Return, for each row of the file, the package's row and the factor between the two."""
     rows, factors = [], []
     for n in range(degree + 1):
         rows.append(n * n + n)

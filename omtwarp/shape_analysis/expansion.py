@@ -61,7 +61,7 @@ class Expansion:
         return out
 
     def truncated(self, degree: int) -> Expansion:
-        """Leave out all degrees above one.
+        """Drop all coefficients above a degree.
 
         Raises:
             OmtwarpError: the expansion does not reach that degree.

@@ -93,7 +93,7 @@ class GroupStudy:
         return Surface(self.alignment.mean, self.alignment.faces)
 
     def along(self, component: int, deviations: float) -> Surface:
-        """Return the mean moved along a component by so many standard deviations.
+        """Move the mean shape along a component by a number of standard deviations.
 
         Raises:
             OmtwarpError: there is no such component.
@@ -190,7 +190,7 @@ def two_groups(labels: Sequence[str], count: int) -> tuple[str, str]:
 
 
 def principal_components(moved: Floats, shares: Floats, most: int) -> PrincipalComponents:
-    """Return the principal components of shapes about their mean.
+    """Compute the principal components of shapes about their mean.
 
     Args:
         moved: shapes less their mean, shape [N, V, 3].

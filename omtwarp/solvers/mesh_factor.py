@@ -147,7 +147,7 @@ def _block_matrix(
     off_diagonal: NDArray[np.float64],
     block: int,
 ) -> sparse.csc_matrix:
-    """Return the symmetric matrix with these blocks of vertices and edges."""
+    """Assemble the symmetric matrix with these blocks of vertices and edges."""
     vertices = np.arange(count)
     own, other = (np.reshape(values, (-1, block, block)) for values in (diagonal, off_diagonal))
     rows = np.concatenate([vertices, edges[:, 0], edges[:, 1]])

@@ -117,7 +117,7 @@ def shrunken_triangles(surface: Surface, sphere: NDArray[np.float64]) -> int:
 
 
 def _defect(surface: Surface, sphere: NDArray[np.float64]) -> str:
-    """Return why a conformal map cannot be used, or nothing."""
+    """Say why a conformal map cannot be used; empty where it can."""
     if not np.isfinite(sphere).all():
         return "the conformal map is not finite"
     small = shrunken_triangles(surface, sphere)

@@ -82,7 +82,7 @@ class Hierarchy:
 
 
 def integers(values: NDArray, device: wp.Device) -> wp.array:
-    """Return the copy of an integer array on the device, int32."""
+    """Copy an integer array to the device as int32."""
     return wp.array(values, dtype=wp.int32, device=device)
 
 
@@ -174,7 +174,7 @@ def _select(
     adjacency: list[wp.array],
     device: wp.Device,
 ) -> NDArray[np.int64]:
-    """Return the positions in ``alive`` of an independent set of cheap vertices."""
+    """Choose an independent set of vertices that are cheap to remove; return their positions in ``alive``."""
     legal = np.flatnonzero(cost < float(FORBIDDEN_COST))
     if len(legal) == 0:
         raise OmtwarpError(

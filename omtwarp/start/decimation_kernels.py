@@ -53,7 +53,7 @@ def connected(u: wp.int32, v: wp.int32, offsets: wp.array[wp.int32], heads: wp.a
 def ring_from(
     start: wp.int32, begin: wp.int32, end: wp.int32, heads: wp.array[wp.int32], thirds: wp.array[wp.int32]
 ) -> Ring:
-    """Return the neighbours counter-clockwise from half-edge ``start``.
+    """Collect a vertex's neighbours counter-clockwise from half-edge ``start``.
 
     Entry 0 is -1 where the faces are not one closed fan.
     """
@@ -89,7 +89,7 @@ def fan_is_new(
 
 @wp.func
 def shape_penalty(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, star_normal: wp.vec3d) -> wp.float64:
-    """Return 1 for an equilateral triangle in the plane of the star, more for slivers and folded triangles."""
+    """Return a triangle's penalty of shape: 1 if equilateral in the plane of the star, more for slivers and folds."""
     normal = wp.cross(q - p, r - p)
     double_area = wp.length(normal)
     squares = wp.length_sq(q - p) + wp.length_sq(r - q) + wp.length_sq(p - r)

@@ -72,7 +72,7 @@ def poles(surface: Surface) -> tuple[int, int]:
 
 
 def positive_cotangent_weights(surface: Surface) -> NDArray[np.float64]:
-    """Return cotangent weight of every edge, kept positive so that functions obey the maximum principle, shape [E]."""
+    """Return the cotangent weight of every edge, raised to stay positive for the maximum principle, shape [E]."""
     points, faces = surface.scaled_vertices, surface.faces
     count = np.int64(surface.vertex_count)
     corner = points[faces]
@@ -109,7 +109,7 @@ def _level_function(count, edges, weights, south: int, north: int) -> NDArray[np
 
 
 def area_latitude(level: NDArray[np.float64], vertex_areas: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return z = -1 + 2 (area below a vertex's level) / (total area), so that every band keeps its area, shape [V]."""
+    """Return the height z of every vertex at which each band keeps its area, -1 + 2 (area below) / (total), [V]."""
     order = np.argsort(level, kind="stable")
     ranked = level[order]
     below = np.cumsum(vertex_areas[order])
@@ -125,7 +125,7 @@ def area_latitude(level: NDArray[np.float64], vertex_areas: NDArray[np.float64])
 
 
 def _longitude(surface: Surface, edges, weights, level, south: int, north: int) -> NDArray[np.float64]:
-    """Return the harmonic function that grows by 2π around the poles, in radians, shape [V].
+    """Return the longitude, a harmonic function that grows by 2π around the poles, in radians, shape [V].
 
     It is 0 at the poles themselves.
     """
@@ -164,7 +164,7 @@ def _ascent(count: int, edges, level, south: int, north: int) -> NDArray[np.int6
 
 
 def _regular_tetrahedron(faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the only closed surface without two vertices that are not neighbours."""
+    """Return the map of a tetrahedron, the only closed surface in which all vertices are neighbours."""
     corners = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3.0)
     return corners if np.linalg.det(corners[faces[0]]) > 0 else -corners
 
@@ -179,7 +179,7 @@ def _shortest_path(count: int, edges, start: int, end: int) -> list[int]:
 
 
 def _edges_left_of(surface: Surface, path: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the half-edges that leave the path's inner vertices to its left, as tails and heads.
+    """Return the tails and heads of the half-edges that leave the path's inner vertices to its left.
 
     All inner vertices turn through their fans together: from the next vertex of the path counter-clockwise to the
     previous one.

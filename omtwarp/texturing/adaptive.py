@@ -1,4 +1,4 @@
-"""Pictures of 8-bit colours, baked with no more samples than it takes.
+"""Baking of 8-bit pictures with more samples only where the picture needs them.
 
 A pattern says of every direction how far there is no edge. Blocks of texels without one are filled from their corners;
 only next to edges is every texel looked at, and only those that an edge crosses get more than one sample.
@@ -59,7 +59,7 @@ class _Baking:
         self.picture = wp.empty((self._width * self._height, given.channels), dtype=wp.uint8, device=look.where)
 
     def calm(self, given: PatternSource) -> Ints:
-        """Fill what has no edge in it; returns the texels that are left."""
+        """Fill the parts without an edge; return the texels that remain."""
         side = STEPS[0] * PARTS
         x, y = np.arange(0, self._width, side), np.arange(0, self._height, side)
         corners = (y[:, None] * self._width + x[None, :]).ravel().astype(np.int32)
@@ -85,7 +85,7 @@ class _Baking:
         return texels[inside].astype(np.int32)
 
     def _fill_calm(self, given: PatternSource, corners: Ints, points: Ints, step: int) -> Bytes:
-        """Fill the calm parts of blocks, from the texels of their lattices; the parts that are not, [N PARTS²]."""
+        """Fill the parts of blocks without an edge from their lattices' texels; return the remaining, [N PARTS²]."""
         where, lattice = self._where, (PARTS + 1) ** 2
         directions = self._look.directions(wp.array(points, dtype=wp.int32, device=where), 1)
         colours = wp.empty((len(points), given.channels), dtype=wp.float64, device=where)
@@ -121,7 +121,7 @@ class _Baking:
         launch_parts(kernels.average_to_bytes, len(texels), arguments, self._where)
 
     def changing(self, texels: Ints) -> Ints:
-        """Return those of some texels that differ from a neighbour."""
+        """Return the texels, among some, that differ from a neighbour."""
         part = wp.array(texels, dtype=wp.int32, device=self._where)
         flags = wp.empty(len(texels), dtype=wp.uint8, device=self._where)
         launch_parts(

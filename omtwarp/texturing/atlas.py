@@ -105,7 +105,7 @@ class Atlas(ABC):
 
     @abstractmethod
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
-        """Return the unit vectors of points of charts, shape [N, 3]; uv [N, 2], chart [N]."""
+        """Return the unit vectors of points of charts, shape [N, 3], from their uv [N, 2] and charts [N]."""
 
     def uv(self, directions: Floats) -> Floats:
         """Return the image coordinates of directions, each in the chart it falls in, shape [N, 2]."""
@@ -302,7 +302,7 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
 
 
 def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:
-    """Return the sides of a picture in texels, from one or two numbers.
+    """Check the size of a picture, one or two numbers; return its sides in texels.
 
     Raises:
         OmtwarpError: not whole numbers from 16 to 32768.

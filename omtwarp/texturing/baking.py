@@ -48,7 +48,7 @@ class ValueSource(ABC):
 
     @abstractmethod
     def values(self, directions: wp.array, out: wp.array) -> None:
-        """Write the values, float64 [N, channels], of directions, vec3d [N]."""
+        """Write the values of directions, vec3d [N], to an array, float64 [N, channels]."""
 
 
 Source: TypeAlias = "ValueSource | Pattern | Callable[[Floats], ArrayLike] | PictureLike"
@@ -56,7 +56,7 @@ Source: TypeAlias = "ValueSource | Pattern | Callable[[Floats], ArrayLike] | Pic
 
 
 class PatternSource(ValueSource):
-    """A pattern, which also says how far there is no edge."""
+    """A pattern as a source, which also bounds the distance to its nearest edge."""
 
     channels = 3
 
@@ -108,7 +108,7 @@ class _CallableSource(ValueSource):
 
 
 def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource:
-    """Return what gives values to directions, for anything that can be baked.
+    """Convert anything that can be baked to a source of values for directions.
 
     Raises:
         OmtwarpError: an unknown projection, or a picture that cannot be read.
@@ -583,7 +583,7 @@ def uv_to_sphere(
 def sphere_layout(
     cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: wp.Device
 ) -> tuple[Layout, NDArray[np.int64]]:
-    """Return parts of faces laid out on the picture of an atlas, and which part each triangle of the layout is, [K]."""
+    """Lay parts of faces out on an atlas's picture; return the layout and the part of each of its triangles, [K]."""
     points = cut.weights @ np.asarray(sphere, dtype=np.float64)
     chords = (points if rotation is None else points @ np.asarray(rotation, dtype=np.float64))[cut.faces]
     corner_uv, part = cut.uv[cut.faces], np.arange(len(cut.faces))

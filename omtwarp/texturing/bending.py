@@ -26,7 +26,7 @@ HINT_REACH = 1.0  # blocks past the borders of charts to which the hints go, whi
 
 
 class Look:
-    """Where texels look: the directions of an atlas.
+    """The directions that the texels of an atlas show.
 
     Args:
         atlas: the picture's layout.
@@ -41,7 +41,7 @@ class Look:
         self._tables: list[object] = []
 
     def directions(self, texels: wp.array, samples: int) -> wp.array:
-        """Return directions of the samples of texels, a regular grid in each, texel by texel, vec3d [N samples²]."""
+        """Return the directions of texels' samples, a regular grid in each texel, vec3d [N samples²]."""
         count = samples**2
         out = wp.empty(len(texels) * count, dtype=wp.vec3d, device=self.where)
         launch_parts(
@@ -103,7 +103,7 @@ class Bending:
 
 
 class BentLook(Look):
-    """Where the texels of a mesh's picture look so that the mesh, linear on its triangles, shows its smooth map.
+    """The directions for the texels of a mesh's picture with which the mesh, linear in triangles, shows its smooth map.
 
     Args:
         bending: the smooth map, for the picture's layout.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 
 def coastline_segments() -> NDArray[np.float64]:
-    """Return every straight piece of coast as (longitude, latitude) of its two ends in degrees, shape [S, 2, 2].
+    """Return the two ends of every straight piece of coast as (longitude, latitude) in degrees, shape [S, 2, 2].
 
     The pieces form closed rings in the plane of longitude and latitude, with land on one side: a point is on land when
     a path from the outside crosses them an odd number of times. The rings of Antarctica and of the far east of Asia run

@@ -211,7 +211,7 @@ class CutMesh:
 
 
 def normalised(vectors: Floats) -> Floats:
-    """Return the vectors of unit length, shape [..., 3]; zero stays zero."""
+    """Scale vectors to unit length, shape [..., 3]; zero stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0, length, 1.0)
 
@@ -221,5 +221,5 @@ def _on_plane(points: Floats, normal: Floats) -> NDArray[np.bool_]:
 
 
 def _on_line(points: Floats, direction: Floats) -> NDArray[np.bool_]:
-    """Return which points lie on the line of a direction, shape [N]."""
+    """Return a mask of the points that lie on the line of a direction, shape [N]."""
     return np.linalg.norm(np.cross(points, direction), axis=1) <= ON_CUT * np.linalg.norm(points, axis=1)

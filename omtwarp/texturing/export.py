@@ -53,7 +53,7 @@ class Exportable(Protocol):
 
 
 def check_suffix(path: str | os.PathLike[str]) -> str:
-    """Return the suffix of a textured mesh that can be written, lower case.
+    """Check that a textured mesh can be written to a path, and return the path's suffix in lower case.
 
     Raises:
         OmtwarpError: another suffix.
@@ -96,7 +96,7 @@ def export(textured: Exportable, path: str | os.PathLike[str], *, keep: Iterable
 
 
 def glb_bytes(textured: Exportable) -> bytes:
-    """Return a binary glTF 2.0 file.
+    """Encode a textured mesh as a binary glTF 2.0 file.
 
     One mesh, one PBR material with the texture embedded, lit from any side the same way.
     """
@@ -122,13 +122,13 @@ def glb_bytes(textured: Exportable) -> bytes:
 
 
 def _lines(prefix: str, rows: NDArray, form: str) -> str:
-    """Return the rows as lines of text; one format for the whole array is much quicker than a call per line."""
+    """Write an array's rows as lines of text, with one format for all, which is much faster than a call per line."""
     pattern = prefix + " " + " ".join([form] * rows.shape[1]) + "\n"
     return (pattern * len(rows)) % tuple(rows.ravel().tolist())
 
 
 def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
-    """Return an OBJ with its material and picture, the OBJ last.
+    """Return the files of an OBJ: its picture and material first, the OBJ last.
 
     Positions and normals are written once per vertex of the uncut mesh (the input's vertices first, in their order);
     only texture coordinates are doubled along the seams, as the format allows.

@@ -110,14 +110,14 @@ class GltfFile:
 
 
 def single_precision(values: NDArray[np.float64], name: str) -> NDArray[np.float32]:
-    """Return the numbers in the precision that the format has.
+    """Round numbers to single precision, the only one that the format has.
 
     Args:
         values: any shape.
         name: what to call them in a message.
 
     Raises:
-        OmtwarpError: they are too large for it.
+        OmtwarpError: a number is too large for single precision.
     """
     largest = float(np.abs(values).max(initial=0.0))
     if largest > np.finfo(np.float32).max:
@@ -128,7 +128,7 @@ def single_precision(values: NDArray[np.float64], name: str) -> NDArray[np.float
 
 
 def flipped_rows(uv: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the texture coordinates [N, 2] with their origin at the top left, where the format has it."""
+    """Move the origin of texture coordinates [N, 2] to the top left, where the format has it."""
     return np.ascontiguousarray(np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1), dtype=np.float32)
 
 

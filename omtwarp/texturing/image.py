@@ -1,4 +1,4 @@
-"""Pictures in and out, with one clear line when a file is not one."""
+"""Reading and writing of pictures, with one clear line for a file that is none."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _pillow = threading.Lock()  # over Pillow's own limit, which is one number for t
 
 
 def read_image(source: PictureLike) -> NDArray[np.generic]:
-    """Return a picture as an array, row 0 on top.
+    """Read a picture as an array whose row 0 is at the top.
 
     Args:
         source: a path, a PIL image, or an array of shape [H, W], [H, W, 1], [H, W, 3] or [H, W, 4]: uint8, or floats
@@ -74,7 +74,7 @@ def read_image(source: PictureLike) -> NDArray[np.generic]:
 
 
 def _open(stream: BinaryIO) -> Image:
-    """Return a picture of which the header has been read, without Pillow's own limit.
+    """Open a picture and read its header, without Pillow's own limit of size.
 
     :func:`_from_pil` has one that fits.
     """
@@ -137,7 +137,7 @@ def _from_array(source: ArrayLike) -> NDArray[np.generic]:
 
 
 def as_floats(image: NDArray[np.generic]) -> NDArray[np.float32]:
-    """Return a picture as float32 in 0..1."""
+    """Convert a picture to float32 from 0 to 1."""
     return (
         image.astype(np.float32) / np.float32(255.0)
         if image.dtype == np.uint8
@@ -146,14 +146,14 @@ def as_floats(image: NDArray[np.generic]) -> NDArray[np.float32]:
 
 
 def as_bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Return a picture as uint8, rounded to the nearest and clipped."""
+    """Convert a picture to uint8, rounded to the nearest number and clipped."""
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
     return np.clip(np.multiply(image, np.float32(255.0)) + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:
-    """Return an image as a PNG file."""
+    """Encode an image as a PNG file."""
     if image.size > MOST_FOR_ONE_CORE and image.shape[2] in COLOUR_TYPES:
         return _png_in_strips(image)
     from PIL import Image
@@ -168,7 +168,7 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
 
 
 def _png_in_strips(image: NDArray[np.uint8]) -> bytes:
-    """Return a large image as a PNG file, strips of rows compressed side by side, which Pillow cannot.
+    """Encode a large image as a PNG file with strips of rows compressed in parallel, which Pillow cannot do.
 
     Every row is stored as its difference from the one above, filter 2 of the format. The strips' streams end at whole
     bytes, so that they make one stream.

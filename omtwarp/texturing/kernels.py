@@ -44,7 +44,7 @@ def cube_direction(face: int, a: wp.float64, b: wp.float64):
 def picture_direction(
     kind: int, x: wp.float64, y: wp.float64, width: int, height: int, offset: wp.float64, gutter: wp.float64
 ):
-    """Return the unit vector that a point of a picture shows.
+    """Return the direction, a unit vector, that a point of a picture shows.
 
     The point has x to the right and y **down**, in texels. Gutters continue past borders.
     """
@@ -85,7 +85,7 @@ def picture_direction(
 
 @wp.func
 def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.float64, gutter: wp.float64):
-    """Return where a picture shows a direction: x to the right and y down in texels."""
+    """Return the point of a picture that shows a direction: x to the right and y down, in texels."""
     w = wp.float64(width)
     h = wp.float64(height)
     x = ZERO
@@ -169,7 +169,7 @@ def texel(picture: wp.array3d[wp.float32], kind: int, row: int, column: int, c: 
 
 @wp.func
 def bilinear(picture: wp.array3d[wp.float32], kind: int, x: wp.float64, y: wp.float64, c: int):
-    """Return the value at a point (in texels, centres at halves) between the four nearest texels."""
+    """Interpolate the four texels nearest to a point, given in texels with centres at halves."""
     column = int(wp.floor(x - HALF))
     row = int(wp.floor(y - HALF))
     s = x - HALF - wp.float64(column)
@@ -191,7 +191,7 @@ def texel_sample_directions(
     # Data out:
     directions: wp.array[wp.vec3d],
 ):
-    """Compute directions of the samples (a regular grid of samples x samples) of texels given by number, row by row."""
+    """Compute the directions of the samples, a regular grid, of texels that are given by their numbers row by row."""
     i, _compiled_once = wp.tid()
     number = texels[i]
     step = ONE / wp.float64(samples)
@@ -251,7 +251,7 @@ def flag_changes(
     # Data out:
     flags: wp.array[wp.uint8],
 ):
-    """Mark texels that differ from one of its four neighbours by more than a threshold; ``flags`` starts at 0.
+    """Mark texels that differ from one of their four neighbours by more than a threshold; ``flags`` starts at 0.
 
     Each thread looks to the right and down and flags both texels: threads may write the same place, but only ever a 1.
     """
@@ -328,7 +328,7 @@ def own_texels(
 
 @wp.func
 def barycentric(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, x: wp.float64, y: wp.float64, slack: wp.float64):
-    """Return barycentric coordinates of a point, drawn back where it lies outside the triangle by more than a slack."""
+    """Return a point's barycentric coordinates, moved back where it lies outside the triangle by more than a slack."""
     area = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
     u = edge_side(b[0], b[1], c[0], c[1], x, y) / area
     v = edge_side(c[0], c[1], a[0], a[1], x, y) / area
@@ -337,7 +337,7 @@ def barycentric(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, x: wp.float64, y: wp.floa
 
 @wp.func
 def drawn_back(u: wp.float64, v: wp.float64, slack: wp.float64):
-    """Return the barycentric coordinates, moved towards the middle until none is below the slack."""
+    """Move barycentric coordinates towards the triangle's middle until none is below the slack."""
     w = ONE - u - v
     least = wp.min(wp.min(u, v), w)
     if least < -slack:
@@ -425,7 +425,7 @@ def unit_vectors(
     # Data out:
     out: wp.array[wp.vec3d],
 ):
-    """Compute the rows of three numbers as unit vectors."""
+    """Convert rows of three numbers to unit vectors."""
     i = wp.tid()
     out[i] = wp.normalize(wp.vec3d(values[i, 0], values[i, 1], values[i, 2]))
 

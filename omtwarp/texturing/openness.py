@@ -1,4 +1,4 @@
-"""How open the space in front of a surface is: ambient occlusion by ray casting."""
+"""Ambient occlusion by ray casting: the openness of the space in front of a surface."""
 
 from __future__ import annotations
 

@@ -216,7 +216,7 @@ def puzzle_colours(
 
 @wp.func
 def crosses(px: wp.float64, py: wp.float64, qx: wp.float64, qy: wp.float64, a: wp.vec4d):
-    """Return 1 when the straight piece a (its two ends) crosses the path p to q, in the plane; else 0."""
+    """Return 1 where the straight piece with its ends in ``a`` crosses the path from p to q in the plane, else 0."""
     ax = a[0]
     ay = a[1]
     bx = a[2]
@@ -235,7 +235,7 @@ def crosses(px: wp.float64, py: wp.float64, qx: wp.float64, qy: wp.float64, a: w
 
 @wp.func
 def piece_distance(px: wp.float64, py: wp.float64, stretch: wp.float64, a: wp.vec4d):
-    """Return distance from a point to a straight piece of coast, longitudes shortened by ``stretch``, in degrees."""
+    """Return the distance in degrees from a point to a straight piece of coast, longitudes scaled by ``stretch``."""
     ex = (a[2] - a[0]) * stretch
     ey = a[3] - a[1]
     dx = (px - a[0]) * stretch

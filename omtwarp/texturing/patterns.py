@@ -54,7 +54,7 @@ class Pattern(ABC):
     name: str
 
     def __call__(self, directions: ArrayLike, device: str | wp.Device = "cpu") -> Floats:
-        """Return the colours, float64 in 0..1, shape [N, 3], of directions of any length, shape [N, 3]."""
+        """Return the colours of directions of any length, shape [N, 3], as float64 from 0 to 1, shape [N, 3]."""
         d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
         where = resolve_device(device)
         out = wp.empty((len(d), 3), dtype=wp.float64, device=where)
@@ -93,7 +93,7 @@ class Pattern(ABC):
 
     @abstractmethod
     def _tables(self) -> list[object]:
-        """Return the kernel inputs between the directions and the output.
+        """Return the kernel's inputs that stand between the directions and the output.
 
         A pair (array, Warp dtype) is uploaded once per device.
         """
@@ -247,13 +247,13 @@ class Puzzle(Pattern):
 
     @cached_property
     def _edges(self) -> tuple[NDArray, NDArray, Floats]:
-        """Return neighbour, tab (1: own, 0: the neighbour's) and shift of the tab, for every side of every piece."""
+        """Return, for every side of every piece, its neighbour, tab (1 own, 0 the neighbour's) and tab's shift."""
         n = self.side
         piece = np.arange(self.count)
         face, row, column = piece // n**2, piece // n % n, piece % n
 
         def on_edge(s: float) -> Floats:
-            """Return points at s on the bottom, right, top and left side in the kernel's order, shape [P, 4, 3]."""
+            """Return the points at s on the bottom, right, top and left side, in the kernel's order, [P, 4, 3]."""
             places = [(s, 0.0), (1.0, s), (s, 1.0), (0.0, s)]
             return np.stack([self._points(face, column + x, row + y) for x, y in places], axis=1)
 
@@ -352,7 +352,7 @@ def pattern(name: str | Pattern, **options: int | str) -> Pattern:
 
 
 def _even_points(count: int) -> Floats:
-    """Return the points spread evenly over the sphere, shape [count, 3]; the same ones every time."""
+    """Spread points evenly over the sphere, shape [count, 3]; they are the same every time."""
     frequency = round(((count - 2) / 10.0) ** 0.5)
     if count > 12 and 10 * frequency**2 + 2 == count:
         points = icosphere(frequency).vertices
@@ -372,7 +372,7 @@ def _even_points(count: int) -> Floats:
 
 
 def _neighbours(points: Floats, count: int) -> tuple[NDArray, Floats]:
-    """Return nearest other points, nearest first, shape [N, count], and the angles to the very nearest, shape [N]."""
+    """Return the nearest other points of each, nearest first, [N, count], and the angle to the first, shape [N]."""
     from scipy.spatial import cKDTree
 
     distance, index = cKDTree(points).query(points, k=count + 1)
@@ -380,7 +380,7 @@ def _neighbours(points: Floats, count: int) -> tuple[NDArray, Floats]:
 
 
 def _colour_groups(neighbours: NDArray, colours: int) -> NDArray[np.int32]:
-    """Return a colour for every cell that no neighbour has, as evenly used as that allows, shape [N].
+    """Colour every cell unlike its neighbours, using colours as evenly as that allows, shape [N].
 
     Cells are coloured in smallest-last order (Matula and Beck, J. ACM 30, 1983): in a planar graph every cell meets
     at most five coloured neighbours then, so that six colours always suffice.

@@ -21,14 +21,14 @@ ORTHONORMAL = 1e-6  # of a rotation's entries: matrices written with seven digit
 
 
 def check_projection(projection: str) -> str:
-    """Return the name of a projection, or an error that lists the ones there are."""
+    """Check the name of a projection; the error for an unknown one lists those that exist."""
     if projection not in PROJECTIONS:
         raise OmtwarpError(f"unknown projection '{projection}': use {' or '.join(PROJECTIONS)}")
     return projection
 
 
 def longitude_latitude(directions: ArrayLike) -> tuple[Floats, Floats]:
-    """Return longitude in (-π, π] and latitude in [-π/2, π/2] of directions of any length, [..., 3], in radians."""
+    """Return longitudes in (-π, π] and latitudes in [-π/2, π/2], in radians, of directions [..., 3] of any length."""
     d = np.asarray(directions, dtype=np.float64)
     # atan2 keeps full accuracy next to the poles, where asin(z) loses half of the digits.
     return np.arctan2(d[..., 1], d[..., 0]), np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1]))
@@ -62,7 +62,7 @@ def direction_to_image(directions: ArrayLike, projection: str = "equirectangular
 
 
 def image_to_direction(uv: ArrayLike, projection: str = "equirectangular") -> Floats:
-    """Return the inverse of :func:`direction_to_image`: unit vectors, shape [..., 3].
+    """Return the unit vectors, shape [..., 3], of image coordinates: the inverse of :func:`direction_to_image`.
 
     Points of a sinusoidal picture outside its two bounding curves belong to no direction and give NaN.
     """
@@ -78,7 +78,7 @@ def image_to_direction(uv: ArrayLike, projection: str = "equirectangular") -> Fl
 
 
 def rotation_matrix(rotate: ArrayLike | None) -> Floats:
-    """Return a rotation in any of the accepted forms as a matrix, shape [3, 3].
+    """Convert a rotation from any accepted form to a matrix, shape [3, 3].
 
     Args:
         rotate: None (no rotation), a 3x3 rotation matrix, one number (yaw), or yaw, pitch and roll in **degrees**.

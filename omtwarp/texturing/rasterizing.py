@@ -26,7 +26,7 @@ def rasterize(
     supersample: int = 3,
     device: str | None = "auto",
 ) -> NDArray[np.uint8]:
-    """Return a pattern as a picture of the whole sphere, supersampled.
+    """Draw a pattern as a supersampled picture of the whole sphere.
 
     Args:
         source: name of a pattern, or a pattern.

@@ -66,7 +66,7 @@ def sharp_size(
 
 
 def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -> Floats:
-    """Return how much longer lengths are on the surface than on the sphere, at most, in every triangle, shape [F].
+    """Return the largest ratio of length on the surface to length on the sphere in every triangle, shape [F].
 
     The larger root of det(A - x² B) = 0, with A and B the metrics of a triangle here and there. Infinite where a
     triangle has no area on the sphere, 0 where it is a point on both.
@@ -81,7 +81,7 @@ def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -
 
 
 def _metric(corner: Floats) -> Floats:
-    """Return the squared length of the first edge, product of both, and squared length of the second, shape [F, 3]."""
+    """Return the squared lengths of two edges and, between them, the edges' inner product, shape [F, 3]."""
     one, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     pairs = ((one, one), (one, other), (other, other))
     return np.stack([np.einsum("ij,ij->i", x, y) for x, y in pairs], axis=1)

@@ -71,7 +71,7 @@ class SmoothMap:
 
     @cached_property
     def weights(self) -> sparse.csr_matrix:
-        """Return every point as a combination of vertices, sparse, shape [N, V].
+        """Return the sparse matrix of every point as a combination of vertices, shape [N, V].
 
         ``weights @ x`` carries over what is linear on triangles, such as the surface itself.
         """
@@ -183,7 +183,7 @@ class SmoothCurves:
         return largest
 
     def divided(self, parts: int, which: NDArray[np.int64] | None = None) -> SmoothMap:
-        """Return the map with triangles divided: all of them, or those of some numbers."""
+        """Divide the triangles of the map: all of them, or some that are given by number."""
         faces, edge_of, ends, towards = self.faces, self.edge_of, self.ends, self.towards
         if which is not None:
             faces, edge_of = faces[which], edge_of[which]
@@ -242,7 +242,7 @@ def _divided(
 
 
 def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
-    """Return images of the vertices with waves of a few edges filtered out, without a new flip, unit vectors [V, 3]."""
+    """Filter waves of a few edges' length out of the vertices' images without a new flip; unit vectors [V, 3]."""
     count, (low, high) = len(places), COTANGENTS
     ends, weights = [], []
     for k in range(3):
@@ -383,7 +383,7 @@ def _inside(
     towards: Floats,
     share: Floats,
 ) -> Floats:
-    """Return the cubic map at points inside of every triangle, by barycentric coordinates [K, 3].
+    """Evaluate the cubic map in every triangle at points given by barycentric coordinates [K, 3].
 
     The result has the shape [F, K, 3].
     """
@@ -451,7 +451,7 @@ def _inside(
 
 
 def _weights(ends: NDArray[np.int64], faces: Ints, steps: Floats, share: Floats, count: int) -> sparse.csr_matrix:
-    """Return every point as a combination of vertices, shape [N, V]."""
+    """Return the matrix of every point as a combination of vertices, shape [N, V]."""
     on_edges = len(ends) * len(steps)
     inside = len(faces) * len(share)
     columns = np.concatenate(

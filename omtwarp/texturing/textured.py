@@ -73,7 +73,7 @@ class TexturesItself(Protocol):
     def textured(
         self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
     ) -> object:
-        """Return the surface with a picture."""
+        """Return the surface with a picture that fits the map's domain."""
 
 
 class SphereMap(Protocol):
@@ -204,7 +204,7 @@ def _source(
     size: int | tuple[int, int] | None,
     seam: float,
 ) -> tuple[NDArray | Pattern, Atlas, NDArray[np.uint8] | None]:
-    """Return the source of a texture, its layout, and its texels where the picture is to be kept to the byte."""
+    """Return a texture's source and layout, and its texels where the picture's bytes must not change."""
     if image is None:
         chosen = "circles" if pattern is None else pattern
         return by_name(chosen) if isinstance(chosen, str) else chosen, make_atlas(atlas, size, seam=seam), None
@@ -235,16 +235,16 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 def unit_normals(normals: Floats) -> Floats:
-    """Return the normals of length one.
+    """Scale normals to unit length.
 
-    Where there is none it is the north pole, as file formats require a direction.
+    A zero normal becomes the direction of the z axis, as file formats require one.
     """
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
 
 
 def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
-    """Return the matrix that turns the texture.
+    """Return the matrix of the texture's rotation.
 
     ``auto`` turns its left and right borders, at longitude 180 degrees, to the least visible meridian.
     """
@@ -256,7 +256,7 @@ def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sph
 
 
 def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, NDArray[np.uint8]]:
-    """Return an equirectangular picture itself, to the byte, in the layout whose seam is nearest to the wanted one.
+    """Return an equirectangular picture, its bytes unchanged, in the layout whose seam is nearest to the wanted one.
 
     A seam that is moved by whole columns shifts the picture by as many.
     """
@@ -306,7 +306,7 @@ def _seam(given: float | str, vertices: Floats, faces: Ints, sphere: Floats, rot
 
 
 def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
-    """Return the texels of about the size of the image's own."""
+    """Return the size of a texture whose texels are about as large as those of the image."""
     height, width = picture.shape[:2]
     if atlas == "equirectangular":
         return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))

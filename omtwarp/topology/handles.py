@@ -208,7 +208,7 @@ class _LoopGraph:
         return np.minimum(tail, head).astype(np.int64) * self.count + np.maximum(tail, head)
 
     def _number(self, tail: NDArray, head: NDArray) -> NDArray[np.int64]:
-        """Return the edges with these ends."""
+        """Return the numbers of the edges with these ends."""
         return np.searchsorted(self._keys, self._key(tail, head))
 
     def _tree_and_cotree(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -237,7 +237,7 @@ class _LoopGraph:
         return before.astype(np.int64), cotree, np.flatnonzero(left)
 
     def _crossings(self, cotree: NDArray[np.int64]) -> NDArray[np.uint64]:
-        """Return which of the 2g loops of triangles cross each edge, as bits, shape [E, words]."""
+        """Return, as bits, which of the 2g loops of triangles cross each edge, shape [E, words]."""
         crossed = np.zeros((len(self.edges), max(1, -(-len(self._left) // 64))), dtype=np.uint64)
         size = self.dual_count
         # The edge that each link of the dual tree crosses, found by the link's two ends.
@@ -257,7 +257,7 @@ class _LoopGraph:
         return crossed
 
     def _parities(self, steps: NDArray[np.float64], before: NDArray) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
-        """Return which of the loops of triangles the path from each root to each vertex that it reaches crosses oddly.
+        """Return which loops of triangles are crossed an odd number of times by the path from each root to each vertex.
 
         Returns:
             A number for each root and vertex, -1 where there is no path, shape [R, V]; and bits by that number.

@@ -80,7 +80,7 @@ def connected_components(faces: NDArray, vertex_count: int) -> tuple[int, NDArra
 
 
 def described(part: Part) -> str:
-    """Return a part in words: ``genus 1, 2 holes``."""
+    """Describe a part in words: ``genus 1, 2 holes``."""
     holes = number(len(part.loops), "hole") if part.loops else "closed"
     return f"genus {part.genus}, {holes}"
 

@@ -89,7 +89,7 @@ class TorusCellEnergy(TorusEnergy):
         return terms.square[self._cells] @ _SHARES
 
     def masses(self, terms: PlaneTerms) -> Floats:
-        """Return every vertex' share of the torus, times 4π, shape [V]."""
+        """Return every vertex's share of the torus, times 4π, shape [V]."""
         shares = terms.cells[:, None] * _SHARES
         return np.bincount(self._cells.ravel(), shares.ravel(), self.surface.vertex_count).astype(np.float64)
 

@@ -101,7 +101,7 @@ class TorusEnergy:
         return self.surface.sum_to_vertices(triangles)
 
     def missing(self, terms: PlaneTerms) -> Floats:
-        """Return the areas less those wanted, shape [V]."""
+        """Return the error of every constrained area: the area less the wanted one, shape [V]."""
         return terms.cells - self.wanted
 
     def area_errors(self, terms: PlaneTerms) -> tuple[float, float]:
@@ -110,15 +110,15 @@ class TorusEnergy:
         return float(np.sqrt((self.wanted * relative**2).sum() / self.wanted.sum())), float(np.abs(relative).max())
 
     def cost(self, terms: PlaneTerms) -> float:
-        """Return Σ m_v |y_v - x_v|², with masses 4π in all."""
+        """Return the transport cost Σ m_v |y_v - x_v|², where the masses sum to 4π."""
         return float(self.surface.vertex_areas @ terms.square)
 
     def shape(self, terms: PlaneTerms) -> float:
-        """Return β S."""
+        """Return the shape term β S."""
         return self.shape_weight * (terms.angle - 2.0 + self.area_weight * (terms.area - 2.0))
 
     def lagrangian(self, terms: PlaneTerms, multipliers: Floats) -> float:
-        """Return C' + Σ p_v (a_v - 3 m_v) + β S."""
+        """Return the Lagrangian C' + Σ p_v (a_v - 3 m_v) + β S."""
         cost = self.cost_weight * float(terms.cells @ self.means(terms)) / self.wanted.sum()
         return cost + float(multipliers @ self.missing(terms)) + self.shape(terms)
 
@@ -127,15 +127,15 @@ class TorusEnergy:
         return terms.square
 
     def potential(self, terms: PlaneTerms, multipliers: Floats) -> Floats:
-        """Return P_v, the potential of the target, shape [V], from p_v."""
+        """Return P_v, the potential at the images of the vertices, shape [V], from p_v."""
         return multipliers + self.cost_weight / self.wanted.sum() * self.means(terms)
 
     def masses(self, terms: PlaneTerms) -> Floats:
-        """Return every vertex' share of the torus, times 4π, shape [V]."""
+        """Return every vertex's share of the torus, times 4π, shape [V]."""
         return terms.cells / 3.0
 
     def gradient(self, points: Floats, terms: PlaneTerms, multipliers: Floats) -> Floats:
-        """Return the gradient of the Lagrangian by the vertices, shape [V, 2]."""
+        """Return the gradient of the Lagrangian with respect to the vertices, shape [V, 2]."""
         count = self.surface.face_count
         potential = self.on_triangles(self.potential(terms, multipliers))
         out = wp.empty((count, 3), dtype=wp.vec2d, device="cpu")
@@ -148,7 +148,7 @@ class TorusEnergy:
         return sums.numpy() + pull[:, None] * (points - self.start)
 
     def on_triangles(self, potential: Floats) -> Floats:
-        """Return the factor of every triangle's area, shape [F]."""
+        """Return the factor of every triangle's area in the Lagrangian, shape [F]."""
         total: Floats = potential[self.surface.faces].sum(axis=1)
         return total
 

@@ -133,7 +133,7 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
 
 
 def _mesh_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
-    """Return the edges of the mesh itself, their weights kept within bounds."""
+    """Return the edges of the mesh itself with weights kept within bounds."""
     faces, opposite = surface.faces, surface.edge_corners
     cotangents = corner_cotangents(surface.scaled_vertices, faces).ravel()
     corner = opposite[:, 0].astype(np.int64)
@@ -200,7 +200,7 @@ def _reduced(values: Floats, jumps: NDArray[np.int64], lattice: Floats) -> FlatT
 
 
 def quantised(values: Floats) -> Floats:
-    """Return the coordinates rounded to the multiples that whole numbers can be added to without rounding."""
+    """Round coordinates to multiples of a step, so that adding whole numbers to them is exact."""
     return np.round(values / QUANTUM) * QUANTUM
 
 

@@ -35,7 +35,7 @@ def plane_triangles(
     angle: wp.array[wp.float64],
     area: wp.array[wp.float64],
 ):
-    """Compute the signed areas, and distortion of angle and area less 2, of every triangle.
+    """Compute every triangle's signed area, and its distortions of angle and of area, each less 2.
 
     Distortion is infinite where the triangle is turned over.
     """

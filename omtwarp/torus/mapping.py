@@ -153,7 +153,7 @@ class _Run:
         self.clock = now
 
     def made(self, torus: FlatTorus) -> TorusMap:
-        """Return a result with these coordinates."""
+        """Make the result with these coordinates."""
         surface = self.surface
         area = float(triangle_areas(surface.vertices, surface.faces).sum())
         return TorusMap(

@@ -55,7 +55,7 @@ class TorusOptimality:
     ascent_steps: int
 
     def to_dict(self) -> dict[str, float | None]:
-        """Return plain values, ready for JSON; None for one that is not finite."""
+        """Convert to plain values ready for JSON, with None for one that is not finite."""
         return {name: value if np.isfinite(value) else None for name, value in vars(self).items()}
 
 
@@ -168,7 +168,7 @@ class _Dual:
         self._fit = _EdgeFit(surface, x, y, shift)
 
     def fitted(self) -> Floats:
-        """Return ψ from the displacements along edges."""
+        """Fit the potential ψ to the displacements along edges."""
         return self._fit.solve(self._fit.flow)
 
     def bound(self, potential: Floats) -> _Bound:

@@ -24,7 +24,7 @@ def lowest_point(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, heights: wp
 
 @wp.func
 def height_at(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, heights: wp.vec3d, bulge: wp.vec3d, w: wp.vec3d):
-    """Return U(z) - x · z at barycentric coordinates."""
+    """Evaluate U(z) - x · z at barycentric coordinates of a triangle."""
     return potential_at(heights - wp.vec3d(wp.dot(x, a), wp.dot(x, b), wp.dot(x, c)), bulge, w)
 
 

@@ -135,14 +135,14 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArra
 
 
 def _checks(lattice: Floats, u: Floats, v: Floats) -> Floats:
-    """Return 1 on the dark cells of a checker, as nearly square as even numbers allow, shape [H, W]."""
+    """Draw a checker: 1 on its dark cells, which are as nearly square as even numbers allow, shape [H, W]."""
     along = np.linalg.norm(lattice, axis=1)
     columns, rows = (max(2, 2 * round(CHECKS / 2 * float(side / along.min()))) for side in along)
     return ((np.floor(rows * v)[:, None] + np.floor(columns * u)[None, :]) % 2.0).astype(np.float64)
 
 
 def _circles(lattice: Floats, u: Floats, v: Floats) -> Floats:
-    """Return 1 inside of circles and 0 outside, in between at their rims, shape [H, W]."""
+    """Draw circles: 1 inside, 0 outside and between the two at their rims, shape [H, W]."""
     area = abs(float(np.linalg.det(lattice)))
     first = float(np.linalg.norm(lattice[0]))
     apart = np.sqrt(2.0 / np.sqrt(3.0) * area / CIRCLES)
@@ -222,7 +222,7 @@ def textured_torus(
 
 
 def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
-    """Return the points of a ring torus for points of a flat one, areas in proportion, shape [N, 3].
+    """Map points of a flat torus to a ring torus with areas in proportion, shape [N, 3].
 
     The first coordinate goes around the tube and the second around the ring. The radii are in the proportion of the
     lattice's vectors, the tube at most 0.8 of the ring; along the tube the angle t grows such that t + (r/R) sin t, to

@@ -64,7 +64,7 @@ class TorusCertificate:
         return self.flips == 0 and self.degree == 1
 
     def to_dict(self) -> dict[str, int | bool]:
-        """Return plain values, ready for JSON."""
+        """Convert to plain values, ready for JSON."""
         return vars(self) | {"bijective": self.bijective}
 
     def __str__(self) -> str:
@@ -146,7 +146,7 @@ class TorusMap(Shown):
         return self.certificate.bijective
 
     def distortion(self, stage: str = "torus") -> Distortion:
-        """Return the distortion of the map, or with ``conformal`` of the conformal map, as of maps to the sphere.
+        """Measure the distortion of the map (or of the conformal map), as for maps to the sphere.
 
         Raises:
             OmtwarpError: another stage.
@@ -174,7 +174,7 @@ class TorusMap(Shown):
     def textured(
         self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
     ) -> TexturedTorus:
-        """Return the surface with a picture that closes up both ways; ``.export("name.glb")`` writes it.
+        """Texture the surface with a picture that closes up both ways; ``.export("name.glb")`` writes it.
 
         Args:
             image: a picture that repeats, path, PIL image or array [H, W, 3], shown once on the torus: to the right
@@ -204,7 +204,7 @@ class TorusMap(Shown):
         return self.textured(image, pattern="checker" if image is None else None).trimesh()
 
     def ring(self) -> Floats:
-        """Return the vertices on a ring torus, areas in proportion to those of the surface, shape [V, 3].
+        """Map the vertices to a ring torus, with areas in proportion to those of the surface, shape [V, 3].
 
         The ring's radii are in the proportion of the lattice's vectors, the tube at most 0.8 of the ring.
         """

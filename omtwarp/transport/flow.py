@@ -330,7 +330,7 @@ class _Flow:
         return wp.empty(size, dtype=wp.float64, device=self.device)
 
     def _centres_of(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
-        """Return the centres of the triangles of an image, shape [F]."""
+        """Compute the centres of the triangles of an image, shape [F]."""
         centres = wp.empty(self.face_count, dtype=wp.vec3d, device=self.device)
         self.launch(face_centres, self.face_count, [points, self.faces], [centres])
         return centres
@@ -341,7 +341,7 @@ class _Flow:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def measure(self, points: wp.array) -> wp.array:
-        """Return the partial sums of cost and area error; also sets what :meth:`set_gradient` needs."""
+        """Compute partial sums of the cost and the area error, and what :meth:`set_gradient` needs."""
         if self.targeted:
             self.launch(
                 values_at_points,
@@ -451,7 +451,7 @@ class _Flow:
         tolerance: float,
         progress: Progress | None = None,
     ) -> str:
-        """Iterate until the end, and return its reason in words."""
+        """Iterate until the flow ends, and return the reason in words."""
         self.prepare(most, tolerance)
         while True:
             self.running.fill_(1)
@@ -470,7 +470,7 @@ class _Flow:
 def resolution_damping(
     squares: NDArray[np.float64], places: NDArray[np.int32], hierarchy: SphereHierarchy
 ) -> NDArray[np.float64]:
-    """Return how much of every wavelet the vertices of an image can follow, between 0 and 1, shape [N].
+    """Return the share of every wavelet, from 0 to 1, that the vertices of an image can follow, shape [N].
 
     ``squares`` holds the square of the longest edge of each of the image's triangles, shape [F], and ``places`` the
     triangle of the hierarchy's finest level that its centre is in.

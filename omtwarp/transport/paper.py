@@ -174,7 +174,7 @@ class PaperFlow:
         return wp.empty(size, dtype=dtype, device=self.device)
 
     def _at_dual(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
-        """Return the points at the dual vertices, means of those at the corners by the dual vertices' coordinates."""
+        """Return the points at the dual vertices: means of the corners' points, weighted by barycentric coordinates."""
         dual = self._empty(len(self._weights), wp.vec3d)
         inputs = [self.operators.faces, self._weights, points]
         self._launch(kernels.average_to_dual, len(dual), inputs, [dual])
@@ -216,7 +216,7 @@ class PaperFlow:
         return float(self.wavelets.hierarchy.node_areas @ (values * values))
 
     def set_velocity(self) -> float:
-        """Return v at the dual vertices (Algorithm 1, line 16); returns the largest rate |v| / (triangle size)."""
+        """Compute v at the dual vertices (Algorithm 1, line 16), and return the largest rate |v| / (triangle size)."""
         self.sampler.interpolate(self.hamiltonian, out=self._at_vertices)
         mesh = [self.operators.vertices, self.operators.faces]
         inputs = [*mesh, self._areas, self._masses, self._at_vertices]
@@ -245,15 +245,15 @@ class PaperFlow:
         return False
 
     def advanced_cost(self) -> float:
-        """Return M of the map that :meth:`advance` gave."""
+        """Return the cost M of the map that :meth:`advance` made."""
         return self.cost_of(self._advanced)
 
     def advanced_area(self) -> float:
-        """Return :meth:`area_of` the map that :meth:`advance` gave."""
+        """Return the area distortion, :meth:`area_of`, of the map that :meth:`advance` made."""
         return self.area_of(self._advanced_map)
 
     def accept(self) -> None:
-        """Take over the map that :meth:`advance` gave."""
+        """Accept the map that :meth:`advance` made as the current one."""
         self.dual_map, self._advanced = self._advanced, self.dual_map
         self.map, self._advanced_map = self._advanced_map, self.map
 

@@ -90,7 +90,7 @@ def missing_areas(
     # Data out:
     missing: wp.array[wp.float64],
 ):
-    """Compute the area that vertices lack; the areas that they have are scaled to the sum 4π."""
+    """Compute the area missing at vertices, whose present areas are scaled to the sum 4π."""
     v = wp.tid()
     missing[v] = wanted[v] - area[v] * (sphere_area / total[0])
 

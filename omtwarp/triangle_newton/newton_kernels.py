@@ -18,7 +18,7 @@ def vertex_block(
     corners: wp.array[wp.int32],
     blocks: wp.array2d[wp.float64],
 ) -> wp.vec4d:
-    """Return the 2x2 block of a vertex: the sum over the triangles around it."""
+    """Sum the 2x2 block of a vertex over the triangles around it."""
     s0, s1, s2 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
         face = corners[k] // 3
@@ -37,7 +37,7 @@ def edge_block(
     faces: wp.array[wp.vec3i],
     blocks: wp.array2d[wp.float64],
 ) -> wp.vec4d:
-    """Return the 2x2 block of an edge, rows of one end, columns of the other: the sum over its two triangles."""
+    """Sum the 2x2 block of an edge, rows of one end and columns of the other, over its two triangles."""
     s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     for k in range(2):
         face = opposite_corners[k] // 3

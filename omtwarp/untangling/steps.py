@@ -98,7 +98,7 @@ class FlipFreeSteps:
         return sphere
 
     def _counted(self, faces: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which of some triangles have to be repaired, shape [F]; here all of them."""
+        """Return a mask of the triangles, among some, that have to be repaired, shape [F]: here all of them."""
         return faces
 
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
@@ -111,7 +111,7 @@ class FlipFreeSteps:
         return moved
 
     def _trouble(self, moved: wp.array, volume: wp.array) -> NDArray[np.bool_] | None:
-        """Return the triangles that a step flips or nearly flattens, shape [F]; None where there are none."""
+        """Return a mask of the triangles that a step flips or nearly flattens, shape [F]; None where there are none."""
         faces = self._surface.face_count
         trouble = wp.empty(faces, dtype=wp.int32, device=self._device)
         count = wp.zeros(1, dtype=wp.int32, device=self._device)

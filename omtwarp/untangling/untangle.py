@@ -229,7 +229,7 @@ def untangle_patches(
 
 
 def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], schedule: Schedule) -> NDArray[np.bool_]:
-    """Return the flipped triangles of those patches that have no more of them than the schedule allows, shape [F]."""
+    """Return a mask of the flipped triangles in patches that have no more of them than the schedule allows, [F]."""
     if schedule.most >= flipped.sum():
         return flipped
     seed = np.zeros(int(faces.max()) + 1, dtype=bool)

@@ -152,7 +152,7 @@ class SphereSampler:
         self._level_masses = []
 
     def matrix(self) -> sparse.csr_matrix:
-        """Return the linear interpolation from nodes to points, [P, N], for the host.
+        """Return the matrix of linear interpolation from nodes to points, [P, N], for the host.
 
         Its transpose is :meth:`adjoint`.
         """
@@ -162,7 +162,7 @@ class SphereSampler:
         return sparse.csr_matrix((data, (rows, faces.ravel())), shape=(self.point_count, self.node_count))
 
     def interpolate(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Return a function of the nodes, [N], at the points, [P]: linear in each triangle, constants exact."""
+        """Interpolate a function at the nodes, [N], to points, [P]: linear in each triangle, exact for constants."""
         source, from_numpy = self._take(values, wp.float64)
         out = self._output(out, self.point_count, wp.float64)
         inputs = [self._faces, self.point_faces, self.coordinates, source]
@@ -170,7 +170,7 @@ class SphereSampler:
         return out.numpy() if from_numpy else out
 
     def adjoint(self, at_points: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Return the transpose of :meth:`interpolate`, [P] -> [N]; the sum is kept."""
+        """Apply the transpose of :meth:`interpolate`, [P] -> [N], which keeps the sum."""
         source, from_numpy = self._take(at_points, wp.float64)
         out = self._output(out, self.node_count, wp.float64)
         rows, whole = [self._point_rows, self._order], [self.coordinates, source]
@@ -185,7 +185,7 @@ class SphereSampler:
         self._level_masses = self._coarsen(self.adjoint(source), [wp.empty_like(a) for a in self._level_sums])
 
     def restrict(self, sums: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Return means at the nodes of a density given by its sums at the points, [P] -> [N], such as mass times value.
+        """Return a density's means at the nodes from its sums (such as mass times value) at the points, [P] -> [N].
 
         Each node gets the adjoint's sum over its mass. A node that no point reaches takes the mean of the ends of its
         edge, from the finest level that has points near it, so that the result is defined everywhere; constants are
@@ -258,7 +258,7 @@ class SphereSampler:
         self._launch_parts(gather_corners_to_nodes, self.node_count, rows, [], whole, out)
 
     def node_gradient(self, values: ArrayLike | wp.array) -> wp.array:
-        """Return area-weighted means of the gradients around each node, Warp vec3d [N]: what ``smooth`` interpolates.
+        """Return the area-weighted mean gradients around the nodes, Warp vec3d [N], which ``smooth`` interpolates.
 
         The array is the sampler's own and valid until the next call.
         """
@@ -272,7 +272,7 @@ class SphereSampler:
     def gradient_adjoint(
         self, field: ArrayLike | wp.array, out: wp.array | None = None, *, smooth: bool = False
     ) -> wp.array:
-        """Return the transpose of :meth:`gradient`, [P, 3] -> [N].
+        """Apply the transpose of :meth:`gradient`, [P, 3] -> [N].
 
         Entry k is the sum of field · grad phi(k) over the points.
 

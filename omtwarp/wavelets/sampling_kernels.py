@@ -10,7 +10,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def child_of(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.int32:
-    """Return which of a spherical triangle's four children holds ``p``.
+    """Return the number, among a spherical triangle's four children, of the one that holds ``p``.
 
     Points on the arcs between midpoints belong to the middle one.
     """
@@ -325,7 +325,7 @@ def mean_values(
     # Data in and out:
     values: wp.array[wp.float64],
 ):
-    """Compute the mean where there is mass; elsewhere what ``values`` holds already."""
+    """Compute the mean where there is mass; elsewhere ``values`` stays as it is."""
     k = wp.tid()
     if masses[k] > smallest:
         values[k] = sums[k] / masses[k]

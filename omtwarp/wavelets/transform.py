@@ -32,7 +32,7 @@ from omtwarp.wavelets.hierarchy import SphereHierarchy, predict_stencil
 
 
 def transposed_rows(stencil: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return the flat indices in ``stencil`` of each of ``count`` nodes, as compressed rows."""
+    """Return, as compressed rows, the flat indices in ``stencil`` at which each of ``count`` nodes stands."""
     flat = stencil.ravel()
     entries = np.argsort(flat, kind="stable").astype(np.int32)
     offsets = np.zeros(count + 1, dtype=np.int32)
@@ -203,7 +203,7 @@ class SphericalWavelets:
         return self._on_copy(coefficients, self._synthesise)
 
     def wavelet(self, node: int) -> NDArray[np.float64]:
-        """Return the basis function of a node at the finest nodes, shape [N].
+        """Return the wavelet of a node, evaluated at the finest nodes, shape [N].
 
         It is psi(j, m), or phi(0, k) at the solid's nodes.
         """
@@ -212,7 +212,7 @@ class SphericalWavelets:
         return self.inverse(unit)
 
     def scaling_function(self, level: int, node: int) -> NDArray[np.float64]:
-        """Return phi(level, node) at the finest nodes, shape [N].
+        """Return the scaling function phi(level, node), evaluated at the finest nodes, shape [N].
 
         It is the subdivision of a unit value at one node of K(level).
         """

@@ -181,7 +181,7 @@ def _depth(nodes: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) -> NDArray[np.int64]:
-    """Return the node of the dissection's tree that every vertex belongs to, shape [V]; the root is 1."""
+    """Bisect the mesh recursively; return every vertex's node in the tree of dissection, shape [V], with root 1."""
     count = len(points)
     node = np.ones(count, dtype=np.int64)
     alive = np.arange(count)
@@ -236,7 +236,7 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
 
 
 def _distinct(vertices: NDArray[np.int64], workspace: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return every vertex once, ascending; ``workspace`` is a mask, false everywhere before and after."""
+    """Sort vertices and drop repeated ones; ``workspace`` is a mask, false everywhere before and after."""
     workspace[vertices] = True
     found = np.flatnonzero(workspace)
     workspace[found] = False
@@ -324,7 +324,7 @@ def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np
 
 
 def surface_dissection(surface: Surface) -> Dissection:
-    """Return the order in which sparse matrices on a surface's edges are eliminated.
+    """Return the dissection of a surface: the order in which sparse matrices on its edges are eliminated.
 
     It is computed once and cached with the surface.
     """
@@ -384,7 +384,7 @@ def of_unknowns(
 
 
 def edge_blocks(edges: NDArray[np.int32], size: int) -> NDArray[np.int64]:
-    """Return couplings of the two coordinates of the ends (i, j) of edges, rows of i and columns of j, shape [4 E, 2].
+    """Return the pairs of unknowns, two at each end, that edges (i, j) couple: rows of i, columns of j, [4 E, 2].
 
     Coordinate c of vertex v is unknown ``size * v + c``.
     """

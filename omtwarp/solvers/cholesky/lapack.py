@@ -35,7 +35,7 @@ def routine(name: str) -> int:
 
 @lru_cache
 def _callable(name: str, arguments: int) -> Callable[..., None]:
-    """Return a routine to be called from Python; other threads run meanwhile."""
+    """Make a routine callable from Python; other threads run meanwhile."""
     return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(routine(name))
 
 

@@ -78,7 +78,7 @@ class MultifrontalCholesky:
         self._upload()
 
     def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
-        """Return the fronts of whole branches of the tree, a job per thread, and the trunk above them by depth."""
+        """Divide the fronts into jobs, each of whole branches of the tree, and the trunk above them by depth."""
         d = self.dissection
         every = d.postorder.astype(np.int32)
         if self.threads == 1 or self._operations < MIN_PARALLEL_OPERATIONS:

@@ -113,7 +113,7 @@ class MultigridSolver:
         wp.copy(out, self._x)
 
     def outcome(self) -> Outcome:
-        """Return how the last solve ended; waits for it."""
+        """Wait for the last solve, and return how it ended."""
         _, done, broken = self._counters.numpy().tolist()
         return Outcome(done, broken == 0)
 

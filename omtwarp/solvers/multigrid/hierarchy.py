@@ -124,7 +124,7 @@ def aggregate(matrix: sparse.csr_matrix, threshold: float) -> tuple[NDArray[np.i
 
 
 def colour(matrix: sparse.csr_matrix) -> list[NDArray[np.int32]]:
-    """Return the nodes of every colour, ascending; neighbours differ in colour."""
+    """Colour the nodes so that neighbours differ; return the nodes of every colour, ascending."""
     colours = np.empty(matrix.shape[0], dtype=np.int32)
     inputs = [wp.array(a, dtype=wp.int32, device="cpu") for a in (matrix.indptr, matrix.indices)]
     out = wp.array(colours, dtype=wp.int32, device="cpu", copy=False)
@@ -134,7 +134,7 @@ def colour(matrix: sparse.csr_matrix) -> list[NDArray[np.int32]]:
 
 
 def _first_half(matrix: sparse.csr_matrix, device: wp.Device) -> Level:
-    """Return a level without its transfer to the next."""
+    """Make a level without its transfer to the next coarser one."""
     rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     own = np.flatnonzero(rows == matrix.indices)
     colours = [on_device_indices(nodes, device) for nodes in colour(matrix)]
@@ -144,7 +144,7 @@ def _first_half(matrix: sparse.csr_matrix, device: wp.Device) -> Level:
 def _second_half(
     level: Level, matrix: sparse.csr_matrix, groups: NDArray[np.int32], number: int, device: wp.Device
 ) -> tuple[Level, sparse.csr_matrix]:
-    """Return the level with its transfer to the next one, and the pattern of the next one's matrix."""
+    """Complete a level by its transfer to the next coarser one, and return it and the next matrix's pattern."""
     size = level.size
     # Counts of paths: positive sums, so that no entry of a pattern can cancel.
     tentative = _ones(groups, np.arange(size + 1), (size, number))
@@ -176,7 +176,7 @@ def _ones(indices: NDArray, offsets: NDArray, shape: tuple[int, int]) -> sparse.
 
 
 def _pattern(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Return a matrix of ones where a matrix has entries, columns ascending."""
+    """Return the pattern of a matrix: ones where it has entries, columns ascending."""
     matrix.sort_indices()
     return _ones(matrix.indices, matrix.indptr, matrix.shape)
 

@@ -212,7 +212,7 @@ def row_product(
     c: int,
     x: wp.array[wp.float64],
 ) -> wp.float64:
-    """Return the component ``at`` of A x, blocks of b by c."""
+    """Return component ``at`` of A x, where A has blocks of b by c."""
     i = at // b
     u = at - b * i
     total = wp.float64(0.0)
@@ -324,7 +324,7 @@ def smooth_prolongation(
 
 @wp.func
 def position(column: int, begin: int, end: int, columns: wp.array[wp.int32]) -> int:
-    """Return where a short row has a column, or -1."""
+    """Return the place of a column in a short row, -1 where the row lacks it."""
     found = int(-1)
     for m in range(begin, end):
         if columns[m] == column:
