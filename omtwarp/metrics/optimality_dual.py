@@ -152,12 +152,7 @@ class TransportDual:
         initial fit approximates its second derivative.
         """
         assert self._solver is not None
-        moved = current.face >= 0
-        mass = self.mass[moved]
-        corners = self.surface.faces[current.face[moved]]
-        shares = (mass[:, None] * current.weights[moved]).ravel()
-        slope = np.bincount(np.flatnonzero(moved), weights=mass, minlength=len(self.mass)).astype(np.float64)
-        slope = slope - np.bincount(corners.ravel(), weights=shares, minlength=len(self.mass))
+        slope = missing_mass(self.mass, current.face, self.surface.faces, current.weights)
         direction = self._solver.solve(slope)
         return direction, float(direction @ slope)
 
@@ -189,6 +184,22 @@ class TransportDual:
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
+
+
+def missing_mass(mass: Array, triangle: NDArray[np.integer], faces: NDArray[np.int32], shares: Array) -> Array:
+    """Return the mass that the map sends to every vertex less the mass of the points whose best image is there.
+
+    Args:
+        mass: of the points, shape [V].
+        triangle: the one that the best image of a point lies in, shape [V]; -1 where that is its own image.
+        faces: vertices of the triangles, shape [F, 3].
+        shares: barycentric coordinates of the best images, shape [V, 3].
+    """
+    moved = triangle >= 0
+    gone = mass[moved]
+    arrived = (gone[:, None] * shares[moved]).ravel()
+    corners = faces[triangle[moved]].ravel()
+    return np.where(moved, mass, 0.0) - np.bincount(corners, weights=arrived, minlength=len(mass))
 
 
 def quadratic_means(nodal: Array, corners: NDArray[np.int32], edge_terms: Array) -> Array:

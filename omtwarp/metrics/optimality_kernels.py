@@ -44,6 +44,17 @@ SMALLEST_SINE = wp.constant(wp.float64(1.0e-12))  # below, θ / sin θ is 1 to t
 
 
 @wp.func
+def leaves_below(node: int, leaf_count: int, item_count: int):
+    """Return the first and the last leaf below a node, counted from 0; the last is before the first where none is."""
+    first = int(node)
+    last = int(node)
+    while first < leaf_count:
+        first = 2 * first
+        last = 2 * last + 1
+    return first - leaf_count, wp.min(last - leaf_count, item_count - 1)
+
+
+@wp.func
 def next_subtree(node: int) -> int:
     """Return the node after a subtree of a binary tree in heap order whose root is node 1; 0 after the last one."""
     after = int(node)
@@ -310,14 +321,7 @@ def build_nodes(
     model_out[node] = model
     if node == 0:
         return
-    # The leaves below a node: shift it down to the last level on both sides.
-    first = int(node)
-    last = int(node)
-    while first < leaf_count:
-        first = 2 * first
-        last = 2 * last + 1
-    first = first - leaf_count
-    last = wp.min(last - leaf_count, face_count - 1)
+    first, last = leaves_below(node, leaf_count, face_count)
     if first > last:
         return
 

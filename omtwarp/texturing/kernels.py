@@ -179,6 +179,15 @@ def bilinear(picture: wp.array3d[wp.float32], kind: int, x: wp.float64, y: wp.fl
     return (ONE - t) * top + t * low
 
 
+@wp.func
+def sample_place(number: int, width: int, k: int, samples: int):
+    """Return where sample k of a texel lies in the picture, in texels; samples x samples are in a regular grid."""
+    step = ONE / wp.float64(samples)
+    x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
+    y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
+    return x, y
+
+
 @wp.kernel
 def texel_sample_directions(
     kind: int,
@@ -194,10 +203,8 @@ def texel_sample_directions(
     """Compute the directions of the samples, a regular grid, of texels that are given by their numbers row by row."""
     i, _compiled_once = wp.tid()
     number = texels[i]
-    step = ONE / wp.float64(samples)
     for k in range(samples * samples):
-        x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
-        y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
+        x, y = sample_place(number, width, k, samples)
         directions[i * samples * samples + k] = picture_direction(kind, x, y, width, height, offset, gutter)
 
 
@@ -368,9 +375,7 @@ def owner_values(
     per_texel = samples * samples
     number = texels[i // per_texel]
     k = i % per_texel
-    step = ONE / wp.float64(samples)
-    x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
-    y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
+    x, y = sample_place(number, width, k, samples)
     f = owner[number]
     bary = barycentric(corners[f, 0], corners[f, 1], corners[f, 2], x, y, HALF)
     for c in range(values.shape[2]):
@@ -401,9 +406,7 @@ def owner_values_on_sphere(
     per_texel = samples * samples
     number = texels[i // per_texel]
     k = i % per_texel
-    step = ONE / wp.float64(samples)
-    x = wp.float64(number % width) + (wp.float64(k % samples) + HALF) * step
-    y = wp.float64(number // width) + (wp.float64(k // samples) + HALF) * step
+    x, y = sample_place(number, width, k, samples)
     d = picture_direction(kind, x, y, width, height, offset, gutter)
     f = owner[number]
     p = points[f, 0]

@@ -3,7 +3,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.location.kernels import clamped, spherical_coordinates
-from omtwarp.texturing.kernels import picture_direction, picture_point
+from omtwarp.texturing.kernels import picture_direction, picture_point, sample_place
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -103,9 +103,7 @@ def bent_sample_directions(
     if samples == 1:
         directions[i] = wp.normalize(d + move)
         return
-    step = ONE / wp.float64(samples)
     for k in range(samples * samples):
-        x = wp.float64(column) + (wp.float64(k % samples) + HALF) * step
-        y = wp.float64(row) + (wp.float64(k // samples) + HALF) * step
+        x, y = sample_place(number, width, k, samples)
         sample = picture_direction(kind, x, y, width, height, offset, gutter)
         directions[i * samples * samples + k] = wp.normalize(sample + move)

@@ -63,6 +63,12 @@ class FlatTorus:
         return self.coordinates[faces] + self.wraps
 
 
+def plane_areas(corners: Floats) -> Floats:
+    """Return the signed areas of plane triangles, shape [F], from their corners [F, 3, 2]."""
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+
+
 def conformal_torus(surface: Surface) -> FlatTorus:
     """Map a surface of genus 1 to the flat torus that it is conformal to.
 
@@ -80,9 +86,7 @@ def conformal_torus(surface: Surface) -> FlatTorus:
     values = _harmonic(surface.vertex_count, surface.scaled_vertices, edges)
     forms = values[edges.ends[:, 1]] - values[edges.ends[:, 0]] + edges.steps
     gram = np.einsum("e,ei,ej->ij", edges.weights, forms, forms)
-    corner = values[surface.faces] + jumps
-    first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    if (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() < 0.0:
+    if plane_areas(values[surface.faces] + jumps).sum() < 0.0:
         values, jumps, gram = values[:, ::-1], jumps[..., ::-1], gram[::-1, ::-1]
     lattice = np.linalg.inv(np.linalg.cholesky(gram))  # rows: lattice' gram lattice is a multiple of the identity
     return _reduced(values, jumps, lattice.T * np.sqrt(SPHERE_AREA / abs(np.linalg.det(lattice))))
@@ -113,8 +117,7 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
         weights = edges.weights * np.exp(-0.5 * softness[edges.ends].sum(axis=1))
         values = _solved(factor, edges.ends, weights, edges.steps, surface.vertex_count)
         corner = (values[surface.faces] + torus.wraps) @ torus.lattice
-        one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-        areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+        areas = plane_areas(corner)
         around = np.maximum(surface.sum_to_vertices(areas) / 3.0, TINY)
         wrong = np.log(masses / around)
         spread = float(np.sqrt(masses @ wrong**2 / SPHERE_AREA))

@@ -24,6 +24,29 @@ def area_by_corner(p: wp.vec2d, q: wp.vec2d) -> wp.vec2d:
     return HALF * turned(q - p)
 
 
+@wp.func
+def corner_place(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces: wp.array[wp.vec3i], f: int, k: int):
+    """Return where the corner k of a triangle lies in the plane."""
+    return points[faces[f][k]] + shift[f, k]
+
+
+@wp.func
+def sides(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces: wp.array[wp.vec3i], f: int):
+    """Return the second and the third corner of a triangle as seen from the first."""
+    a = corner_place(points, shift, faces, f, 0)
+    b = corner_place(points, shift, faces, f, 1) - a
+    c = corner_place(points, shift, faces, f, 2) - a
+    return b, c
+
+
+@wp.func
+def jacobian(frame: wp.vec3d, b: wp.vec2d, c: wp.vec2d):
+    """Return the two columns of the Jacobian of a triangle with sides b and c, and its determinant."""
+    one = frame[0] * b
+    two = frame[1] * b + frame[2] * c
+    return one, two, one[0] * two[1] - one[1] * two[0]
+
+
 @wp.kernel
 def plane_triangles(
     points: wp.array[wp.vec2d],
@@ -40,13 +63,9 @@ def plane_triangles(
     Distortion is infinite where the triangle is turned over.
     """
     f = wp.tid()
-    face, frame = faces[f], frames[f]
-    a = points[face[0]] + shift[f, 0]
-    b = points[face[1]] + shift[f, 1] - a
-    c = points[face[2]] + shift[f, 2] - a
-    one = frame[0] * b
-    two = frame[1] * b + frame[2] * c
-    d = one[0] * two[1] - one[1] * two[0]
+    frame = frames[f]
+    b, c = sides(points, shift, faces, f)
+    one, two, d = jacobian(frame, b, c)
     areas[f] = HALF * (b[0] * c[1] - b[1] * c[0])
     if d > ZERO:
         # The distortion above 2, without cancellation where it is close to 0.
@@ -72,13 +91,9 @@ def plane_gradients(
 ):
     """Compute the gradient of weighted distortion and of area times a potential by the corners, shape [F, 3]."""
     f = wp.tid()
-    face, frame = faces[f], frames[f]
-    a = points[face[0]] + shift[f, 0]
-    b = points[face[1]] + shift[f, 1] - a
-    c = points[face[2]] + shift[f, 2] - a
-    one = frame[0] * b
-    two = frame[1] * b + frame[2] * c
-    d = one[0] * two[1] - one[1] * two[0]
+    frame = frames[f]
+    b, c = sides(points, shift, faces, f)
+    one, two, d = jacobian(frame, b, c)
     square = wp.dot(one, one) + wp.dot(two, two)
     by_ratio = -square / (d * d) + area_weight * (ONE - ONE / (d * d))
     by_one = weights[f] * (TWO / d * one - by_ratio * turned(two))
@@ -107,13 +122,9 @@ def plane_hessians(
     the Hessian leaves out the curvature of D, which is not.
     """
     f = wp.tid()
-    face, frame = faces[f], frames[f]
-    a = points[face[0]] + shift[f, 0]
-    b = points[face[1]] + shift[f, 1] - a
-    c = points[face[2]] + shift[f, 2] - a
-    one = frame[0] * b
-    two = frame[1] * b + frame[2] * c
-    d = one[0] * two[1] - one[1] * two[0]
+    frame = frames[f]
+    b, c = sides(points, shift, faces, f)
+    one, two, d = jacobian(frame, b, c)
     square = wp.dot(one, one) + wp.dot(two, two)
     twice = TWO * area_weight / (d * d * d)
     at = int(0)
@@ -187,9 +198,9 @@ def plane_couplings(
         f = edge_corners[e][k] // 3
         apex = edge_corners[e][k] - 3 * f
         one, two = (apex + 1) % 3, (apex + 2) % 3
-        top = points[faces[f][apex]] + shift[f, apex]
-        p = points[faces[f][one]] + shift[f, one]
-        q = points[faces[f][two]] + shift[f, two]
+        top = corner_place(points, shift, faces, f, apex)
+        p = corner_place(points, shift, faces, f, one)
+        q = corner_place(points, shift, faces, f, two)
         if faces[f][one] == i:
             by_i += area_by_corner(q, top)
             by_j += area_by_corner(top, p)

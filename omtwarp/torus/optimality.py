@@ -20,8 +20,9 @@ from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH, ascend
-from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, space_order
+from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, missing_mass, space_order
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
+from omtwarp.torus.harmonic import plane_areas
 from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec7d
 
 Floats = NDArray[np.float64]
@@ -196,11 +197,7 @@ class _Dual:
         The slope in ψ is a vertex's mass less that of the points whose best image is there; the matrix is that of the
         fit.
         """
-        gone = current.leaf >= 0
-        mass = self.mass[gone]
-        corners = self._faces[current.leaf[gone]]
-        slope = np.where(gone, self.mass, 0.0)
-        slope -= np.bincount(corners.ravel(), (mass[:, None] * current.shares[gone]).ravel(), len(slope))
+        slope = missing_mass(self.mass, current.leaf, self._faces, current.shares)
         direction = self._fit.solve(slope)
         return direction, float(direction @ slope)
 
@@ -244,8 +241,7 @@ class _EdgeFit:
 
 def _relative_curl(surface: Surface, corner: Floats, moved: Floats) -> float:
     """Return the part of the displacement on the image triangles that is the rotated gradient of a function."""
-    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    areas = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    areas = plane_areas(corner)
     field = moved[surface.faces].mean(axis=1)
     norm = float(areas @ (field**2).sum(axis=1))
     if norm <= STILL * SPHERE_AREA:

@@ -7,7 +7,7 @@ heap order, in which node k has the children 2k and 2k + 1.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
-from omtwarp.metrics.optimality_kernels import LARGE, lowest_on_triangle, next_subtree, potential_at
+from omtwarp.metrics.optimality_kernels import LARGE, leaves_below, lowest_on_triangle, next_subtree, potential_at
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -46,13 +46,7 @@ def build_plane_nodes(
     nodes[node] = model
     if node == 0:
         return
-    first = int(node)
-    last = int(node)
-    while first < leaf_count:
-        first = 2 * first
-        last = 2 * last + 1
-    first = first - leaf_count
-    last = wp.min(last - leaf_count, face_count - 1)
+    first, last = leaves_below(node, leaf_count, face_count)
     if first > last:
         return
     slope = wp.vec2d()

@@ -24,6 +24,7 @@ from omtwarp.options import Record
 from omtwarp.result import OF_A_TORUS, MeshReport, StageReport
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 from omtwarp.texturing.textured import unit_normals, vertex_normals
+from omtwarp.torus.harmonic import plane_areas
 from omtwarp.torus.pictures import TexturedTorus, ring_torus, textured_torus, torus_pattern
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ class TorusMap(Shown):
         corner = self.corners.reshape(-1, 2)
         lifted = np.concatenate([corner, np.ones((len(corner), 1))], axis=1)
         flipped = np.flatnonzero(flipped_faces(lifted, np.arange(len(corner)).reshape(-1, 3)))
-        whole = _areas(self.corners).sum()
+        whole = plane_areas(self.corners).sum()
         first = int(flipped[0]) if len(flipped) else -1
         return TorusCertificate(len(flipped), first, round(float(whole)) if np.isfinite(whole) else 0)
 
@@ -156,7 +157,7 @@ class TorusMap(Shown):
         places = self.coordinates if stage == "torus" else self.conformal
         corner = (places[self.faces] + self.wraps) @ self.lattice
         space = self.vertices[self.faces]
-        areas = _areas(corner)
+        areas = plane_areas(corner)
         surface = triangle_areas(self.vertices, self.faces)
         one, two = space[:, 1] - space[:, 0], space[:, 2] - space[:, 0]
         base = np.linalg.norm(one, axis=1)
@@ -258,12 +259,6 @@ _LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "vertex_origin": (np.int64, ("V",)),
     "face_origin": (np.int64, ("F",)),
 }
-
-
-def _areas(corner: Floats) -> Floats:
-    """Return the signed areas of plane triangles, shape [F], from corners [F, 3, 2]."""
-    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
 
 
 __all__ = ["TorusCertificate", "TorusMap"]

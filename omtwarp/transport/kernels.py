@@ -139,6 +139,29 @@ def find_triangle(
     return level_starts[level_starts.shape[0] - 2] + face
 
 
+@wp.func
+def triangle_near(
+    p: wp.vec3d,
+    hint: int,
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+):
+    """Return the triangle of the finest level that a point lies in, and unnormalised barycentric coordinates there.
+
+    The triangle ``hint`` is tried first, unless it is -1.
+    """
+    g = int(hint)
+    w = wp.vec3d()
+    if g >= 0:
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+    if g < 0 or wp.min(w) <= ZERO:
+        g = find_triangle(p, nodes, faces, level_starts)
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+        w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    return g, w
+
+
 @wp.func(inline=True)
 def stream_velocity(
     p: wp.vec3d,
@@ -152,14 +175,7 @@ def stream_velocity(
 
     The triangle of a point nearby, where one is known, is tried first.
     """
-    g = int(hint)
-    w = wp.vec3d()
-    if g >= 0:
-        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-    if g < 0 or wp.min(w) <= ZERO:
-        g = find_triangle(p, nodes, faces, level_starts)
-        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-        w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    g, w = triangle_near(p, hint, nodes, faces, level_starts)
     slope = w[0] * gradients[faces[g, 0]] + w[1] * gradients[faces[g, 1]] + w[2] * gradients[faces[g, 2]]
     return wp.cross(p, slope / (w[0] + w[1] + w[2])), g
 
@@ -207,14 +223,7 @@ def values_at_points(
     """Interpolate a function of the nodes linearly; ``hints`` as in :func:`advect_points`."""
     v = wp.tid()
     p = points[v]
-    g = int(hints[v])
-    w = wp.vec3d()
-    if g >= 0:
-        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-    if g < 0 or wp.min(w) <= ZERO:
-        g = find_triangle(p, nodes, faces, level_starts)
-        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-        w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    g, w = triangle_near(p, hints[v], nodes, faces, level_starts)
     total = w[0] * values[faces[g, 0]] + w[1] * values[faces[g, 1]] + w[2] * values[faces[g, 2]]
     found[v] = total / (w[0] + w[1] + w[2])
 
