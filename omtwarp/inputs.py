@@ -1,4 +1,4 @@
-"""Reading of inputs: regular files of bounded size, and arrays whose sizes are known before they are read.
+"""Reading of inputs: regular files of bounded size, and arrays whose sizes are known before they are read; and writing.
 
 Every reader of the package uses :func:`read_bytes` or :func:`read_arrays`, so that a pipe without a writer, an endless
 device, or a file that inflates without end gives an error line and does not hang.
@@ -12,13 +12,14 @@ import math
 import os
 import stat
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import IO, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import as_path, staged
 from omtwarp.limits import LARGEST_ARRAYS, LARGEST_DIRECTORY, LARGEST_MESH_FILE, LARGEST_REPORT, amount
 
 _LONGEST_END = 22 + 2**16 + 76  # bytes in which a zip archive's last records stand, with the longest comment
@@ -102,6 +103,18 @@ def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
     except Exception as error:  # zipfile, zlib and NumPy raise many kinds on a damaged file
         detail = " ".join(str(error).split())[:120] or type(error).__name__
         raise OmtwarpError(f"damaged, or no .npz: {detail}") from None
+
+
+def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, ArrayLike]) -> None:
+    """Write arrays as an ``.npz`` that appears whole or not at all; :func:`read_arrays` reads it.
+
+    Raises:
+        OmtwarpError: the file cannot be written; nothing is left of it.
+    """
+    save: Callable[..., None] = np.savez  # typed as if every array could be its option allow_pickle
+    # With a name in place of a file NumPy would add a suffix.
+    with staged(as_path(path)) as file, open(file, "wb") as stream:
+        save(stream, **arrays)
 
 
 def holds_array(path: str | os.PathLike[str], *names: str) -> bool:

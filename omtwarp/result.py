@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, staged
-from omtwarp.inputs import open_input, read_arrays
+from omtwarp.files import as_path
+from omtwarp.inputs import open_input, read_arrays, write_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -272,12 +272,12 @@ class MapResult(Shown):
         Raises:
             OmtwarpError: the file cannot be written; nothing is left of it.
         """
-        target = as_path(path)
+        write_arrays(path, self._stored_arrays())
+
+    def _stored_arrays(self) -> dict[str, NDArray]:
+        """Return the arrays of the file that :meth:`save` writes, the report among them, by their names there."""
         arrays = {name: getattr(self, name) for name in LAYOUT if getattr(self, name) is not None}
-        arrays["report"] = np.array(json.dumps(self.report | {"history": self.history}))
-        # With a name in place of a file NumPy would add a suffix.
-        with staged(target) as file, open(file, "wb") as stream:
-            np.savez(stream, **arrays)
+        return arrays | {"report": np.array(json.dumps(self.report | {"history": self.history}))}
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> MapResult:

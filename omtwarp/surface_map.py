@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, staged
+from omtwarp.files import as_path
 from omtwarp.inputs import open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, whole_numbers
@@ -137,21 +137,10 @@ class SurfaceMap(MapResult):
         once = all(one.degree == 1 and one.ray_degree == 1 for one in found)
         return replace(found[0], **numbers, degree=int(once), ray_degree=int(once))
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the map as ``.npz``: what a :class:`MapResult` writes, and the arrays and the domain of this class.
-
-        Raises:
-            OmtwarpError: the file cannot be written; nothing is left of it.
-        """
-        target = as_path(path)
-        with staged(target) as file:
-            super().save(file)
-            with np.load(file) as stored:
-                arrays = dict(stored)
-            arrays["domain"] = np.array(self.domain)
-            arrays |= {name: getattr(self, name) for name in _LAYOUT if getattr(self, name) is not None}
-            with open(file, "wb") as stream:  # given a name, NumPy would add a suffix to it
-                np.savez(stream, **arrays)
+    def _stored_arrays(self) -> dict[str, NDArray]:
+        """Return the arrays of the file that :meth:`save` writes: a :class:`MapResult`'s, and those of this class."""
+        own = {name: getattr(self, name) for name in _LAYOUT if getattr(self, name) is not None}
+        return super()._stored_arrays() | {"domain": np.array(self.domain)} | own
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SurfaceMap:

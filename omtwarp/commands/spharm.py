@@ -102,6 +102,7 @@ def save(path: Path, found: Expansion) -> None:
     import numpy as np
 
     from omtwarp.harmonics import degrees
+    from omtwarp.inputs import write_arrays
     from omtwarp.shape_analysis.coef_file import write_coef
 
     suffix = path.suffix.lower()
@@ -110,11 +111,11 @@ def save(path: Path, found: Expansion) -> None:
         return
     degree = degrees(found.degree)
     order = np.arange(len(degree)) - degree * (degree + 1)
+    if suffix == ".npz":
+        power = found.power()
+        write_arrays(path, {"coefficients": found.coefficients, "degree": degree, "order": order, "power": power})
+        return
     with staged(path) as file:
-        if suffix == ".npz":
-            with open(file, "wb") as stream:
-                np.savez(stream, coefficients=found.coefficients, degree=degree, order=order, power=found.power())
-            return
         rows = zip(degree.tolist(), order.tolist(), found.coefficients.tolist(), strict=True)
         lines = [f"{n},{m}," + ",".join(map(repr, row)) for n, m, row in rows]
         file.write_text("degree,order,x,y,z\n" + "\n".join(lines) + "\n", "utf-8")

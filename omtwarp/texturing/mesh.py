@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,20 +102,36 @@ class TexturedMesh:
 
     def trimesh(self) -> trimesh.Trimesh:
         """Return the cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
-        import trimesh
+        return with_material(self)
 
-        material = trimesh.visual.material.PBRMaterial(
-            name="texture",
-            baseColorTexture=self.pil(),
-            baseColorFactor=[255, 255, 255, 255],
-            metallicFactor=0.0,
-            roughnessFactor=ROUGHNESS,
-        )
-        return trimesh.Trimesh(
-            vertices=self.vertices,
-            faces=self.faces,
-            vertex_normals=self.normals,
-            visual=trimesh.visual.TextureVisuals(uv=self.uv, material=material),
-            process=False,
-            validate=False,
-        )
+
+class TexturedArrays(Protocol):
+    """A mesh with a texture; fields as of :class:`TexturedMesh`."""
+
+    vertices: Floats
+    faces: Ints
+    uv: Floats
+    normals: Floats
+    image: NDArray[np.uint8]
+
+
+def with_material(textured: TexturedArrays) -> trimesh.Trimesh:
+    """Return a textured mesh as a :class:`trimesh.Trimesh` whose material shows the picture, its vertices in order."""
+    import trimesh
+    from PIL import Image
+
+    material = trimesh.visual.material.PBRMaterial(
+        name="texture",
+        baseColorTexture=Image.fromarray(textured.image),
+        baseColorFactor=[255, 255, 255, 255],
+        metallicFactor=0.0,
+        roughnessFactor=ROUGHNESS,
+    )
+    return trimesh.Trimesh(
+        vertices=textured.vertices,
+        faces=textured.faces,
+        vertex_normals=textured.normals,
+        visual=trimesh.visual.TextureVisuals(uv=textured.uv, material=material),
+        process=False,
+        validate=False,
+    )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing.atlas import check_size
 from omtwarp.texturing.export import export
-from omtwarp.texturing.mesh import ROUGHNESS
+from omtwarp.texturing.mesh import with_material
 
 MOST_TUBE = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
 KEPLER_STEPS = 40  # of Newton's method, at most: from the mean anomaly, seven reach round-off with MOST_TUBE
@@ -90,20 +90,7 @@ class TexturedTorus:
 
     def trimesh(self) -> trimesh.Trimesh:
         """Return the cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
-        import trimesh
-        from PIL import Image
-
-        material = trimesh.visual.material.PBRMaterial(
-            name="texture", baseColorTexture=Image.fromarray(self.image), metallicFactor=0.0, roughnessFactor=ROUGHNESS
-        )
-        return trimesh.Trimesh(
-            vertices=self.vertices,
-            faces=self.faces,
-            vertex_normals=self.normals,
-            visual=trimesh.visual.TextureVisuals(uv=self.uv, material=material),
-            process=False,
-            validate=False,
-        )
+        return with_material(self)
 
 
 def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArray[np.uint8]:

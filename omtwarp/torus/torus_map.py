@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, staged
+from omtwarp.files import as_path
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.inputs import open_input, read_arrays
+from omtwarp.inputs import open_input, read_arrays, write_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
@@ -217,11 +217,8 @@ class TorusMap(Shown):
         Raises:
             OmtwarpError: the file cannot be written; nothing is left of it.
         """
-        target = as_path(path)
         arrays = {name: getattr(self, name) for name in _LAYOUT if getattr(self, name) is not None}
-        arrays["report"] = np.array(json.dumps(self.report | {"history": self.history}))
-        with staged(target) as file, open(file, "wb") as stream:
-            np.savez(stream, **arrays)
+        write_arrays(path, arrays | {"report": np.array(json.dumps(self.report | {"history": self.history}))})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TorusMap:
