@@ -22,8 +22,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.flips.guard import hold_back
-from omtwarp.flips.predicates import count_flips
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.rings import Examined, examine, is_bijective
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
@@ -279,6 +278,7 @@ class _Run:
         self.source: NDArray[np.float64] | None = None
         self.measured: Optimality | None = None  # of the map by Newton's method
         self.uploaded: tuple[NDArray[np.float64], wp.array] | None = None
+        self.known: tuple[NDArray[np.float64], Examined] | None = None
         self.begun = self.stage_begun = time.perf_counter()
 
     @property
@@ -301,6 +301,12 @@ class _Run:
         if self.uploaded is None or self.uploaded[0] is not sphere:
             self.uploaded = sphere, vectors(sphere, resolve_device(self.device))
         return self.uploaded[1]
+
+    def examine(self, sphere: NDArray[np.float64]) -> Examined:
+        """Return what decides whether a map is one to one; of the one asked for last it is known already."""
+        if self.known is None or self.known[0] is not sphere:
+            self.known = sphere, examine(self.points(sphere), self.surface.on(self.device).faces, device=self.device)
+        return self.known[1]
 
     def goal(self, sphere: NDArray[np.float64]) -> Surface:
         """Return the surface with the areas that its triangles should cover at their present places on the sphere."""
@@ -839,13 +845,12 @@ class _Run:
         Returns:
             A bijection, and how many flips the stage's map had.
         """
-        faces = self.surface.on(self.device).faces
-        if is_bijective(self.points(after), faces, device=self.device):
+        if self.examine(after).bijective:
             return after, 0
-        flips = count_flips(self.points(after), faces, device=self.device)
+        flips = self.examine(after).flips
         budget = RepairBudget(self.surface)
         repaired = untangle(self.goal(before), after, budget=budget, device=self.device).sphere
-        if is_bijective(self.points(repaired), faces, device=self.device):
+        if self.examine(repaired).bijective:
             return repaired, flips
         why = "what repair may take was spent" if budget.exhausted else "repair failed"
         self.given_up = f"{flips} flipped triangles were held back towards the map before: {why}"
@@ -877,7 +882,8 @@ class _Run:
         Raises:
             OmtwarpError: it is not one to one.
         """
-        certificate = certify_triangles(self.surface.faces, self.sphere, device=self.device)
+        examined = self.examine(self.sphere)
+        certificate = certify_triangles(self.surface.faces, self.sphere, examined=examined, device=self.device)
         if not certificate.bijective:
             raise OmtwarpError(
                 f"no map that is one to one was found: {certificate}; repair or remesh the surface and try again"

@@ -8,6 +8,8 @@ exactly where every ring turns once. A count of flipped triangles alone does not
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -70,6 +72,37 @@ def ring_turns(
     return turns
 
 
+@dataclass(frozen=True)
+class Examined:
+    """What decides whether a map is one to one.
+
+    Attributes:
+        signs: of the triangles, as of :func:`omtwarp.flips.predicates.orientation_signs`, int8, shape [F].
+        turns: of the rings around vertices, as of :func:`ring_turns`, int32, shape [V].
+    """
+
+    signs: NDArray[np.int8]
+    turns: NDArray[np.int32]
+
+    @property
+    def flips(self) -> int:
+        """Number of triangles that are flipped or degenerate."""
+        return int((self.signs <= 0).sum())
+
+    @property
+    def bijective(self) -> bool:
+        """Whether the map is one to one and onto, for a closed connected surface of genus 0 without loose vertices."""
+        return bool((self.signs > 0).all() and (self.turns == 1).all())
+
+
+def examine(
+    sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
+) -> Examined:
+    """Decide the orientation of all triangles and the turns of all rings; arguments as of :func:`tangled_faces`."""
+    signs = orientation_signs(sphere, faces, device=device)
+    return Examined(signs, ring_turns(sphere, faces, signs=signs, device=device))
+
+
 def tangled_faces(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.bool_]:
@@ -85,11 +118,10 @@ def tangled_faces(
     Returns:
         bool, shape [F]. None is True exactly where the map of a closed connected surface of genus 0 is a bijection.
     """
-    signs = orientation_signs(sphere, faces, device=device)
-    turns = ring_turns(sphere, faces, signs=signs, device=device)
+    found = examine(sphere, faces, device=device)
     corners = faces.numpy() if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3)
-    tangled: NDArray[np.bool_] = signs <= 0
-    wound = turns != 1
+    tangled: NDArray[np.bool_] = found.signs <= 0
+    wound = found.turns != 1
     if wound.any():
         wound[corners[tangled]] = False
         tangled |= wound[corners].any(axis=1)

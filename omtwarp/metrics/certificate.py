@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.flips.predicates import orientation_signs
-from omtwarp.flips.rings import ring_turns
+from omtwarp.flips.rings import Examined, examine
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
@@ -100,17 +99,23 @@ def certify(surface: MeshLike, sphere: ArrayLike, *, device: str | None = "auto"
     return certify_triangles(faces, real_numbers(sphere, "the map", (len(vertices), 3), finite=False), device=device)
 
 
-def certify_triangles(faces: ArrayLike, sphere: ArrayLike, *, device: str | None = "auto") -> Certificate:
+def certify_triangles(
+    faces: ArrayLike, sphere: ArrayLike, *, examined: Examined | None = None, device: str | None = "auto"
+) -> Certificate:
     """Decide the same as :func:`certify`, for a map that is given by its faces, shape [F, 3], and points.
+
+    Args:
+        faces, sphere, device: as of :func:`certify`.
+        examined: orientations and turns, where they are known of this very map.
 
     Raises:
         OmtwarpError: the arrays are not of numbers, or a corner is not among the points.
     """
     sphere = real_numbers(sphere, "the map", (None, 3), finite=False)
     faces = as_faces(faces, len(sphere))
-    signs = orientation_signs(sphere, faces, device=device)
+    found = examine(sphere, faces, device=device) if examined is None else examined
+    signs, turns = found.signs, found.turns
     bad = np.flatnonzero(signs <= 0)
-    turns = ring_turns(sphere, faces, signs=signs, device=device)
     used = np.zeros(len(turns), dtype=bool)
     used[faces] = True
     wound = np.flatnonzero(used & (turns != 1))

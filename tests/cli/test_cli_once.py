@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+import omtwarp.flips.rings
 import omtwarp.mesh.validate
 import omtwarp.pipeline
 import omtwarp.result
@@ -31,13 +32,35 @@ def counted(monkeypatch):
     count("check", omtwarp.mesh.validate)
     count("certify_triangles", omtwarp.pipeline, omtwarp.result)
     count("savez", np)
+    decide = omtwarp.flips.rings.orientation_signs
+
+    def deciding(sphere, faces, **options):
+        points = sphere if isinstance(sphere, np.ndarray) else sphere.numpy()
+        counts["decided", points.tobytes()] += 1
+        return decide(sphere, faces, **options)
+
+    monkeypatch.setattr(omtwarp.flips.rings, "orientation_signs", deciding)
     return counts
 
 
-def test_a_map_is_examined_certified_and_written_once(tmp_path, counted):
-    surface = shapes.blob(seed=2, amplitude=0.2, sphere=1280)
-    write_mesh(tmp_path / "blob.ply", surface.vertices, surface.faces)
+def map_file(folder, vertices, faces, *options):
+    write_mesh(folder / "in.ply", vertices, faces)
     with pytest.raises(SystemExit) as ended:
-        main(["map", str(tmp_path / "blob.ply"), "-o", str(tmp_path / "blob.npz"), "--device", "cpu", "--json"])
+        main(["map", str(folder / "in.ply"), "-o", str(folder / "out.npz"), "--device", "cpu", "--json", *options])
     assert ended.value.code == 0
+
+
+def test_a_map_is_examined_certified_and_written_once(tmp_path, counted):
+    """Of every map between the stages, too, orientation is decided once."""
+    surface = shapes.blob(seed=2, amplitude=0.2, sphere=1280)
+    map_file(tmp_path, surface.vertices, surface.faces)
+    maps = {key: counted.pop(key) for key in list(counted) if isinstance(key, tuple)}
     assert counted == {"check": 1, "certify_triangles": 1, "savez": 1}
+    assert len(maps) > 2 and set(maps.values()) == {1}
+
+
+def test_a_map_of_a_part_of_the_sphere_is_written_once(tmp_path, counted):
+    ball = shapes.icosphere(8)
+    used, lower = np.unique(ball.faces[ball.vertices[ball.faces].mean(axis=1)[:, 2] < 0.1], return_inverse=True)
+    map_file(tmp_path, ball.vertices[used], lower.reshape(-1, 3), "--hemisphere", "--until", "conformal")
+    assert counted["savez"] == 1
