@@ -74,7 +74,7 @@ def ring_turns(
 
 @dataclass(frozen=True)
 class Examined:
-    """What decides whether a map is one to one.
+    """Orientations and turns that decide whether a map is one to one.
 
     Attributes:
         signs: of the triangles, as of :func:`omtwarp.flips.predicates.orientation_signs`, int8, shape [F].
