@@ -162,7 +162,7 @@ def _certify(maps: list[SurfaceMap]) -> None:
     """Put the certificates of maps into their reports.
 
     Raises:
-        OmtwarpError: one is not one to one.
+        OmtwarpError: a map is not one to one.
     """
     for each in maps:
         each.report["certificate"] = each.certificate.to_dict()

@@ -36,7 +36,7 @@ class Shown:
             A PIL image, which a notebook shows.
 
         Raises:
-            OmtwarpError: an invalid option.
+            OmtwarpError: an option has an invalid value.
         """
         return _viewers().plot(self, pattern=pattern, size=size, **options)
 

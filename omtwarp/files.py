@@ -84,7 +84,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
     """Make sure that a folder of outputs is there or can be made, before anything long is computed; make nothing.
 
     Raises:
-        OmtwarpError: something there that is no directory, or no right to write.
+        OmtwarpError: the path names something other than a folder, or may not be written to.
     """
     given = as_path(path)
     try:
@@ -103,7 +103,7 @@ def _destination(path: Path) -> Path:
     """Return the file to write for a path, with links followed; refuse a path whose file must not be replaced.
 
     Raises:
-        OmtwarpError: a directory, a device or pipe, a link to itself, or no directory to write in.
+        OmtwarpError: the path is a directory, a device or pipe, or a link to itself, or its directory does not exist.
         OSError: no right to write, a name that is too long.
     """
     if "\0" in str(path):
@@ -168,7 +168,7 @@ def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path
         A path in the same directory.
 
     Raises:
-        OmtwarpError: what is there cannot be looked at.
+        OmtwarpError: the system does not tell what is at the companion's path.
     """
     folder = _destination(_places.get(path.parent, path)).parent
     stem = "_".join(path.stem.split()) or "texture"

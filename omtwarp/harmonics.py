@@ -29,7 +29,7 @@ def check_degree(degree: int) -> int:
     """Check a degree from 0 to 500, and return it as an int.
 
     Raises:
-        OmtwarpError: it is not.
+        OmtwarpError: the degree is no whole number, or is out of range.
     """
     return whole_number(degree, "the degree", most=HIGHEST_DEGREE)
 

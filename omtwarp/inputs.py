@@ -131,7 +131,7 @@ def _check_directory(source: BinaryIO) -> None:
     """Check the length of an archive's list of entries before it is read into memory.
 
     Raises:
-        OmtwarpError: it is too long.
+        OmtwarpError: the list of entries is too long.
     """
     source.seek(0, os.SEEK_END)
     source.seek(max(source.tell() - _LONGEST_END, 0))
@@ -152,7 +152,7 @@ def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> 
     """Read an array after its header was found to fit the size of its entry.
 
     Raises:
-        OmtwarpError: objects, or a header that announces another length than there is.
+        OmtwarpError: the entry holds objects, or its header announces another length than it has.
     """
     with archive.open(entry) as stream:
         _check_header(stream, entry.file_size, name)
@@ -164,7 +164,7 @@ def _check_header(stream: IO[bytes], length: int, name: str) -> None:
     """Make sure that an array's header fits so many bytes, and leave the stream behind it.
 
     Raises:
-        OmtwarpError: objects, or a header that announces another length than there is.
+        OmtwarpError: the array holds objects, or its header announces another length than there is.
     """
     version = np.lib.format.read_magic(stream)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -182,7 +182,7 @@ def array_of(data: bytes, name: str = "data") -> NDArray:
     """Read an array from the content of an ``.npy`` file.
 
     Raises:
-        OmtwarpError: it is none, or damaged, or holds objects.
+        OmtwarpError: the data are no array of NumPy, are damaged, or hold objects.
     """
     try:
         _check_header(io.BytesIO(data), len(data), name)

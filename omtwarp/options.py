@@ -169,7 +169,7 @@ def parse_refinement(value: object) -> Refinement | AreaMatch | float | None:
     """Return a named refinement, an area distortion to match or a positive weight; None for ``none`` and for None.
 
     Raises:
-        OmtwarpError: nothing of the kind.
+        OmtwarpError: the value is no name, number or area of a refinement.
     """
     if isinstance(value, AreaMatch):
         return value
@@ -197,7 +197,7 @@ def parse_device(value: object) -> str:
     """Check a device's name: ``auto`` (also for None), ``cpu``, ``cuda`` or ``cuda:N``; it need not exist.
 
     Raises:
-        OmtwarpError: another name.
+        OmtwarpError: the name has another form.
     """
     name = "auto" if value is None else str(value)
     if name not in ("auto", "cpu", "cuda") and not (name.startswith("cuda:") and name[5:].isdigit()):

@@ -880,7 +880,7 @@ class _Run:
         """Certify the map that is returned.
 
         Raises:
-            OmtwarpError: it is not one to one.
+            OmtwarpError: the map is not one to one.
         """
         examined = self.examine(self.sphere)
         certificate = certify_triangles(self.surface.faces, self.sphere, examined=examined, device=self.device)

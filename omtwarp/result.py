@@ -315,7 +315,7 @@ def _fitting(arrays: Mapping[str, object]) -> _Arrays:
     """Convert the arrays of a map to their types; missing ones are left out.
 
     Raises:
-        OmtwarpError: the first that is missing, not of numbers, out of range, or does not fit the others.
+        OmtwarpError: an array is missing, not of numbers, out of range, or does not fit the others; the first is named.
     """
     missing = [name for name in REQUIRED if arrays.get(name) is None]
     if missing:
@@ -333,7 +333,7 @@ def require_unit_length(points: ArrayLike, name: str) -> None:
     """Make sure that points of a map lie on the unit sphere, to single precision.
 
     Raises:
-        OmtwarpError: some do not; how many, and the first.
+        OmtwarpError: some points do not; the message counts them and names the first.
     """
     lengths = np.linalg.norm(points, axis=1)
     off = ~(np.abs(lengths - 1.0) <= UNIT_LENGTH)

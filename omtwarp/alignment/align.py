@@ -88,7 +88,7 @@ def align_to_axes(given: PointsLike) -> Alignment:
         given: a map with its surface (see :func:`omtwarp.resampling.as_points`).
 
     Raises:
-        OmtwarpError: a sphere alone.
+        OmtwarpError: the sphere is given without its surface.
 
     .. [1] C. Brechbühler, G. Gerig, O. Kübler, "Parametrization of closed surfaces for 3-D shape description",
        Comput. Vis. Image Underst. 61 (1995), section 4.4.

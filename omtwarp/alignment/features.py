@@ -39,7 +39,7 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
     Neither depends on rotation or scale. Areas are left out where the map preserves them.
 
     Raises:
-        OmtwarpError: there is a sphere alone.
+        OmtwarpError: the sphere is given without its surface.
     """
     if points.vertices is None:
         raise OmtwarpError(
@@ -61,7 +61,7 @@ def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose
     """Return the features as float64 arrays of one number per vertex.
 
     Raises:
-        OmtwarpError: another length, or numbers that are not finite.
+        OmtwarpError: a feature has another length, or numbers that are not finite.
     """
     count = len(points.grid.points)
     out = {}

@@ -189,7 +189,7 @@ def make_folders(folder: Path) -> None:
     """Make the folders of a cohort's results.
 
     Raises:
-        OmtwarpError: they cannot be made.
+        OmtwarpError: the folders cannot be made.
     """
     try:
         for name in ("records", "maps", "locks"):

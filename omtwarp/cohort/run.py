@@ -132,7 +132,7 @@ def _asked(options: MapKeywords) -> dict[str, object]:
     """Complete the given options of a map by the defaults, ready for JSON.
 
     Raises:
-        OmtwarpError: one is unknown, or has an unknown value.
+        OmtwarpError: an option is unknown, or has an unknown value.
     """
     known = vars(MapOptions())
     unknown = [name for name in options if name not in known]

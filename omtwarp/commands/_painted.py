@@ -19,7 +19,7 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     """Read a mesh with its coordinates and materials, and make sure that it can be mapped.
 
     Raises:
-        OmtwarpError: whatever is wrong with the file or the mesh, in one line.
+        OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
     from omtwarp.materials import read_painted_mesh
     from omtwarp.mesh.surface import Surface
@@ -54,7 +54,7 @@ def painted_map(
     """Return a mesh with its materials and its map, which is read where it is finished and computed otherwise.
 
     Raises:
-        OmtwarpError: whatever is wrong with either, or a map of another mesh.
+        OmtwarpError: the mesh or the map cannot be used, or the map is of another mesh.
     """
     from omtwarp.commands._work import load_map, make_map, require_bijective, say_stages, start_device
 

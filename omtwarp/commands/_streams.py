@@ -104,7 +104,7 @@ def input_file(given: object) -> object:
     A text stays a text: an argument that may also be a name of something.
 
     Raises:
-        OmtwarpError: nothing comes from standard input, or too much, or it is asked for twice.
+        OmtwarpError: standard input is empty, too large, or asked for twice.
     """
     if isinstance(given, list | tuple):
         return [input_file(path) for path in given]
@@ -137,7 +137,7 @@ def input_table(given: str) -> str | io.StringIO:
     """Replace ``-`` by the text of standard input, and leave the names of tables' files.
 
     Raises:
-        OmtwarpError: nothing comes from standard input, or it is no text.
+        OmtwarpError: standard input is empty, or is no text.
     """
     if given != str(STREAM):
         return given

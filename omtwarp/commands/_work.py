@@ -64,7 +64,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
         any_surface: whether holes, handles and several parts are left to :func:`omtwarp.map_surface`.
 
     Raises:
-        OmtwarpError: whatever is wrong with the file or the mesh, in one line.
+        OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
     import numpy as np
 
@@ -136,7 +136,7 @@ def each(meshes: Sequence[Path], targets: Sequence[Path | None], action: Callabl
     """Process every mesh; with several, one that fails does not stop the others.
 
     Raises:
-        OmtwarpError: what went wrong with a single mesh; or how many of several failed, each reported before.
+        OmtwarpError: the only mesh fails, with its own message; or some of several fail, each with a message before.
     """
     failed = []
     for mesh, target in zip(meshes, targets, strict=True):
@@ -176,7 +176,7 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
         torus: whether a map to a torus will do.
 
     Raises:
-        OmtwarpError: a missing file, or one that is not a map, or is one to a torus where that will not do.
+        OmtwarpError: the file is missing or is no map, or is a map to a torus where the command takes none.
     """
     from omtwarp.inputs import holds_array
     from omtwarp.result import OF_A_TORUS, MapResult
@@ -199,7 +199,7 @@ def require_whole(result: MapResult, name: object) -> MapResult:
         name: of its file, for the message.
 
     Raises:
-        OmtwarpError: it goes to a hemisphere, a disk or a cap, or its parts each to a domain of their own.
+        OmtwarpError: the map covers a hemisphere, a disk or a cap, or each part of it has a domain of its own.
     """
     from omtwarp.surface_map import SurfaceMap
 
@@ -313,7 +313,7 @@ def require_bijective(result: MapResult | TorusMap, path: Path | None = None) ->
     """Make sure that a map is one to one.
 
     Raises:
-        OmtwarpError: it is not: how many triangles are flipped, and where the first is.
+        OmtwarpError: the map is not one to one; the message counts the flipped triangles and names the first.
     """
     if not result.bijective:
         raise OmtwarpError(f"{path or 'the map'}: not one to one: {result.certificate}")
@@ -367,7 +367,7 @@ def map_from(
         options: those of :func:`omtwarp.map_to_sphere`.
 
     Raises:
-        OmtwarpError: neither or both given, or whatever is wrong with what is given.
+        OmtwarpError: neither or both of mesh and map are given, or the one given cannot be used.
     """
     if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
         from omtwarp.inputs import holds_array

@@ -236,7 +236,7 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
     """Read weights, and reorder them for a mesh that was repaired.
 
     Raises:
-        OmtwarpError: no numbers, or the repaired mesh has parts without weights.
+        OmtwarpError: the file holds no numbers, or parts of the repaired mesh have no weights.
     """
     from omtwarp.measures.weights import read_numbers
 
@@ -256,7 +256,7 @@ def surface_options(
     """Collect the options of :func:`omtwarp.map_surface`; None where none is given and the surface has to be a sphere.
 
     Raises:
-        OmtwarpError: more than one domain.
+        OmtwarpError: options of more than one domain are given.
     """
     if len(rims) > 1:
         raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")

@@ -124,7 +124,7 @@ def _check_outputs(
     """Make sure that every output can be written and replaces no input.
 
     Raises:
-        OmtwarpError: one of them cannot.
+        OmtwarpError: an output cannot be written, or would replace an input.
     """
     from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.write import SUFFIXES
@@ -140,7 +140,7 @@ def _read(data: Path, target: Path | None) -> VertexData:
     """Read data from a file.
 
     Raises:
-        OmtwarpError: it cannot be read, or is of another structure of the brain than the target.
+        OmtwarpError: the data cannot be read, or are of another structure of the brain than the target.
     """
     from omtwarp.mesh.data import read_data
     from omtwarp.mesh.neuro import require_same_structure
@@ -154,7 +154,7 @@ def _write_surface(output: Path, found: Resampling, like: Path | None, target: s
     """Write the surface with the target's triangles.
 
     Raises:
-        OmtwarpError: the target has none.
+        OmtwarpError: the target has no triangles.
     """
     from omtwarp.mesh.write import write_mesh
 

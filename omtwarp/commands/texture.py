@@ -222,7 +222,7 @@ def _require_one(mesh: Path | None, finished: Path | None) -> None:
     """Refuse a mesh beside its map where nothing of the mesh's own is kept.
 
     Raises:
-        OmtwarpError: both were given.
+        OmtwarpError: both a mesh and a map are given.
     """
     if mesh is not None and finished is not None:
         raise OmtwarpError(

@@ -89,7 +89,7 @@ class PaintedArrays:
         source_files: files that an export must not replace.
 
     Raises:
-        OmtwarpError: arrays that do not belong together.
+        OmtwarpError: the arrays do not belong together.
     """
 
     vertices: Floats
@@ -143,7 +143,7 @@ class PaintedArrays:
         """Return the texture coordinates of every corner, shape [F, 3, 2].
 
         Raises:
-            OmtwarpError: some triangles have none, or all.
+            OmtwarpError: some triangles, or all, have no texture coordinates.
         """
         if self.uv is None:
             raise OmtwarpError(f"{name}: no texture coordinates in it; leave out --uv own to lay out new ones")

@@ -14,7 +14,7 @@ def glb_bytes(mesh: PaintedArrays) -> bytes:
     """Write a mesh with its materials as a binary glTF 2.0 file.
 
     Raises:
-        OmtwarpError: positions that single precision does not hold.
+        OmtwarpError: positions are too large for single precision.
     """
     file = GltfFile(True, mesh.wraps_rows)
     normals = vertex_normals(mesh.vertices, mesh.faces)

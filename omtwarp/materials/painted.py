@@ -28,7 +28,7 @@ class PaintedMesh(PaintedArrays):
         source_files: files that an export must not replace.
 
     Raises:
-        OmtwarpError: arrays that do not belong together.
+        OmtwarpError: the arrays do not belong together.
 
     Example:
         >>> import omtwarp

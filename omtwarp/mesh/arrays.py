@@ -73,7 +73,7 @@ def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None 
         int64, contiguous.
 
     Raises:
-        OmtwarpError: no whole numbers, masked entries, another shape, or a number out of range.
+        OmtwarpError: the values are not whole numbers, are masked, out of range, or of another shape.
 
     Example:
         >>> whole_numbers([[0.0, 1.0, 2.0]], "faces", (None, 3), below=3)
@@ -107,7 +107,7 @@ def fitting_arrays(
         counts: lengths of letters that are known beforehand; others are taken from the first array.
 
     Raises:
-        OmtwarpError: the first that is not of numbers, not finite, or does not fit the others.
+        OmtwarpError: an array is not of numbers, not finite, or does not fit the others; the first such is named.
     """
     known = dict(counts)
     fitting: dict[str, NDArray[np.generic]] = {}
@@ -143,7 +143,7 @@ def real_number(value: object, name: str, *, least: float = -math.inf, above: fl
         above: it must be more than this.
 
     Raises:
-        OmtwarpError: something else, or a number out of range.
+        OmtwarpError: the value is no finite number, or is out of range.
 
     Example:
         >>> real_number(3, "the weight", above=0.0)
@@ -172,7 +172,7 @@ def whole_number(value: object, name: str, *, least: int = 0, most: int = 2**31 
         most: it must be at most this; by default the largest that kernels count to.
 
     Raises:
-        OmtwarpError: something else, or a number out of range.
+        OmtwarpError: the value is no whole number, or is out of range.
 
     Example:
         >>> whole_number(40, "the number of steps")

@@ -43,7 +43,7 @@ def as_surface(mesh: MeshLike) -> Surface:
             and ``faces``.
 
     Raises:
-        OmtwarpError: it cannot be mapped, or it is no mesh.
+        OmtwarpError: the value is no mesh, or the mesh cannot be mapped.
     """
     if isinstance(mesh, Surface):
         if not mesh.checked:
@@ -65,7 +65,7 @@ def as_triangles(mesh: MeshLike) -> tuple[NDArray[np.float64], NDArray[np.int32]
         Finite vertices, float64, shape [V, 3], and faces among them, int32, shape [F, 3].
 
     Raises:
-        OmtwarpError: it is no mesh.
+        OmtwarpError: the value is no mesh.
     """
     vertices, faces = _parts(mesh)
     positions = real_numbers(vertices, "vertices", (None, 3))
@@ -140,7 +140,7 @@ def as_faces(faces: ArrayLike, count: int, name: str = "faces") -> NDArray[np.in
         name: what to call them in a message.
 
     Raises:
-        OmtwarpError: another shape or type, none at all, or a corner that is out of range.
+        OmtwarpError: the faces are empty or of another shape or type, or a corner is out of range.
     """
     corners = whole_numbers(faces, name, (None, 3), below=count)
     if len(corners) == 0:

@@ -99,7 +99,7 @@ def from_npy(stream: BinaryIO, name: str = "data") -> VertexData:
     """Read an array [V] or [V, K] in NumPy's format.
 
     Raises:
-        OmtwarpError: it is not one.
+        OmtwarpError: the file holds no such array.
     """
     array = array_of(stream.read(), name)
     if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):

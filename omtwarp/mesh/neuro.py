@@ -28,7 +28,7 @@ def nibabel_module() -> ModuleType:
     """Import and return the package nibabel.
 
     Raises:
-        OmtwarpError: it is not installed.
+        OmtwarpError: nibabel is not installed.
     """
     try:
         import nibabel
@@ -60,7 +60,7 @@ def gifti_image(path: Path) -> GiftiImage:
     """Read a GIFTI file, as nibabel's image.
 
     Raises:
-        OmtwarpError: it cannot be read, or is something else.
+        OmtwarpError: the file cannot be read, or is no GIFTI file.
     """
     nibabel = nibabel_module()
     try:
@@ -80,7 +80,7 @@ def require_same_structure(one: Path | None, other: Path | None) -> None:
     """Refuse two files that name different parts of the brain as their content.
 
     Raises:
-        OmtwarpError: they do.
+        OmtwarpError: the two files name different parts.
     """
     ours, theirs = structure_of(one), structure_of(other)
     if ours is not None and theirs is not None and ours != theirs:

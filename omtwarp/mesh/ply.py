@@ -179,7 +179,7 @@ def _binary_rows(
     """Read the rows of an element whose lists differ in length, one by one; return them and their end.
 
     Raises:
-        OmtwarpError: the body ends before the rows do.
+        OmtwarpError: the file ends before the rows do.
     """
     values: list[list] = [[] for _ in element.properties]
     sizes: list[list[int]] = [[] for _ in element.properties]
@@ -209,7 +209,7 @@ def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, 
     """Read every property of every element of a text file as float64; a list as its lengths and its values.
 
     Raises:
-        OmtwarpError: fewer or more numbers than the header says, or words among them.
+        OmtwarpError: the file has fewer or more numbers than its header says, or words among them.
     """
     if body.translate(None, _NUMBERS):
         raise OmtwarpError("damaged: letters or signs among its numbers")
@@ -241,7 +241,7 @@ def _row_starts(
     """Find the place among the numbers where each row of an element begins, and where the element ends.
 
     Raises:
-        OmtwarpError: the numbers end before the rows do, or a length is none.
+        OmtwarpError: the numbers end before the rows do, or a list's length is no whole number.
     """
     widths = [0 if part.length else 1 for part in element.properties]
     if all(widths):

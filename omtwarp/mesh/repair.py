@@ -61,7 +61,7 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repa
         The mesh, what was done, and where its vertices and faces come from.
 
     Raises:
-        OmtwarpError: arrays that are not those of a triangle mesh.
+        OmtwarpError: the arrays are not those of a triangle mesh.
 
     Example:
         >>> import omtwarp

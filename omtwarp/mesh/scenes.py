@@ -85,7 +85,7 @@ def gltf_header(data: bytes, suffix: str) -> object:
     """Return the JSON of a glTF file (glTF 2.0 specification, section 4.4).
 
     Raises:
-        OmtwarpError: the file is shorter than it says.
+        OmtwarpError: the file is shorter than its header says.
         ValueError: it is no such file.
     """
     if suffix == "gltf":

@@ -99,7 +99,7 @@ def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False)
         triangulate: as there.
 
     Raises:
-        OmtwarpError: as there.
+        OmtwarpError: the file cannot be read, as for :func:`omtwarp.read_mesh`.
     """
     shared = Path(path).suffix.lower() in _SHARED
     try:

@@ -471,7 +471,7 @@ def demo_shape(face_count: int = 20000) -> Surface:
         face_count: roughly how many faces, from about 2,000; thin parts are thickened when there are few.
 
     Raises:
-        OmtwarpError: so few that its limbs melt together.
+        OmtwarpError: there are so few faces that limbs would merge.
     """
     sides = [(x, s) for x in (-0.48, 0.5) for s in (-1.0, 1.0)]
     legs = [[x, 0.3 * s, 0.05, 0.2, x + 0.06, 0.42 * s, -0.72, 0.15] for x, s in sides]

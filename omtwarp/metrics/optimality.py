@@ -424,7 +424,7 @@ def _points(given: ArrayLike, surface: Surface, name: str) -> Array:
     """Normalise points of the unit sphere, shape [V, 3], again, since the bound's accuracy depends on their lengths.
 
     Raises:
-        OmtwarpError: they are no such points.
+        OmtwarpError: the points are not one unit vector per vertex.
     """
     points = as_sphere(given, surface, name)
     return np.ascontiguousarray(points / np.linalg.norm(points, axis=1)[:, None])

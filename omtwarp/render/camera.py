@@ -93,7 +93,7 @@ def as_view(view: str | tuple[float, float] | Camera, base: Camera) -> Camera:
     """Return a view by name, as (azimuth, elevation) in degrees, as the text ``"AZ,EL"``, or a :class:`Camera` itself.
 
     Raises:
-        OmtwarpError: it is none of these.
+        OmtwarpError: the view has none of these forms, or an unknown name.
     """
     if isinstance(view, Camera):
         return view

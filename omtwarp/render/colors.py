@@ -95,7 +95,7 @@ def backdrop(background: object, width: int, height: int) -> NDArray[np.float64]
     ``background`` is a colour, a pair of colours (top, bottom) blended downwards, or ``"studio"``.
 
     Raises:
-        OmtwarpError: it is none of these.
+        OmtwarpError: the background is no colour, pair of colours or ``studio``.
     """
     if isinstance(background, str) and background == "studio":
         background = ("#fbfcfe", "#d3dae3")

@@ -124,7 +124,7 @@ def complete(given: PreviewOptions, function: str) -> PreviewOptions:
 
     Raises:
         TypeError: there is no such option.
-        OmtwarpError: an invalid value.
+        OmtwarpError: an option has an invalid value.
     """
     if unknown := [name for name in given if name not in PREVIEW_DEFAULTS]:
         raise TypeError(f"{function}() got an unexpected keyword argument '{unknown[0]}'")

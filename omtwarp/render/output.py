@@ -146,7 +146,7 @@ def _ffmpeg() -> str:
     """Find the program ffmpeg: on the PATH, or the one that the package imageio-ffmpeg brings.
 
     Raises:
-        OmtwarpError: neither is there.
+        OmtwarpError: neither is installed.
     """
     found = shutil.which("ffmpeg")
     if found is not None:

@@ -171,7 +171,7 @@ class SurfaceView:
         """Make sure that vertices and faces are triangles that can be drawn.
 
         Raises:
-            OmtwarpError: they are not.
+            OmtwarpError: vertices or faces have another shape or type, or a corner is out of range.
         """
         vertices, faces = np.asarray(self.vertices), np.asarray(self.faces)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
@@ -196,7 +196,7 @@ class SurfaceView:
         """Make sure that at most one appearance is given, and an image only with coordinates.
 
         Raises:
-            OmtwarpError: more than one, or an image without coordinates.
+            OmtwarpError: more than one appearance is given, or an image without coordinates.
         """
         given = [name for name in ("image", "colors", "scalar", "materials") if getattr(self, name) is not None]
         if len(given) > 1:
@@ -208,7 +208,7 @@ class SurfaceView:
         """Convert values on the surface to arrays with one value per vertex, triangle or corner.
 
         Raises:
-            OmtwarpError: other shapes or values.
+            OmtwarpError: values have another shape, or are not numbers.
         """
         if self.image is not None:
             self.image = as_image(self.image)
@@ -312,7 +312,7 @@ def as_image(image: Image | ArrayLike) -> NDArray[np.uint8]:
     """Convert a PIL image or an array to sRGB bytes, shape [height, width, 3].
 
     Raises:
-        OmtwarpError: neither, or empty.
+        OmtwarpError: the argument is neither a picture nor an array of colours, or is empty.
     """
     if hasattr(image, "convert"):
         return np.asarray(image.convert("RGB"))

@@ -141,7 +141,7 @@ def map_view(
         caption: text for a sheet.
 
     Raises:
-        OmtwarpError: an unknown choice, or the map has no such stage.
+        OmtwarpError: a choice is unknown, or the map has no such stage.
     """
     if which not in ("optimal", "conformal") or on not in ("surface", "sphere"):
         raise OmtwarpError(f"unknown view ('{which}', '{on}'): use optimal or conformal, and surface or sphere")
@@ -174,7 +174,7 @@ def torus_view(
         caption: text for a sheet.
 
     Raises:
-        OmtwarpError: an unknown choice.
+        OmtwarpError: a choice is unknown.
     """
     if which not in ("optimal", "conformal") or on not in ("surface", "torus"):
         raise OmtwarpError(f"unknown view ('{which}', '{on}'): use optimal or conformal, and surface or torus")

@@ -86,7 +86,7 @@ def write_report(
         The path.
 
     Raises:
-        OmtwarpError: no map, an unusable image or option, or a file that cannot be written.
+        OmtwarpError: the map, image or an option cannot be used, or the file cannot be written.
 
     Example:
         >>> import omtwarp

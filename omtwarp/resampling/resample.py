@@ -63,7 +63,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
         name: how messages call it.
 
     Raises:
-        OmtwarpError: none of these, or not a sphere.
+        OmtwarpError: the argument has none of these forms, or is not a sphere.
     """
     if isinstance(given, SpherePoints):
         return given
@@ -146,7 +146,7 @@ class Resampling:
             float64, shape [T] or [T, K].
 
         Raises:
-            OmtwarpError: another length, or numbers that are not finite.
+            OmtwarpError: the values have another length, or are not finite.
         """
         given = values.astype(np.float64) if _of_truth(values) else values
         array = real_numbers(given, "the data", None, finite=False)

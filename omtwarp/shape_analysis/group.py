@@ -96,7 +96,7 @@ class GroupStudy:
         """Move the mean shape along a component by a number of standard deviations.
 
         Raises:
-            OmtwarpError: there is no such component.
+            OmtwarpError: there is no component of this number.
         """
         known = self.components
         if not 0 <= component < len(known.deviations):

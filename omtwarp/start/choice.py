@@ -70,7 +70,7 @@ def bijective_start(
         progress: called with a stage name, done, total and details.
 
     Raises:
-        OmtwarpError: not even the coarse-to-fine embedding could be made.
+        OmtwarpError: no start was found; even the coarse-to-fine embedding failed.
     """
     mesh = surface.on(device)
     conformal: ConformalMap | None = None

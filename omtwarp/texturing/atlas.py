@@ -305,7 +305,7 @@ def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:
     """Check the size of a picture, one or two numbers; return its sides in texels.
 
     Raises:
-        OmtwarpError: not whole numbers from 16 to 32768.
+        OmtwarpError: the sides are not whole numbers from 16 to 32768.
     """
     pair = tuple(size) if isinstance(size, (tuple, list, np.ndarray)) else (size,)
     whole = all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and 16 <= n <= LONGEST_SIDE for n in pair)

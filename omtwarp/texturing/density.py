@@ -100,7 +100,7 @@ def as_target(target: TargetLike | None, floor: float = 0.0, *, device: str | No
         device: where points are located.
 
     Raises:
-        OmtwarpError: none of these, or not positive everywhere.
+        OmtwarpError: the target has none of these forms, or is not positive everywhere.
     """
     if target is None or isinstance(target, TargetDensity):
         return target

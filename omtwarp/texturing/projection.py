@@ -86,7 +86,7 @@ def rotation_matrix(rotate: ArrayLike | None) -> Floats:
             about the new x.
 
     Raises:
-        OmtwarpError: anything else, or a matrix that is not a rotation.
+        OmtwarpError: the argument has none of these forms, or the matrix is no rotation.
     """
     if rotate is None:
         return np.eye(3)

@@ -270,7 +270,7 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
     """Return the vertices [V, 3], faces [F, 3] and unit vectors [V, 3] of a map in any of its forms.
 
     Raises:
-        OmtwarpError: it is no map, or one with points at the centre of the sphere.
+        OmtwarpError: the argument is no map, or some of its points lie at the centre of the sphere.
     """
     parts: tuple[ArrayLike, ...]
     if isinstance(result, (tuple, list)) and len(result) == 3:

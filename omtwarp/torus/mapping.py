@@ -172,7 +172,7 @@ class _Run:
         """Return the finished map; with a warning, or an error if strict, where areas are wrong.
 
         Raises:
-            OmtwarpError: it is not one to one.
+            OmtwarpError: the map is not one to one.
         """
         result = self.made(self.torus)
         if not result.bijective:

@@ -150,7 +150,7 @@ class TorusMap(Shown):
         """Measure the distortion of the map (or of the conformal map), as for maps to the sphere.
 
         Raises:
-            OmtwarpError: another stage.
+            OmtwarpError: the stage is unknown.
         """
         if stage not in ("torus", "conformal"):
             raise OmtwarpError(f"this map has no stage '{stage}'")

@@ -28,7 +28,7 @@ def platonic_solid(solid: str = "icosahedron") -> tuple[FloatArray, IntArray]:
     """Return the vertices on the unit sphere and outward faces of ``icosahedron``, ``octahedron`` or ``tetrahedron``.
 
     Raises:
-        OmtwarpError: another name.
+        OmtwarpError: the solid is unknown.
     """
     if solid == "icosahedron":
         golden = (1 + np.sqrt(5.0)) / 2
