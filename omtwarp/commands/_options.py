@@ -10,9 +10,9 @@ from typing import Annotated, TypeVar
 import typer
 from typer.models import OptionInfo
 
-from omtwarp.commands._streams import input_file
+from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import Cost, FillArea, Kind, Method, Scheme, Solver, Stage, choose, parse_refinement
+from omtwarp.options import Backend, Cost, FillArea, Kind, Method, Scheme, Solver, Stage, choose, parse_refinement
 
 Value = TypeVar("Value")
 
@@ -32,6 +32,18 @@ def usage(parse: Callable[[str], Value]) -> Callable[[str], Value]:
 def named(kind: type[Kind], help: str) -> OptionInfo:
     """Make a command-line option whose values are the members of an enumeration of :mod:`omtwarp.options`."""
     return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)), help=help)
+
+
+def output_option(help: str, suffix: str | None = None, *, metavar: str = "FILE") -> OptionInfo:
+    """Return the option for what a command writes.
+
+    Args:
+        help: what is written.
+        suffix: the format in which ``-`` writes it to standard output; None where the command sees to that.
+        metavar: what stands for the value in help.
+    """
+    callback = None if suffix is None else output_file(suffix)
+    return typer.Option("--output", "-o", metavar=metavar, callback=callback, help=help)
 
 
 def refine_weight(text: str) -> str:
@@ -136,6 +148,20 @@ CutOption = Annotated[
     ),
 ]
 TorusOption = Annotated[bool, typer.Option("--torus", help="Map a closed surface of genus 1 to a flat torus.")]
+ImageOption = Annotated[
+    Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to put on the surface.")
+]
+UpOption = Annotated[
+    str | None, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default.")
+]
+FrontOption = Annotated[
+    str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
+]
+BackgroundOption = Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")]
+BackendOption = Annotated[Backend, typer.Option(help="What draws: OpenGL or the ray caster.")]
+RadiusOption = Annotated[
+    float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
+]
 SizeOption = Annotated[
     str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size, help="Size of the picture in pixels.")
 ]

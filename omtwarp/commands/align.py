@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import QuietOption, VerboseOption
-from omtwarp.commands._streams import input_file, output_file
+from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption, output_option
+from omtwarp.commands._streams import input_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
@@ -27,13 +27,7 @@ def align_map(
     ],
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            callback=output_file(".npz"),
-            help=".npz for the whole map, or a mesh suffix for the sphere; - is standard output.",
-        ),
+        output_option(".npz for the whole map, or a mesh suffix for the sphere; - is standard output.", ".npz"),
     ],
     to: Annotated[
         str,
@@ -68,10 +62,8 @@ def align_map(
         bool, typer.Option("--mirror", help="Also try the mirror image, and take it if it fits better.")
     ] = False,
     degree: Annotated[int, typer.Option(min=1, max=64, help="Highest degree of the spherical harmonics.")] = 16,
-    radius: Annotated[
-        float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
-    ] = 1.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    radius: RadiusOption = 1.0,
+    as_json: JsonOption = False,
     verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:

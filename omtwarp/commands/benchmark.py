@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import RefineOption
+from omtwarp.commands._options import RefineOption, output_option
 from omtwarp.commands._streams import output_file, say
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import MOST_FACES, MOST_REPEATS
@@ -81,9 +81,7 @@ def benchmark(
             help="Write all figures as JSON, or to -.",
         ),
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the tables (.md) instead of printing.")
-    ] = None,
+    output: Annotated[Path | None, output_option("Write the tables (.md) instead of printing.")] = None,
 ) -> None:
     """Time every stage and its memory on meshes of several sizes, and compare with a sparse factorisation by SciPy.
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Required, TypedDict
 
 import typer
 
-from omtwarp.commands._options import JsonOption, MeshArguments
-from omtwarp.commands._streams import output_file
+from omtwarp.commands._options import JsonOption, MeshArguments, output_option
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
@@ -24,13 +23,7 @@ def check_mesh(
     repair: Annotated[bool, typer.Option("--repair", help="Repair the mesh, and list what was done.")] = False,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            callback=output_file(".ply"),
-            help="Write the repaired mesh.",
-        ),
+        output_option("Write the repaired mesh.", ".ply"),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

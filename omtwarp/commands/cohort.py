@@ -23,6 +23,7 @@ from omtwarp.commands._options import (
     SolverOption,
     UntilOption,
     VerboseOption,
+    output_option,
 )
 from omtwarp.commands._streams import input_table, say
 from omtwarp.errors import OmtwarpError
@@ -54,7 +55,7 @@ def cohort(
             help="A table with a column 'path' (- is standard input), a folder, or a pattern in quotes.",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")],
+    output: Annotated[Path, output_option("Folder of the results.", metavar="DIR")],
     executor: Annotated[
         str,
         typer.Option(

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption
+from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption, output_option
 from omtwarp.files import check_output, staged, written_by_omtwarp
 from omtwarp.limits import MOST_DEMO_FACES
 from omtwarp.options import MapOptions
@@ -20,9 +20,7 @@ PICTURE_WIDTH = 2048  # texels around the sphere, as textures have by default
 
 
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIRECTORY", help="Folder of the results.")] = Path(
-        "out"
-    ),
+    output: Annotated[Path, output_option("Folder of the results.", metavar="DIRECTORY")] = Path("out"),
     faces: Annotated[
         int, typer.Option(min=2000, max=MOST_DEMO_FACES, help="Roughly how many faces the shape has.")
     ] = 20000,

@@ -9,8 +9,12 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import (
+    BackendOption,
+    BackgroundOption,
     CostOption,
     DeviceOption,
+    FrontOption,
+    ImageOption,
     JsonOption,
     MapOption,
     MethodOption,
@@ -20,12 +24,13 @@ from omtwarp.commands._options import (
     RepairOption,
     SchemeOption,
     SolverOption,
+    UpOption,
     VerboseOption,
     as_size,
+    output_option,
     picture_size,
 )
-from omtwarp.commands._streams import output_file
-from omtwarp.commands.texture import PatternName
+from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import Backend, MapOptions, Refinement
@@ -41,18 +46,12 @@ def film_size(text: str | None) -> str | None:
 def film_map(
     output: Annotated[
         Path,
-        typer.Option(
-            "--output", "-o", metavar="FILE", callback=output_file(".gif"), help=".mp4 (needs ffmpeg), .gif or .webp."
-        ),
+        output_option(".mp4 (needs ffmpeg), .gif or .webp.", ".gif"),
     ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
-    image: Annotated[
-        Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to carry along.")
-    ] = None,
-    pattern: Annotated[
-        PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")
-    ] = None,
+    image: ImageOption = None,
+    pattern: PatternOption = None,
     size: Annotated[
         str | None,
         typer.Option(
@@ -64,20 +63,15 @@ def film_map(
     view: Annotated[
         str, typer.Option(metavar="NAME|AZIMUTH,ELEVATION", help="Direction of view, as for preview.")
     ] = "three-quarter",
-    up: Annotated[
-        str | None,
-        typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default."),
-    ] = None,
-    front: Annotated[
-        str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
-    ] = None,
-    background: Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")] = "white",
+    up: UpOption = None,
+    front: FrontOption = None,
+    background: BackgroundOption = "white",
     seconds: Annotated[
         float | None, typer.Option(help="Length in seconds; by default as long as smooth motion needs.")
     ] = None,
     fps: Annotated[float | None, typer.Option(help="Frames per second; 30 by default, 20 for .gif and .webp.")] = None,
     captions: Annotated[bool, typer.Option(help="Name what is seen below the picture.")] = True,
-    backend: Annotated[Backend, typer.Option(help="What draws: OpenGL or the ray caster.")] = Backend.AUTO,
+    backend: BackendOption = Backend.AUTO,
     method: MethodOption = MapOptions.method,
     cost: CostOption = MapOptions.cost,
     scheme: SchemeOption = MapOptions.scheme,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption
+from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption, output_option
 from omtwarp.commands._streams import STREAM, input_file, input_table
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_folder
@@ -21,7 +21,7 @@ def group(
             help="A table with the columns 'path' and 'group' (- is standard input), or maps (.npz).",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")],
+    output: Annotated[Path, output_option("Folder of the results.", metavar="DIR")],
     grid: Annotated[str, typer.Option(metavar="GRID", help="Sphere whose points are compared.")] = "ico4",
     components: Annotated[int, typer.Option(metavar="N", min=1, help="Largest number of principal components.")] = 5,
     degree: Annotated[

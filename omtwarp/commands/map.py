@@ -22,6 +22,7 @@ from omtwarp.commands._options import (
     MeshArguments,
     MethodOption,
     QuietOption,
+    RadiusOption,
     RefineOption,
     RepairOption,
     SchemeOption,
@@ -31,8 +32,8 @@ from omtwarp.commands._options import (
     TorusOption,
     UntilOption,
     VerboseOption,
+    output_option,
 )
-from omtwarp.commands._streams import output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
 from omtwarp.options import Domain, FillArea, MapOptions, Refinement, SurfaceKeywords
@@ -52,12 +53,8 @@ def map_mesh(
     meshes: MeshArguments,
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            callback=output_file(".npz"),
-            help=".npz for the whole map, or a mesh suffix for the sphere; a directory for several meshes.",
+        output_option(
+            ".npz for the whole map, or a mesh suffix for the sphere; a directory for several meshes.", ".npz"
         ),
     ],
     method: MethodOption = MapOptions.method,
@@ -104,9 +101,7 @@ def map_mesh(
     beside: Annotated[
         bool, typer.Option("--beside", help="For .ply: the surface, with its sphere as px, py, pz at the vertices.")
     ] = False,
-    radius: Annotated[
-        float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
-    ] = 1.0,
+    radius: RadiusOption = 1.0,
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
     quiet: QuietOption = False,

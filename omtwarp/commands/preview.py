@@ -8,8 +8,20 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, SizeOption, as_size, size_text
-from omtwarp.commands._streams import input_file, output_file
+from omtwarp.commands._options import (
+    BackendOption,
+    BackgroundOption,
+    DeviceOption,
+    FrontOption,
+    JsonOption,
+    QuietOption,
+    SizeOption,
+    UpOption,
+    as_size,
+    output_option,
+    size_text,
+)
+from omtwarp.commands._streams import input_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend
@@ -32,13 +44,7 @@ class CameraProjection(StrEnum):
 def preview_mesh(
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            callback=output_file(".png"),
-            help=".png, .jpg, .webp, .tif; .gif or .mp4 for films.",
-        ),
+        output_option(".png, .jpg, .webp, .tif; .gif or .mp4 for films.", ".png"),
     ],
     subject: Annotated[
         Path | None,
@@ -65,15 +71,10 @@ def preview_mesh(
     projection: Annotated[
         CameraProjection, typer.Option(help="Projection of the camera.")
     ] = CameraProjection.PERSPECTIVE,
-    up: Annotated[
-        str | None,
-        typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default."),
-    ] = None,
-    front: Annotated[
-        str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
-    ] = None,
+    up: UpOption = None,
+    front: FrontOption = None,
     light: Annotated[LightName, typer.Option(help="Lights; flat shows the colours themselves.")] = LightName.STUDIO,
-    background: Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")] = BACKGROUND,
+    background: BackgroundOption = BACKGROUND,
     transparent: Annotated[bool, typer.Option("--transparent", help="Leave the background out.")] = False,
     wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the triangles' edges.")] = False,
     image: Annotated[
@@ -81,7 +82,7 @@ def preview_mesh(
     ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="Number of frames of a turntable to draw.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per second of the turntable.")] = FILM_RATE,
-    backend: Annotated[Backend, typer.Option(help="What draws: OpenGL or the ray caster.")] = Backend.AUTO,
+    backend: BackendOption = Backend.AUTO,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
     quiet: QuietOption = False,

@@ -10,6 +10,7 @@ import typer
 from omtwarp.commands._options import (
     CostOption,
     DeviceOption,
+    ImageOption,
     JsonOption,
     MapOption,
     MethodOption,
@@ -20,10 +21,11 @@ from omtwarp.commands._options import (
     SchemeOption,
     SolverOption,
     UntilOption,
+    UpOption,
     VerboseOption,
+    output_option,
 )
-from omtwarp.commands._streams import output_file
-from omtwarp.commands.texture import PatternName
+from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
@@ -32,27 +34,14 @@ from omtwarp.options import MapOptions, Refinement
 def report_on_map(
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            callback=output_file(".html"),
-            help="The page (.html), with everything in it.",
-        ),
+        output_option("The page (.html), with everything in it.", ".html"),
     ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
-    image: Annotated[
-        Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to show on the surface.")
-    ] = None,
-    pattern: Annotated[
-        PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")
-    ] = None,
+    image: ImageOption = None,
+    pattern: PatternOption = None,
     title: Annotated[str | None, typer.Option(help="Heading of the page; the mesh's name by default.")] = None,
-    up: Annotated[
-        str | None,
-        typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default."),
-    ] = None,
+    up: UpOption = None,
     method: MethodOption = MapOptions.method,
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,

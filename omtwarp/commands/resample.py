@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption, named
+from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption, named, output_option
 from omtwarp.commands._streams import STREAM, input_file, output_file
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -40,12 +40,7 @@ def resample_map(
     ],
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="The data at the target; without --data the surface; - is standard output, .npy or .ply.",
-        ),
+        output_option("The data at the target; without --data the surface; - is standard output, .npy or .ply."),
     ],
     data: Annotated[
         Path | None,
@@ -70,7 +65,7 @@ def resample_map(
         Path | None, typer.Option(metavar="NPZ", help="Write the sparse matrix, for scipy.sparse.load_npz.")
     ] = None,
     device: DeviceOption = MapOptions.device,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    as_json: JsonOption = False,
     verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:

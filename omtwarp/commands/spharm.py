@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, MapOption, OptionalMesh, QuietOption, RepairOption, VerboseOption
-from omtwarp.commands._streams import output_file
+from omtwarp.commands._options import (
+    DeviceOption,
+    MapOption,
+    OptionalMesh,
+    QuietOption,
+    RepairOption,
+    VerboseOption,
+    output_option,
+)
 from omtwarp.files import check_output, staged
 
 if TYPE_CHECKING:
@@ -29,12 +36,8 @@ class Fit(StrEnum):
 def spharm(
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            callback=output_file(".csv"),
-            help=".coef as SPHARM-PDM has it, .csv, or .npz with everything; - is standard output, as .csv.",
+        output_option(
+            ".coef as SPHARM-PDM has it, .csv, or .npz with everything; - is standard output, as .csv.", ".csv"
         ),
     ],
     mesh: OptionalMesh = None,

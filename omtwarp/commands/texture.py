@@ -12,6 +12,7 @@ import typer
 from omtwarp.commands._options import (
     CostOption,
     DeviceOption,
+    ImageOption,
     JsonOption,
     MapOption,
     MethodOption,
@@ -23,8 +24,9 @@ from omtwarp.commands._options import (
     SolverOption,
     UntilOption,
     VerboseOption,
+    output_option,
 )
-from omtwarp.commands._streams import output_file, say
+from omtwarp.commands._streams import say
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
@@ -43,6 +45,9 @@ class PatternName(StrEnum):
     PUZZLE = "puzzle"
     GLOBE = "globe"
     CHECKER = "checker"
+
+
+PatternOption = Annotated[PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")]
 
 
 class ProjectionName(StrEnum):
@@ -76,19 +81,11 @@ def texture_width(text: str | None) -> str | None:
 def texture_mesh(
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            callback=output_file(".glb"),
-            help=".glb, .obj (with .mtl and .png) or .ply.",
-        ),
+        output_option(".glb, .obj (with .mtl and .png) or .ply.", ".glb"),
     ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
-    image: Annotated[
-        Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to put on the surface.")
-    ] = None,
+    image: ImageOption = None,
     pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead of a picture.")] = None,
     projection: Annotated[
         ProjectionName,

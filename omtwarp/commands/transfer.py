@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption
-from omtwarp.commands._streams import input_file, output_file
+from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption, output_option
+from omtwarp.commands._streams import input_file
 from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions
@@ -21,7 +21,7 @@ def transfer(
     target: Annotated[Path, typer.Argument(metavar="TO", callback=input_file, help="The mesh that gets the texture.")],
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", callback=output_file(".glb"), help=".glb or .obj."),
+        output_option(".glb or .obj.", ".glb"),
     ],
     map_of_source: Annotated[
         Path | None, typer.Option("--map-from", metavar="NPZ", help="A finished map of FROM.")

@@ -16,8 +16,8 @@ from omtwarp.commands._options import (
     RefineOption,
     RepairOption,
     VerboseOption,
+    output_option,
 )
-from omtwarp.commands._streams import output_file
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
 
@@ -25,7 +25,7 @@ from omtwarp.options import MapOptions, Refinement
 def unwrap_mesh(
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", callback=output_file(".glb"), help=".glb or .obj."),
+        output_option(".glb or .obj.", ".glb"),
     ],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
