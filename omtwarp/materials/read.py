@@ -304,6 +304,17 @@ def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Materia
         diffuse = np.asarray(getattr(source, "diffuse", (255, 255, 255, 255)), dtype=np.float64) / 255.0
         picture = _pil(getattr(source, "image", None))
         return Material(name, _color(diffuse if picture is None else np.ones(4)), picture), coordinates, None
+    return _of_gltf(source, name, factors), coordinates, _vertex_colors(mesh)
+
+
+def _of_gltf(source: trimesh.visual.material.PBRMaterial, name: str, factors: Factors | None) -> Material:
+    """Return a material that trimesh read from glTF.
+
+    Args:
+        source: as trimesh has it.
+        name: how it is called.
+        factors: base colours as the file has them, by what trimesh makes of them.
+    """
     factor = source.baseColorFactor
     color = (1.0, 1.0, 1.0, 1.0)
     if factor is not None:
@@ -312,7 +323,7 @@ def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Materia
         scaled = (factors or {}).get((source.name, tuple(values.tolist())), scaled)
         color = _color(np.concatenate([to_srgb(scaled[:3]), scaled[3:4]]))
     emission = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor, dtype=np.float64)
-    material = Material(
+    return Material(
         name=name,
         color=color,
         picture=_pil(source.baseColorTexture),
@@ -325,7 +336,6 @@ def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Materia
         roughness_picture=_pil(source.metallicRoughnessTexture),
         emission_picture=_pil(source.emissiveTexture),
     )
-    return material, coordinates, _vertex_colors(mesh)
 
 
 def _vertex_colors(mesh: trimesh.Trimesh) -> Bytes | None:

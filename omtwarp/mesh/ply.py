@@ -88,8 +88,6 @@ def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float
 def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
     """Read a PLY header: the elements, the byte order (``<`` or ``>``, None for text), and the bytes after it.
 
-    One function, as each kind of line that a header has is read in a line or two.
-
     Raises:
         ValueError: no header, or one that cannot be understood.
     """
@@ -107,17 +105,25 @@ def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
         elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
             elements.append(_Element(words[1], int(words[2]), ()))
         elif words[0] == "property" and elements and len(words) in (3, 5):
-            listed = words[1] == "list"
-            kinds = [_TYPES[word] for word in (words[2:4] if listed else words[1:2])]
-            added = _Property(words[-1], kinds[-1], kinds[0] if listed else None)
             last = elements[-1]
-            elements[-1] = _Element(last.name, last.count, (*last.properties, added))
+            elements[-1] = _Element(last.name, last.count, (*last.properties, _property(words[1:])))
         else:
             raise ValueError(f"its header says '{line[:60]}'")
     if order == "":
         raise ValueError("its header names no format")
     # An element without properties takes no memory, however many the header announces.
     return [element for element in elements if element.properties], order, data[found.end() :]
+
+
+def _property(words: list[str]) -> _Property:
+    """Read what a header says of a property: its type or ``list`` and the types of lengths and entries, and its name.
+
+    Raises:
+        KeyError: an unknown type.
+    """
+    listed = words[0] == "list"
+    kinds = [_TYPES[word] for word in (words[1:3] if listed else words[:1])]
+    return _Property(words[-1], kinds[-1], kinds[0] if listed else None)
 
 
 def _cut(elements: list[_Element]) -> OmtwarpError:

@@ -206,84 +206,115 @@ def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) ->
 def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], sound: bool) -> list[Defect]:
     """Find defects of connectivity: manifold, closed, oriented, in one piece, of genus 0, outward.
 
-    ``sound`` says that the faces by themselves have no defects, which genus and inside need. One function, as each
-    check is a few lines in the order in which a user reads them, and later ones use the results of earlier ones.
+    ``sound`` says that the faces by themselves have no defects, which genus and inside need.
     """
-    found: list[Defect] = []
     topology = Topology(faces, len(points))
+    crowded, pinched = topology.edge_face_count > 2, topology.fans > 1
+    orientable = not topology.clashing_edges.any() or topology.orientation[0]
+    found = [
+        _crowded_edges(topology, crowded),
+        _pinched_vertices(pinched),
+        _open_boundary(points, topology),
+        _clashing_faces(topology, orientable or bool(crowded.any())),
+        _several_components(topology),
+    ]
+    if sound and orientable and not crowded.any() and not pinched.any():
+        found.append(_handles(topology))
+    defects = [defect for defect in found if defect is not None]
+    if sound and not defects and _signed_volume(points, faces) < 0:
+        text = f"inward orientation: all {number(len(faces), 'face')} are clockwise seen from outside, first face 0"
+        defects.append(Defect("inward-orientation", len(faces), 0, text, f"turn them with {REPAIR}"))
+    return defects
 
-    crowded = topology.edge_face_count > 2
-    if crowded.any():
-        a, b = (int(end) for end in topology.edges[np.argmax(crowded)])
-        count = int(crowded.sum())
-        text = f"{number(count, 'non-manifold edge')} (more than two faces), first between vertices {a} and {b}"
-        found.append(Defect("non-manifold-edges", count, a, text, "remove the extra faces in a mesh editor"))
 
-    pinched = topology.fans > 1
-    if pinched.any():
-        first, count = int(np.argmax(pinched)), int(pinched.sum())
-        several = number(count, "non-manifold vertex", "non-manifold vertices")
-        text = f"{several} (several fans of faces meet in a point), first vertex {first}"
-        remedy = "split the vertex, or drop the extra fan, in a mesh editor"
-        found.append(Defect("non-manifold-vertices", count, first, text, remedy))
+def _crowded_edges(topology: Topology, crowded: NDArray[np.bool_]) -> Defect | None:
+    """Return the defect of edges with more than two faces, which are marked in an array of shape [E]."""
+    if not crowded.any():
+        return None
+    a, b = (int(end) for end in topology.edges[np.argmax(crowded)])
+    count = int(crowded.sum())
+    text = f"{number(count, 'non-manifold edge')} (more than two faces), first between vertices {a} and {b}"
+    return Defect("non-manifold-edges", count, a, text, "remove the extra faces in a mesh editor")
 
+
+def _pinched_vertices(pinched: NDArray[np.bool_]) -> Defect | None:
+    """Return the defect of vertices in which several fans of faces meet, which are marked in an array of shape [V]."""
+    if not pinched.any():
+        return None
+    first, count = int(np.argmax(pinched)), int(pinched.sum())
+    several = number(count, "non-manifold vertex", "non-manifold vertices")
+    text = f"{several} (several fans of faces meet in a point), first vertex {first}"
+    remedy = "split the vertex, or drop the extra fan, in a mesh editor"
+    return Defect("non-manifold-vertices", count, first, text, remedy)
+
+
+def _open_boundary(points: NDArray[np.float64], topology: Topology) -> Defect | None:
+    """Return the defect of edges with one face."""
     lone = topology.edge_face_count == 1
-    if lone.any():
-        holes = number(topology.hole_count, "hole")
-        edges = number(lone.sum(), "edge")
-        size, vertex = topology.first_hole
-        which = "the first " if topology.hole_count > 1 else ""
-        text = f"open boundary: {edges} with one face, in {holes}, {which}a loop of {size} edges at vertex {vertex}"
-        copies = _coincident_vertices(points, topology.edges[lone])
-        if copies:
-            remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
-        else:
-            remedy = (
-                f"fill small holes with {REPAIR}, or map it with --hemisphere or --fill-area (map_surface in Python)"
-            )
-        found.append(Defect("open-boundary", int(lone.sum()), vertex, text, remedy))
+    if not lone.any():
+        return None
+    holes = number(topology.hole_count, "hole")
+    edges = number(lone.sum(), "edge")
+    size, vertex = topology.first_hole
+    which = "the first " if topology.hole_count > 1 else ""
+    text = f"open boundary: {edges} with one face, in {holes}, {which}a loop of {size} edges at vertex {vertex}"
+    copies = _coincident_vertices(points, topology.edges[lone])
+    if copies:
+        remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
+    else:
+        remedy = f"fill small holes with {REPAIR}, or map it with --hemisphere or --fill-area (map_surface in Python)"
+    return Defect("open-boundary", int(lone.sum()), vertex, text, remedy)
 
+
+def _clashing_faces(topology: Topology, turnable: bool) -> Defect | None:
+    """Return the defect of neighbours that turn opposite ways.
+
+    Args:
+        topology: of the mesh.
+        turnable: whether to say how many edges there are, and not that the surface has one side.
+    """
     clashing = topology.clashing_edges
-    orientable = not clashing.any() or topology.orientation[0]
-    if not orientable and not crowded.any():
-        a, b = (int(end) for end in topology.edges[np.argmax(clashing)])
+    if not clashing.any():
+        return None
+    a, b = (int(end) for end in topology.edges[np.argmax(clashing)])
+    if not turnable:
         text = f"not orientable: a one-sided surface, its sides meet first between vertices {a} and {b}"
         remedy = "no repair is possible: only surfaces with an inside map to the sphere"
-        found.append(Defect("not-orientable", 1, a, text, remedy))
-    elif clashing.any():
-        a, b = (int(end) for end in topology.edges[np.argmax(clashing)])
-        text = (
-            f"inconsistent orientation: {number(clashing.sum(), 'edge')} between faces that turn opposite ways, "
-            f"first between vertices {a} and {b}"
-        )
-        found.append(Defect("inconsistent-orientation", int(clashing.sum()), a, text, f"turn the faces with {REPAIR}"))
+        return Defect("not-orientable", 1, a, text, remedy)
+    text = (
+        f"inconsistent orientation: {number(clashing.sum(), 'edge')} between faces that turn opposite ways, "
+        f"first between vertices {a} and {b}"
+    )
+    return Defect("inconsistent-orientation", int(clashing.sum()), a, text, f"turn the faces with {REPAIR}")
 
+
+def _several_components(topology: Topology) -> Defect | None:
+    """Return the defect of a mesh in several pieces."""
     pieces, labels = topology.components
-    if pieces > 1:
-        sizes = np.bincount(labels)
-        largest = int(np.argmax(sizes))
-        first = int(np.argmax(labels != largest))
-        text = (
-            f"{pieces} components, the largest with {sizes[largest]} of {len(faces)} faces, "
-            f"first face of another is {first}"
-        )
-        remedy = f"map each with --components (map_surface in Python), or keep the largest with {REPAIR}"
-        found.append(Defect("several-components", pieces, first, text, remedy))
+    if pieces <= 1:
+        return None
+    sizes = np.bincount(labels)
+    largest = int(np.argmax(sizes))
+    first = int(np.argmax(labels != largest))
+    text = (
+        f"{pieces} components, the largest with {sizes[largest]} of {len(labels)} faces, "
+        f"first face of another is {first}"
+    )
+    remedy = f"map each with --components (map_surface in Python), or keep the largest with {REPAIR}"
+    return Defect("several-components", pieces, first, text, remedy)
 
-    if sound and orientable and not crowded.any() and not pinched.any():
-        genus = topology.genus
-        if genus > 0:
-            a, b = (int(end) for end in topology.handle_edge)
-            handles = number(genus, "handle")
-            text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
-            torus = ", or map genus 1 with --torus" if genus == 1 else ""
-            remedy = f"only genus 0 maps to the sphere: cut the handles with --cut{torus}"
-            found.append(Defect("genus", genus, a, text, remedy))
 
-    if sound and not found and _signed_volume(points, faces) < 0:
-        text = f"inward orientation: all {number(len(faces), 'face')} are clockwise seen from outside, first face 0"
-        found.append(Defect("inward-orientation", len(faces), 0, text, f"turn them with {REPAIR}"))
-    return found
+def _handles(topology: Topology) -> Defect | None:
+    """Return the defect of a surface of higher genus."""
+    genus = topology.genus
+    if genus <= 0:
+        return None
+    a, b = (int(end) for end in topology.handle_edge)
+    handles = number(genus, "handle")
+    text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
+    torus = ", or map genus 1 with --torus" if genus == 1 else ""
+    remedy = f"only genus 0 maps to the sphere: cut the handles with --cut{torus}"
+    return Defect("genus", genus, a, text, remedy)
 
 
 class Topology:

@@ -284,9 +284,8 @@ class _Newton:
             fresh = renew
             if renew:
                 _factorise(self.energy, self.factor, points, terms, self.damping, 1.0 / self.stiffness)
-                if number == 0 and self.constrained and not self.known:  # those with which it is least steep
-                    gradient = energy.gradient(points, terms, self.multipliers)
-                    self.multipliers = self.multipliers + self._solve(-gradient, np.zeros_like(self.multipliers))[1]
+                if number == 0:
+                    self._choose_multipliers(points, terms)
             missing = energy.missing(terms)
             gradient = energy.gradient(points, terms, self.multipliers)
             step, q = self._solve(-gradient, -missing)
@@ -313,10 +312,20 @@ class _Newton:
             if progress is not None:
                 progress(number + 1, iterations, history[-1])
             if fresh:
-                change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
-                self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
+                self._adapt_damping(length)
             renew = bool(length < 1.0 or held > MOST_HELD * len(points) or gained < RENEWED * length * decrement)
         return TorusTransport(points, self.multipliers, history, converged, ended, self.energy.shape_weight)
+
+    def _choose_multipliers(self, points: Floats, terms: PlaneTerms) -> None:
+        """Take the multipliers with which the energy is least steep, where none are known and areas are constrained."""
+        if self.constrained and not self.known:
+            gradient = self.energy.gradient(points, terms, self.multipliers)
+            self.multipliers = self.multipliers + self._solve(-gradient, np.zeros_like(self.multipliers))[1]
+
+    def _adapt_damping(self, length: float) -> None:
+        """Lower the damping after a full step, and raise it after one of less than half."""
+        change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
+        self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
 
     def _reached(self, terms: PlaneTerms, decrement: float) -> bool:
         if not self.constrained:

@@ -25,7 +25,7 @@ from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
-from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 from omtwarp.transport.area import LARGEST_ERROR
@@ -77,8 +77,6 @@ def polish_transport(
         device: where the kernels run, and where the systems of a large mesh are solved.
         progress: called after each round as ``progress("omt", round, most, record)``.
 
-    One function, as every round needs all arrays: as a class they would be attributes that are used once.
-
     Returns:
         The map of the last round that lowered the curl without harm to the areas, and a record of all rounds:
         ``iteration``, ``step`` and ``held`` of the round, ``cost``, ``curl`` and ``area_error`` of the map it left,
@@ -89,56 +87,22 @@ def polish_transport(
     """
     surface = as_surface(surface)
     where = resolve_device(device)
-    count = surface.vertex_count
-    mesh = surface.on(where)
-    faces, rows = mesh.faces, mesh.vertex_corners
     origin, points = (vectors(as_sphere(array, surface), where) for array in (start, sphere))
     points = wp.clone(points)
-    moved, pull = wp.empty_like(points), wp.empty_like(points)
-    curl, energy, area, missing = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(4))
-    wanted, areas = mesh.vertex_areas, mesh.face_areas
-    total, squares = (wp.empty(size, dtype=wp.float64, device=where) for size in (1, 2))
-    measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
-    face_sums, vertex_sums = RowSums(surface.face_count, 3, where), sums_for(where, count)
-
-    def measure() -> tuple[float, float, float]:
-        limits = [wp.float64(LARGEST_ERROR), wp.float64(MAX_COUNTED_ERROR)]
-
-        def of_triangles(part: slice) -> Arguments:
-            return [origin, points, faces[part], areas[part], *limits], [measured[part]]
-
-        launch_parts(cost_and_area_errors, len(measured), of_triangles, where)
-        cost, usual, worst = (float(x) for x in face_sums(measured).numpy().sum(axis=0))
-        return cost, usual / SPHERE_AREA, worst / SPHERE_AREA
-
-    def around_vertices(part: slice) -> Arguments:
-        return [points, pull, faces, *rows, part.start], [curl, energy, area]
-
-    def along_potentials(part: slice) -> Arguments:
-        lengths = [wp.float64(step), wp.float64(min(1.0, 2.0 * step))]
-        return [best, faces, *potentials, *rows, *lengths, part.start], [moved]
-
+    moved = wp.empty_like(points)
+    curl = _Curl(surface, origin, points)
     guard = StepGuard(surface, where)
     guarded = guard.count(points) == 0
-    solver = SurfaceLaplacianSolver(surface, points, device=where)
     history: list[Record] = []
     best = wp.clone(points)
-    first_cost, *largest = measure()
+    first_cost, *largest = curl.cost_and_errors(points)
     potentials: list[wp.array] = []
     kept: dict[str, float] = {}
-    least, held, step, last, ended = np.inf, 0, STEP, False, ""
+    least, held, step, last = np.inf, 0, STEP, False
     for number in range(rounds + 1):
-        wp.launch(displacements_to_start, dim=count, inputs=[origin, points], outputs=[pull], device=where)
-        launch_parts(weak_curl_and_area, count, around_vertices, where)
-        vertex_sums.total(area, total)
-        inputs = [wanted, area, total, wp.float64(SPHERE_AREA)]
-        wp.launch(missing_areas, dim=count, inputs=inputs, outputs=[missing], device=where)
-        solved = solver.solve_arrays([curl, missing])
-        vertex_sums.dot(curl, solved[0], squares[:1])
-        vertex_sums.total(energy, squares[1:])
-        removable, size = np.sqrt(np.maximum(squares.numpy(), 0.0)).tolist()
+        removable, size, solved = curl.removable(points)
         relative = removable / max(size, LEAST_SIZE)
-        cost, *errors = measure()
+        cost, *errors = curl.cost_and_errors(points)
         slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, TINY))
         tried = step
         if removable < least and errors[0] <= largest[0] + slack and errors[1] <= largest[1] + slack:
@@ -153,17 +117,95 @@ def polish_transport(
         history.append(record)
         if progress is not None:
             progress("omt", number, rounds, record)
-        if relative <= NEGLIGIBLE_CURL:
-            ended = "the curl is negligible"
-        elif last:
-            ended = "a round took next to nothing off the curl"
-        elif step < SHORTEST_STEP:
-            ended = "no step lowers the curl without harm to areas"
-        elif number == rounds:
-            ended = "most rounds made"
+        ended = _end(relative, last, step, number == rounds)
         if ended:
             break
-        launch_parts(move_by_potentials, count, along_potentials, where)
+        curl.move(best, potentials, step, moved)
         held = guard.limit(best, moved) if guarded else 0
         points, moved = moved, points
     return TransportMap(best.numpy().copy(), history, kept["curl"] <= OPTIMAL_CURL, ended)
+
+
+def _end(curl: float, exhausted: bool, step: float, most: bool) -> str:
+    """Return why no further round is made, in words; empty where one is.
+
+    Args:
+        curl: of the map, relative to the displacements.
+        exhausted: whether the round took too little off the curl.
+        step: of the next round.
+        most: whether the most rounds were made.
+    """
+    if curl <= NEGLIGIBLE_CURL:
+        return "the curl is negligible"
+    if exhausted:
+        return "a round took next to nothing off the curl"
+    if step < SHORTEST_STEP:
+        return "no step lowers the curl without harm to areas"
+    return "most rounds made" if most else ""
+
+
+class _Curl:
+    """The curl of maps of one surface, and the steps that take it out; with the arrays that all rounds share.
+
+    Args:
+        surface: V vertices; its vertex areas, total 4π, are the masses.
+        origin: the points that are transported, vec3d, shape [V].
+        points: the map whose triangles the Laplacian is made of, vec3d, shape [V].
+    """
+
+    def __init__(self, surface: Surface, origin: wp.array, points: wp.array):
+        where, count = points.device, surface.vertex_count
+        self.where, self.count, self.origin, self.mesh = where, count, origin, surface.on(where)
+        self.solver = SurfaceLaplacianSolver(surface, points, device=where)
+        self.pull = wp.empty_like(points)
+        self.curl, self.energy, self.area, self.missing = (
+            wp.empty(count, dtype=wp.float64, device=where) for _ in range(4)
+        )
+        self.total, self.squares = (wp.empty(size, dtype=wp.float64, device=where) for size in (1, 2))
+        self.measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
+        self.face_sums, self.vertex_sums = RowSums(surface.face_count, 3, where), sums_for(where, count)
+
+    def cost_and_errors(self, points: wp.array) -> tuple[float, float, float]:
+        """Return cost and area errors of a map: with triangles counting little each, and with up to ten each."""
+        limits = [wp.float64(LARGEST_ERROR), wp.float64(MAX_COUNTED_ERROR)]
+
+        def of_triangles(part: slice) -> Arguments:
+            inputs = [self.origin, points, self.mesh.faces[part], self.mesh.face_areas[part], *limits]
+            return inputs, [self.measured[part]]
+
+        launch_parts(cost_and_area_errors, len(self.measured), of_triangles, self.where)
+        cost, usual, worst = (float(x) for x in self.face_sums(self.measured).numpy().sum(axis=0))
+        return cost, usual / SPHERE_AREA, worst / SPHERE_AREA
+
+    def removable(self, points: wp.array) -> tuple[float, float, list[wp.array]]:
+        """Return the norms of the curl and of the displacements, and the potentials that take out curl and area error.
+
+        Args:
+            points: the map, vec3d, shape [V].
+        """
+        inputs = [self.origin, points]
+        wp.launch(displacements_to_start, dim=self.count, inputs=inputs, outputs=[self.pull], device=self.where)
+
+        def around_vertices(part: slice) -> Arguments:
+            inputs = [points, self.pull, self.mesh.faces, *self.mesh.vertex_corners, part.start]
+            return inputs, [self.curl, self.energy, self.area]
+
+        launch_parts(weak_curl_and_area, self.count, around_vertices, self.where)
+        self.vertex_sums.total(self.area, self.total)
+        inputs = [self.mesh.vertex_areas, self.area, self.total, wp.float64(SPHERE_AREA)]
+        wp.launch(missing_areas, dim=self.count, inputs=inputs, outputs=[self.missing], device=self.where)
+        solved = self.solver.solve_arrays([self.curl, self.missing])
+        self.vertex_sums.dot(self.curl, solved[0], self.squares[:1])
+        self.vertex_sums.total(self.energy, self.squares[1:])
+        removable, size = np.sqrt(np.maximum(self.squares.numpy(), 0.0)).tolist()
+        return removable, size, solved
+
+    def move(self, points: wp.array, potentials: list[wp.array], step: float, moved: wp.array) -> None:
+        """Move a map along its potentials: that of the curl by a share of the full step, that of areas by twice it."""
+
+        def along_potentials(part: slice) -> Arguments:
+            lengths = [wp.float64(step), wp.float64(min(1.0, 2.0 * step))]
+            inputs = [points, self.mesh.faces, *potentials, *self.mesh.vertex_corners, *lengths, part.start]
+            return inputs, [moved]
+
+        launch_parts(move_by_potentials, self.count, along_potentials, self.where)
