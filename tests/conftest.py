@@ -20,7 +20,7 @@ settings.load_profile("omtwarp")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """A launch with an array of another device is an error in every test."""
+    """Make a launch with an array of another device an error in every test."""
     import warp
 
     warp.config.launch_array_access_mode = warp.config.LaunchArrayAccessMode.STRICT
@@ -28,7 +28,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
 def device(request: pytest.FixtureRequest) -> str:
-    """A device to run on: the CPU, and the first CUDA device where there is one."""
+    """Run a test on the CPU, and on the first CUDA device where there is one."""
     if request.param == "cpu":
         return "cpu"
     from omtwarp.device.start import wp
@@ -40,7 +40,7 @@ def device(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(autouse=True)
 def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing in the package or its tests may reach for the network."""
+    """Fail every connection to the network that the package or a test attempts."""
     connect = socket.socket.connect
 
     def local_only(self: socket.socket, address):

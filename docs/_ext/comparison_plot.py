@@ -17,12 +17,14 @@ from sphinx.util.docutils import SphinxDirective
 
 COLUMNS = ["mesh", "program", "flips", "area", "angle", "ours", "our flips", "our area", "our angle"]
 WIDTH, HEIGHT = 720, 430  # in CSS pixels
-LEFT, RIGHT, TOP, BOTTOM = 64, 16, 34, 52
+LEFT, RIGHT, TOP, BOTTOM = 78, 16, 16, 52
 # Distortion is at least 2: the axes show how far it is above, on a logarithmic scale.
 AREA, ANGLE = (1e-4, 1.0), (1e-2, 10.0)
 STYLE = (
-    ".comparison-plot-frame{overflow-x:auto}"
-    ".comparison-plot{width:100%;min-width:560px;height:auto;font-family:sans-serif;font-size:13px}"
+    ".comparison-plot{width:100%;height:auto;font-family:sans-serif;font-size:13px}"
+    "@media(max-width:600px){.comparison-plot{font-size:20px}}"
+    ".comparison-legend{display:flex;flex-wrap:wrap;gap:.2em 1.4em;font-size:.85rem;margin:.6em 0}"
+    ".comparison-legend svg{width:12px;height:12px;margin-right:.4em}"
     ".comparison-plot text{fill:var(--color-foreground-primary)}"
     ".comparison-plot .grid{stroke:var(--color-background-border)}"
     ".comparison-plot .other{fill:none;stroke:#c2571a;stroke-width:1.6}"
@@ -99,14 +101,16 @@ def draw(rows: list[dict[str, str]]) -> str:
     parts.append(f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 10}" text-anchor="middle">area distortion</text>')
     parts.append(f'<text transform="translate(16 {middle}) rotate(-90)" text-anchor="middle">angle distortion</text>')
     legend = (("other", "another program"), ("other flipped", "the same, with flipped triangles"), ("own", "omtwarp"))
-    for k, (kind, words) in enumerate(legend):
-        x = LEFT + (0, 160, 410)[k]
-        parts.append(f'<circle class="{kind}" cx="{x + 5}" cy="14" r="4"/><text x="{x + 15}" y="18.5">{words}</text>')
+    marks = "".join(
+        '<span><svg class="comparison-plot" viewBox="0 0 12 12" aria-hidden="true">'
+        f'<circle class="{kind}" cx="6" cy="6" r="4"/></svg>{words}</span>'
+        for kind, words in legend
+    )
     title = "Area and angle distortion of maps by other programs, each joined to the map of omtwarp compared with it"
     return (
-        '<div class="comparison-plot-frame">'
+        f'<div><style>{STYLE}</style><div class="comparison-legend">{marks}</div>'
         f'<svg class="comparison-plot" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" xmlns="http://www.w3.org/2000/svg">'
-        f"<title>{title}</title><style>{STYLE}</style>{''.join(parts)}</svg></div>"
+        f"<title>{title}</title>{''.join(parts)}</svg></div>"
     )
 
 

@@ -36,7 +36,7 @@ def blob_map(seed: int = 3) -> SpherePoints:
 def turned(
     points: SpherePoints, rotation: np.ndarray, pose: np.ndarray | None = None, noise: float = 0.0, seed: int = 0
 ):
-    """The same map with its sphere turned, its surface in another pose, and noise as a part of the surface's size."""
+    """Turn a map's sphere, move its surface to another pose, and add noise relative to the surface's size."""
     grid = mesh_grid(points.grid.points @ rotation.T, points.grid.triangles, "turned")
     vertices = points.vertices if pose is None else points.vertices @ pose.T + [1.0, -2.0, 0.5]
     size = np.ptp(points.vertices, axis=0).max()
@@ -133,7 +133,7 @@ def test_turns_of_scans_are_found_again(name):
 
 
 def test_another_mesh_of_the_same_shape():
-    """The same shape on another triangulation, turned: nothing but the shape itself says where to turn."""
+    """A rotation between two triangulations of one shape is found, from the shape alone."""
     rotation = random_rotation(9)
     fine = shapes.icosphere(27)
     blob = shapes.blob(seed=3, sphere=fine)
@@ -177,7 +177,7 @@ def test_same_faces_are_aligned_by_vertices():
 
 
 def test_equal_faces_alone_do_not_make_two_shapes_correspond():
-    """Two shapes on one grid, one of which lies turned on it: by numbers of vertices they would stay so."""
+    """Two shapes on one grid, one rotated on it, are aligned by shape; by vertex numbers they would not move."""
     blob, rotation = blob_map(), random_rotation(6)
     turned_grid = mesh_grid(SPHERE.vertices @ rotation.T, SPHERE.faces)
     other = resample(SpherePoints(turned_grid, blob.vertices), (SPHERE.vertices, SPHERE.faces), device="cpu")
@@ -203,7 +203,7 @@ def test_why_vertices_were_taken_is_said():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_axes_of_an_ellipsoid(seed):
-    """x = A u exactly: the frame is the ellipsoid's, and the sphere's axes go to the ends of its axes."""
+    """Where x = A u exactly, the frame is the ellipsoid's, and the sphere's axes go to the ends of the ellipsoid's."""
     pose, turn = random_rotation(seed), random_rotation(seed + 20)
     tailed = SPHERE.vertices + 0.05 * (SPHERE.vertices**2 - 1.0 / 3.0)  # tails towards +x, +y and +z
     surface = tailed * [3.0, 2.0, 1.0] @ pose.T

@@ -40,7 +40,7 @@ def test_mean_value_weights_agree_with_the_formula():
 
 
 def test_tutte_weights_are_the_adjacency():
-    """Weight 1 on every edge and nothing else."""
+    """Tutte's matrix has weight 1 on every edge and no other entry."""
     surface = shapes.random_sphere(60, seed=4)
     matrix = barycentric_weights(surface, "tutte", device="cpu").toarray()
     expected = np.zeros_like(matrix)
@@ -88,7 +88,7 @@ def test_the_centred_map_does_not_collapse_or_flip(seed, clustering, weights):
 
 
 def test_the_answer_does_not_depend_on_where_the_surface_is():
-    """Scale and place of the surface do not enter; twice the same call gives the same bits."""
+    """The map is the same for a scaled and moved surface, and the same bits at a second call."""
     surface = shapes.blob(seed=5, sphere=320)
     first = barycentric_map(surface, weights="mean-value", device="cpu").sphere
     np.testing.assert_array_equal(first, barycentric_map(surface, weights="mean-value", device="cpu").sphere)

@@ -16,7 +16,7 @@ from omtwarp.mesh.write import write_mesh
 
 
 def run(capsys, *arguments) -> tuple[int, str, str]:
-    """Exit status, standard output and standard error of a command."""
+    """Run a command; return its exit status, standard output and standard error."""
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in arguments])
     out, err = capsys.readouterr()
@@ -48,7 +48,7 @@ def torus() -> tuple[np.ndarray, np.ndarray]:
 
 
 def bad_meshes() -> dict[str, tuple[np.ndarray, np.ndarray, str, str]]:
-    """Vertices, faces, words that name the defect, its number and place, and words of the remedy."""
+    """Return bad meshes with the words that their error lines need: the defect, its number and place, the remedy."""
     v, f = ball()
     cases = {}
     cases["open"] = (

@@ -1,4 +1,4 @@
-"""What the commands do with good input: files, summaries, repair, help, and how they end when interrupted."""
+"""Commands with good input: their files, summaries, repair and help, and how they end when interrupted."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def run(capsys, *arguments) -> tuple[int, str, str]:
 
 
 def radial_map(vertices, faces, flip: bool = False) -> MapResult:
-    """A star-shaped surface pushed straight out to the sphere: a map that needs no computation."""
+    """Project a star-shaped surface from its centre to the sphere: a map that needs no computation."""
     sphere = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     if flip:
         sphere[faces[5, 0]] *= -1
@@ -42,7 +42,7 @@ def radial_map(vertices, faces, flip: bool = False) -> MapResult:
 
 @pytest.fixture
 def radial(monkeypatch):
-    """The map command with the radial map instead of the pipeline; records the options that reach it."""
+    """Replace the pipeline of the map command by the radial map, and record the options that reach it."""
     seen = {}
 
     def make(mesh, *, quiet, **options):
@@ -200,7 +200,7 @@ cli.main(["map", sys.argv[1], "-o", sys.argv[2], "--device", "cpu"])
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
 @pytest.mark.parametrize(("kind", "stage"), [("holding", False), ("released", False), ("released", True)])
 def test_an_interruption_ends_native_code_and_leaves_no_partial_file(tmp_path, blob, kind, stage):
-    """Control-C in the middle of a computation, and in the middle of writing."""
+    """Control-C during a computation or a write ends the process and leaves no partial file."""
     code = WORKER.format(busy=BUSY[kind], staged=stage)
     command = [sys.executable, "-c", code, str(tmp_path / "blob.ply"), str(tmp_path / "out.npz")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

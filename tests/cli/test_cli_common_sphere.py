@@ -25,7 +25,7 @@ COUNT = SPHERE.vertex_count
 
 
 def a_map(rotation: np.ndarray) -> MapResult:
-    """A map of the blob as the command line reads it: the sphere that it was made from, turned."""
+    """Make a map of the blob, in the form the command line reads: the sphere that it was made from, rotated."""
     points = SPHERE.vertices @ rotation.T
     return MapResult(BLOB.vertices, BLOB.faces, points, points, np.ones(COUNT))
 
@@ -120,7 +120,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def test_same_bits_twice(desk, capsys):
-    """Of every output: maps, spheres, surfaces, data, matrices, coefficients, tables, pictures and what is printed."""
+    """Two runs give the same bits of every output: maps, data, matrices, tables, pictures and printed lines."""
     pytest.importorskip("nibabel")
     commands = [
         ["align", "lh.npz", "--to", "template.npz", "--mirror", "-o", "out/map.npz", "--json"],

@@ -16,7 +16,7 @@ from omtwarp.mesh.write import write_mesh
 
 @pytest.fixture
 def counted(monkeypatch):
-    """Count the calls of what examines meshes, certifies maps and writes archives."""
+    """Count the calls of the functions that examine meshes, certify maps and write archives."""
     counts = Counter()
 
     def count(name, *modules):
@@ -51,7 +51,7 @@ def map_file(folder, vertices, faces, *options):
 
 
 def test_a_map_is_examined_certified_and_written_once(tmp_path, counted):
-    """Of every map between the stages, too, orientation is decided once."""
+    """Mesh and final map are examined once, the file is written once, and each stage's orientation is decided once."""
     surface = shapes.blob(seed=2, amplitude=0.2, sphere=1280)
     map_file(tmp_path, surface.vertices, surface.faces)
     maps = {key: counted.pop(key) for key in list(counted) if isinstance(key, tuple)}

@@ -11,7 +11,7 @@ from omtwarp.device.prewarm import kernel_modules
 
 
 def test_every_module_with_kernels_is_found():
-    """Found by reading the files; checked against the kernels that the imported modules really hold."""
+    """Modules found by reading files are those whose imported module holds kernels."""
     from omtwarp.device.start import wp
 
     holding = set()

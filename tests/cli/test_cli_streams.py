@@ -32,7 +32,7 @@ class Piped(io.TextIOWrapper):
 
 
 def run(monkeypatch, capfdbinary, arguments, given: bytes = b"") -> tuple[int, bytes, str]:
-    """Exit status, standard output as bytes and standard error of a command that is given something."""
+    """Run a command with an input; return its exit status, standard output as bytes and standard error."""
     monkeypatch.setattr(sys, "stdin", Piped(io.BytesIO(given)))
     stdout = Piped(open(1, "wb", closefd=False))
     monkeypatch.setattr(sys, "stdout", stdout)

@@ -75,7 +75,7 @@ def test_texture_and_picture_from_the_finished_map(folder, tmp_path):
 
 
 def test_the_size_follows_the_stretch_where_none_is_given(folder, tmp_path, capsys):
-    """Largest sizes differ where a size is asked for; this map needs less than either."""
+    """Without --size the texture is as large as the stretch needs, which for this map is less than either limit."""
     finished = omtwarp.MapResult.load(folder / "map.npz")
     wanted = sharp_size(finished.vertices, finished.faces, finished.sphere, "octahedral").size
     assert 1000 < wanted < LARGEST_UNASKED

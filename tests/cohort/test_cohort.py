@@ -51,7 +51,7 @@ def write_shapes(folder: Path, count: int, faces: int = 80) -> list[Path]:
 
 
 def spoil(paths: list[Path]) -> None:
-    """Ten ways of being no surface that can be mapped."""
+    """Damage files in ten ways, so that none holds a surface that can be mapped."""
     surface = blob(0, sphere=80)
     vertices, faces = surface.vertices, surface.faces
     nan = vertices.copy()
@@ -96,7 +96,7 @@ def manifest_of(paths: list[Path], file: Path) -> Path:
 
 
 def holding(out: Path, name: str) -> int:
-    """Hold an item's lock as a process that works on it does; whoever comes to the item waits."""
+    """Hold an item's lock, as a process that works on it does, so that others wait."""
     import fcntl  # there is none on Windows
 
     lock = os.open(out / "locks" / name, os.O_RDWR | os.O_CREAT)
@@ -116,7 +116,7 @@ def adopting_orphans():
 
 
 def cpu_seconds_of_children() -> float:
-    """CPU time of all descendants that have ended, once those of a killed driver have."""
+    """Return the CPU time of all descendants that have ended, after those of a killed driver have."""
     with contextlib.suppress(ChildProcessError):
         while True:
             os.waitpid(-1, 0)

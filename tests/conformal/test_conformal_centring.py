@@ -1,4 +1,4 @@
-"""Möbius centring reaches the centre, by a Möbius transformation, and undoes any other."""
+"""Möbius centring moves the mean to the centre by a Möbius transformation, and undoes any other one."""
 
 import numpy as np
 import pytest

@@ -68,7 +68,7 @@ def test_measures_take_either(start, device):
 
 
 def test_what_floating_point_cannot_decide_is_decided_on_arrays_of_the_device_too(device):
-    """Three points in a plane with the origin, to the last bit, and the next number beside one of them."""
+    """Signs are exact for three points in a plane with the origin, and with one coordinate changed by its last bit."""
     points = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, -1.0, 0], [-1.0, -1.0, 5e-324]])
     faces = np.array([[0, 1, 2], [0, 1, 3], [1, 0, 3]], dtype=np.int32)
     sent = wp.array(points, dtype=wp.vec3d, device=device), wp.array(faces, dtype=wp.vec3i, device=device)

@@ -34,7 +34,7 @@ def test_a_second_map_makes_no_kernel_and_compiles_none(device, monkeypatch):
 
 
 def test_the_hooks_above_are_those_that_compilation_uses(monkeypatch, tmp_path):
-    """Without this, a renamed method of Warp would leave the test above saying nothing."""
+    """The methods that the test above replaces are those that compile: were one renamed, that test could not fail."""
     import importlib.util
 
     import warp._src.context as context

@@ -53,7 +53,7 @@ def test_the_mean_is_taken_off(device, count):
 
 
 def test_one_adder_for_arrays_of_any_length(device):
-    """In turn, and again: room is made once for every length."""
+    """One adder sums arrays of several lengths in turn; its workspace is allocated once for each length."""
     adder, out = DeviceSum(wp.get_device(device)), wp.empty(1, dtype=wp.float64, device=device)
     for count in (5000, 100, 70_000, 100, 5000):
         adder.total(wp.full(count, 2.0, dtype=wp.float64, device=device), out)

@@ -31,7 +31,7 @@ def test_on_the_cpu_nothing_is_copied(name):
 
 
 def test_a_surface_goes_with_its_last_user():
-    """Not when the garbage collector next comes by: on large meshes that would be a map too late."""
+    """A surface is freed with its last reference, not at the next garbage collection, when its memory is needed."""
     template = blob(1, sphere=640)
     gc.collect()
     gc.disable()

@@ -96,7 +96,7 @@ def test_a_kernel_is_compiled_once_for_all_threads(monkeypatch):
 
 
 def test_fronts_are_compiled_before_threads_share_them(tmp_path):
-    """In a process of its own, whose cache is empty: the first factorisation there is one of several threads."""
+    """With an empty cache of kernels, a first factorisation on several threads compiles before the threads start."""
     program = """
 import threading
 import warp._src.build as build

@@ -27,7 +27,7 @@ def test_the_start_is_quiet():
 
 @pytest.mark.skipif(os.name != "posix", reason="closes a file descriptor before the start")
 def test_the_start_works_without_standard_error():
-    """Neither a closed descriptor, nor a file that took its number, stops or receives anything."""
+    """Warp starts with standard error closed, and writes nothing into a file that got its descriptor's number."""
     done = python(START, "sh", "-c", 'exec "$0" "$@" 2>&-')
     assert (done.returncode, done.stdout) == (0, "cpu\n")
 
@@ -67,6 +67,6 @@ def test_descriptors_are_given_back():
 
 @pytest.mark.skipif(_has_cuda_driver(), reason="needs a machine without a CUDA driver")
 def test_the_line_is_the_one_that_warp_writes():
-    """If Warp changes its words, this and the first test tell."""
+    """The suppressed line is the one that Warp writes; this fails if Warp changes its words."""
     done = python("import warp; warp.init()")
     assert _NO_DRIVER.decode() in done.stderr

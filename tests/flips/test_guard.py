@@ -32,7 +32,7 @@ def unit(points: np.ndarray) -> np.ndarray:
 @settings(max_examples=40)
 @given(seed=st.integers(0, 100_000), size=st.floats(0.01, 3.0), part=st.floats(0.01, 1.0))
 def test_random_steps_never_flip(seed, size, part):
-    """Steps of up to the whole sphere, for all vertices or a few, on irregular triangles."""
+    """Random steps, up to the whole sphere's size and for all or a few vertices, leave no triangle flipped."""
     surface = random_sphere(300, seed)
     rng = np.random.default_rng(seed)
     moves = rng.random(surface.vertex_count) < part
@@ -85,7 +85,7 @@ def test_a_valid_step_is_not_touched(device):
 
 
 def test_one_bad_vertex_holds_back_nobody_far_away(device):
-    """All vertices turn about an axis by a little; one is sent to the other side of the sphere."""
+    """A vertex sent to the sphere's other side is held back, and vertices far away take their whole small step."""
     surface = turned(icosphere(8))
     turn = np.array([[np.cos(0.1), -np.sin(0.1), 0.0], [np.sin(0.1), np.cos(0.1), 0.0], [0.0, 0.0, 1.0]])
     wanted = surface.vertices @ turn.T
@@ -126,7 +126,7 @@ def test_the_same_bits_twice():
 
 
 def test_many_steps_in_a_row_stay_valid():
-    """The guard's results are starts for its next steps."""
+    """Many steps in a row, each from the last one's result, leave the map valid."""
     surface = random_sphere(300, 4)
     rng = np.random.default_rng(4)
     points = surface.vertices

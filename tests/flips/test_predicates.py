@@ -12,7 +12,7 @@ from omtwarp.mesh.shapes import icosphere
 
 
 def rational_sign(triangle):
-    """Sign of a 3 by 3 determinant in fractions, by the rule of Sarrus."""
+    """Return the sign of a 3 by 3 determinant in fractions, by the rule of Sarrus."""
     (a, b, c), (d, e, f), (g, h, i) = [[Fraction(float(x)) for x in row] for row in triangle]
     value = a * e * i + b * f * g + c * d * h - c * e * g - b * d * i - a * f * h
     return (value > 0) - (value < 0)
@@ -31,7 +31,7 @@ def nearly_coplanar(rng, count):
 
 
 def test_the_axes_are_positive_and_their_reverse_is_negative():
-    """det of the identity is 1."""
+    """The triangle of the three axes is positive, as the identity's determinant is 1; in reverse it is negative."""
     assert orientation_signs(np.eye(3), [[0, 1, 2], [2, 1, 0]]).tolist() == [1, -1]
 
 
@@ -45,7 +45,7 @@ def test_undecidable_triangles_agree_with_rational_arithmetic(device, scale):
 
 
 def test_floating_point_alone_is_wrong_on_some_of_them():
-    """The test above is not vacuous: NumPy's determinant has the wrong sign on part of such triangles."""
+    """NumPy's determinant has the wrong sign on some of these triangles, so that the test above can fail."""
     triangles = nearly_coplanar(np.random.default_rng(1), 200)
     assert (np.sign(np.linalg.det(triangles)) != signs_of(triangles)).any()
 
@@ -82,7 +82,7 @@ def test_any_triangle_agrees_with_rational_arithmetic_and_is_antisymmetric(numbe
 
 
 def test_flips_are_counted_and_a_missing_coordinate_is_a_flip(device):
-    """A valid sphere has none; every reversed face is one; NaN spoils the faces around its vertex."""
+    """A sphere has no flip, each reversed face counts as one, and so does every face around a vertex with NaN."""
     sphere = icosphere(4)
     assert count_flips(sphere.vertices, sphere.faces, device=device) == 0
     reversed_faces = sphere.faces.copy()

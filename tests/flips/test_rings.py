@@ -13,7 +13,7 @@ from omtwarp.mesh.shapes import icosphere, random_sphere, uv_sphere
 
 
 def wrapped(surface, times):
-    """The map that multiplies longitudes: positive everywhere, with both poles' rings going around so often."""
+    """Multiply longitudes by k: a map without flips whose rings around the poles turn k times."""
     x, y, z = surface.vertices.T
     radius, longitude = np.hypot(x, y), times * np.arctan2(y, x)
     return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1)
@@ -21,7 +21,7 @@ def wrapped(surface, times):
 
 @pytest.mark.parametrize("times", [1, 2, 3])
 def test_branched_coverings_without_flips(device, times):
-    """Longitudes multiplied by k: no triangle flips, two poles turn k times, everything else once."""
+    """Where longitudes are multiplied by k, no triangle flips, rings of the poles turn k times and all others once."""
     surface = uv_sphere(7, 24)
     sphere = wrapped(surface, times) @ random_rotation(4).T
     assert count_flips(sphere, surface.faces, device=device) == 0
@@ -35,7 +35,7 @@ def test_branched_coverings_without_flips(device, times):
 
 @given(seed=st.integers(0, 10**6), clustering=st.floats(0.0, 30.0))
 def test_convex_hulls_turn_once(seed, clustering):
-    """Triangles around the centre of any hull are a bijection, however small they are."""
+    """Every ring of a convex hull around the centre turns once, however small its triangles are."""
     surface = random_sphere(120, seed, clustering)
     assert is_bijective(surface.vertices, surface.faces)
     assert set(ring_turns(-surface.vertices, surface.faces).tolist()) == {-1}
@@ -59,7 +59,7 @@ def test_rings_as_small_as_rounding(device, size, times):
 
 
 def test_exact_counting_agrees_with_angles(monkeypatch):
-    """With nothing left certain all vertices are counted in integers, also where triangles are flipped."""
+    """Counts in integers, used for all vertices here, agree with sums of angles, also where triangles are flipped."""
     surface = turned(icosphere(4))
     sphere = wrapped(uv_sphere(5, 16), 2)
     folded = surface.vertices.copy()
@@ -79,7 +79,7 @@ def test_missing_coordinates_are_no_bijection():
 
 
 def test_holding_back_ends_in_a_bijection_near_the_wanted_map():
-    """Towards a good map it is reached; towards a double covering, noise or nothing finite only as far as possible."""
+    """A good map is reached; towards a double covering, noise or NaN the result stays the nearest bijection found."""
     surface = uv_sphere(7, 24)
     start = surface.vertices
     near = start @ random_rotation(1).T * 0.05 + start

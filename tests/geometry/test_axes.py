@@ -13,13 +13,13 @@ from omtwarp.pipeline import map_to_sphere
 
 
 def wedge():
-    """A tetrahedron whose four corners are all different: it has three axes and three directions."""
+    """Make a tetrahedron with four different corners, which has three axes and three directions."""
     points = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.3, 2.0, 0.0], [0.2, 0.4, 1.0]])
     return Surface(points, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
 
 
 def quartered(surface):
-    """Every triangle cut into four by the middles of its edges: another mesh of the same shape."""
+    """Cut every triangle into four at the middles of its edges: another mesh of the same shape."""
     edges = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, index = np.unique(edges, axis=0, return_inverse=True)
     middle = index.reshape(-1, 3) + surface.vertex_count
@@ -31,7 +31,7 @@ def quartered(surface):
 
 @given(seed=st.integers(0, 10**6), scale=st.floats(1e-6, 1e6))
 def test_axes_follow_the_shape_wherever_it_is(seed, scale):
-    """A turned, moved and scaled surface has the turned axes; so has one with other triangles on it."""
+    """A rotated, moved and scaled surface has the rotated axes, and so has one with other triangles."""
     surface = wedge()
     axes = principal_axes(surface)
     assert axes.note == ""

@@ -12,7 +12,7 @@ from omtwarp.pipeline import map_to_sphere
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 2.0))
 def test_three_points_of_the_sphere_span_at_least_a_quarter_of_their_edges_product(seed, spread):
-    """Their circle's radius is at most 1; on a great circle it is 1, and the bound is reached."""
+    """No triangle of three points of the sphere is smaller than the bound, which is reached on great circles."""
     rng = np.random.default_rng(seed)
     points = rng.normal(size=3) + spread * rng.normal(size=(3, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -54,7 +54,7 @@ def test_a_sphere_has_vertices_to_spare():
 
 
 def test_tubes_with_vertices_to_spare_keep_area():
-    """Irregular ones too, once their rings have half as many again as needed."""
+    """Regular and irregular tubes keep their areas where rings have 1.5 times the vertices needed."""
     surface = flip_edges(tube(4.0, face_count=1200), rounds=4, seed=1)
     ring = thinnest_ring(surface)
     judged = map_to_sphere(surface, device="cpu").distortion()

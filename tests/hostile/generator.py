@@ -29,7 +29,7 @@ BALL = shapes.icosphere(2)
 
 @dataclass(frozen=True)
 class Case:
-    """A command line, the file that was made for it, and what the case is called.
+    """A case: its name, its command line, and the file that was made for it.
 
     Attributes:
         name: tells how the case was made, so that it can be made again.
@@ -106,7 +106,7 @@ def sound_files(folder: Path) -> dict[str, bytes]:
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> tuple[str, bytes]:
-    """The content with one kind of damage, and what the damage is."""
+    """Damage a file's content in one random way; return it and the name of the damage."""
     kind = str(rng.choice(["cut", "flipped", "zeroed", "noise", "twice", "hole", "number", "edge"]))
     data = bytearray(content)
     at = int(rng.integers(len(data)))
@@ -213,7 +213,7 @@ BAD_OUTPUTS = ("", ".", "..", "none/out.npz", "out", "out.exe", "\x1b[31m.npz", 
 
 
 def cases(folder: Path, count: int = CASES, seed: int = SEED) -> Iterator[Case]:
-    """Cases without an end to their variety: the same for the same seed.
+    """Make random cases, which are the same for the same seed.
 
     Args:
         folder: where the sound files are written, which some cases name.

@@ -12,7 +12,7 @@ from omtwarp.mesh import shapes
 
 
 def strip_cap(count):
-    """A polygon of so many corners as one zigzag strip of triangles, counter-clockwise: all but two are long."""
+    """Triangulate a polygon as one zigzag strip, counter-clockwise: all triangles but two are long."""
     low, high = 0, count - 1
     triangles = []
     while high - low > 1:
@@ -26,7 +26,7 @@ def strip_cap(count):
 
 
 def fan_cap(count):
-    """A polygon as a fan around its first corner, counter-clockwise."""
+    """Triangulate a polygon as a fan around its first corner, counter-clockwise."""
     k = np.arange(1, count - 1)
     return np.stack([np.zeros_like(k), k, k + 1], axis=1)
 
@@ -211,7 +211,7 @@ def creature(seed, face_count, limb_count=4):
 
 
 def random_mesh(seed, most_faces=1500):
-    """One of the above with random numbers and at most about so many faces; returns what it is, and the mesh."""
+    """Make one of the meshes above with random parameters; return its name and the mesh."""
     rng = np.random.default_rng(seed)
     kind = int(rng.integers(12))
     largest = int(np.sqrt(most_faces / 20))  # frequency of an icosphere

@@ -66,7 +66,7 @@ def place(inputs, tmp_path, monkeypatch):
 
 
 def ended(capsys, words) -> tuple[int, str]:
-    """Exit status and the last line on standard error."""
+    """Run a command; return its exit status and the last line on standard error."""
     with pytest.raises(SystemExit) as end:
         main(words)
     text = capsys.readouterr().err
@@ -78,7 +78,7 @@ def ended(capsys, words) -> tuple[int, str]:
 
 
 def listing(folder) -> dict[str, tuple]:
-    """What is in a folder: names, kinds and contents' times."""
+    """List a folder: names, kinds and times of modification."""
     return {path.name: (os.lstat(path).st_mode, os.lstat(path).st_mtime_ns) for path in folder.iterdir()}
 
 
@@ -126,7 +126,7 @@ def test_inputs_that_are_folders_or_missing(place, capsys, name):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_interruption_leaves_nothing(place, monkeypatch, name):
-    """At the moment when the output has been written beside its place, and is about to be moved there."""
+    """An interruption between writing the staged output and moving it to its place leaves no file."""
     words, output = COMMANDS[name]
 
     def interrupted(*_):
@@ -172,7 +172,7 @@ main()
 
 
 def hosts(folder) -> list[int]:
-    """Processes of a cohort that runs in a folder; none on systems without /proc."""
+    """List the processes of a cohort that runs in a folder; none on systems without /proc."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -182,7 +182,7 @@ def hosts(folder) -> list[int]:
 
 
 def test_an_interrupted_cohort_leaves_no_process_and_no_partial_file(tmp_path):
-    """The item takes longer than the test waits: it has to be ended, not awaited."""
+    """An interrupted cohort ends its running item, longer than the test waits, and leaves no partial file."""
     if not os.path.isdir("/proc/self"):
         pytest.skip("processes are looked for in /proc")
     surface = shapes.icosphere(100)

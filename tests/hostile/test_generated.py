@@ -22,12 +22,12 @@ ON_A_DEVICE = ("map", "texture", "report", "preview", "spharm", "distance", "gro
 
 
 class TooLong(BaseException):
-    """A case did not end."""
+    """Raised where a case takes longer than its limit."""
 
 
 @contextmanager
 def limited(seconds: int):
-    """End what takes longer."""
+    """Raise TooLong in a block that takes longer than the limit."""
     if not hasattr(signal, "SIGALRM"):
         yield
         return
@@ -46,7 +46,7 @@ def limited(seconds: int):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Stand-ins for what takes long and is not tried here: measuring, the demo's mapping, drawing with OpenGL."""
+    """Replace slow functions that are not tested here: measurement, the demo's map, drawing with OpenGL."""
     monkeypatch.setattr("omtwarp.benchmark.run", lambda **options: {})
     monkeypatch.setattr("omtwarp.benchmark.markdown", lambda result: "measured\n")
     monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: dict.fromkeys(_keys(a[1]), "data:,"))
@@ -66,7 +66,7 @@ def _keys(stages):
 
 
 def complaint(case: Case, folder: Path, capsys) -> str:
-    """What is wrong with how a case ended; nothing if it ended as it should."""
+    """Describe what is wrong with the way a case ended; empty where nothing is."""
     if case.file:
         (folder / case.file).write_bytes(case.content)
     before = {path.name: path.stat() for path in folder.iterdir() if path.is_file()}
@@ -109,7 +109,7 @@ def complaint(case: Case, folder: Path, capsys) -> str:
 
 
 def changed(before, after) -> bool:
-    """Whether a file was written or replaced."""
+    """Return whether a file was written or replaced."""
     return (before.st_ino, before.st_size, before.st_mtime_ns) != (after.st_ino, after.st_size, after.st_mtime_ns)
 
 

@@ -22,14 +22,14 @@ from omtwarp.verdict import foretell
 
 
 def every_stage(result):
-    """The maps that a result holds, by name."""
+    """Return the maps of all stages of a result, by name."""
     maps = {name: getattr(result, name) for name in ("conformal", "moser", "transported", "sphere")}
     return {name: sphere for name, sphere in maps.items() if sphere is not None}
 
 
 @pytest.mark.parametrize(("count", "height"), [(250, 0.5), (300, 0.3), (20, 30.0)])
 def test_prisms_with_caps_of_long_triangles(count, height):
-    """Repair of their flipped triangles used to end without flips in maps that cover the sphere two or three times."""
+    """Prisms' maps cover the sphere once; repair of their flips once led to coverings of degree two or three."""
     vertices, faces = prism(count, height)
     result = map_to_sphere((vertices, faces))
     for name, sphere in every_stage(result).items():
@@ -47,7 +47,7 @@ def test_prisms_with_caps_of_long_triangles(count, height):
 
 @pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
 def test_triangles_of_a_fan_keep_their_areas():
-    """Its conformal map is no start, and Moser's flow cannot be repaired: areas are kept nevertheless."""
+    """Areas of a fan are kept although its conformal map is no start and Moser's map cannot be repaired."""
     vertices, faces = prism(150, 1.0, "fan")
     result = map_to_sphere((vertices, faces), device="cpu", optimality=False)
     assert result.bijective and result.report["start"]["route"] == "hierarchical"
@@ -65,7 +65,7 @@ LONGEST = 60  # seconds that a mesh may take
 @pytest.mark.parametrize("seed", range(CASES))
 @pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
 def test_invented_meshes_give_a_bijection_or_one_line_and_what_is_warned_of_was_foretold(seed):
-    """Refusals and areas that are not kept are all named beforehand; that a stage does not converge need not be."""
+    """``check`` foretells every refusal and every warning about areas; a lack of convergence need not be foretold."""
     name, (vertices, faces) = random_mesh(seed, SMALL if seed < SMALL_CASES else 1500)
     assert check(vertices, faces) == [], name
     foretold = foretell(Surface(vertices, faces))
@@ -91,7 +91,7 @@ def test_invented_meshes_are_the_same_each_time():
 @pytest.mark.parametrize("domain", ["hemisphere", "sphere"])
 @pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
 def test_warnings_of_open_surfaces_name_what_the_input_has(domain):
-    """The double of a surface and one with filled holes have vertices and faces that the user's has not."""
+    """Warnings about doubled and filled surfaces name vertices and faces of the input, not those that were added."""
     vertices, faces = lognormal_sphere(0.8, 4)
     middles = shapes.icosphere(4).vertices[faces].mean(axis=1)
     used, rest = np.unique(faces[middles[:, 2] < 0.3], return_inverse=True)
@@ -106,7 +106,7 @@ def test_warnings_of_open_surfaces_name_what_the_input_has(domain):
 
 
 def test_names_are_kept_from_step_to_step():
-    """Of three faces the first was cut in two and the last is new; then a mirror copy of all was added."""
+    """Numbers lead back to the input after a face was cut in two, one was added, and all were mirrored."""
     names = InputNames(np.array([4, -1, 7]), np.array([5, 5, -1]))
     both = names.of(np.array([0, 1, 2, 0, -1]), np.array([0, 1, 2, 0, 1, 2]))
     assert both.vertices.tolist() == [4, -1, 7, 4, -1] and both.faces.tolist() == [5, 5, -1, 5, 5, -1]

@@ -79,7 +79,7 @@ def test_what_is_no_file_is_one_line(tmp_path, name, monkeypatch):
 
 
 def test_limits_fit_real_work():
-    """A map of two million triangles with every stage, the largest Blue Marble, and a minute of film in HD."""
+    """The limits allow a map of two million triangles, the largest Blue Marble and a minute of film in HD."""
     triangles, vertices = 2_000_000, 1_000_000
     arrays = vertices * 8 * (3 * 5 + 1) + triangles * (3 * 8 + 8)
     assert 10 * arrays < limits.LARGEST_ARRAYS and triangles * 10 < limits.MOST_FACES
@@ -131,7 +131,7 @@ def test_archives_with_endless_lists_of_arrays(tmp_path, load):
 
 
 def test_an_array_that_is_not_asked_for_is_not_inflated(tmp_path, monkeypatch):
-    """Others may keep what they like in the file."""
+    """An array that no reader asks for is not inflated, whatever it holds."""
     monkeypatch.setattr("omtwarp.inputs.LARGEST_ARRAYS", 2**20)
     path = tmp_path / "mesh.npz"
     np.savez(path, vertices=BALL.vertices, faces=BALL.faces, other=np.zeros(2**19))
@@ -139,7 +139,7 @@ def test_an_array_that_is_not_asked_for_is_not_inflated(tmp_path, monkeypatch):
 
 
 def png_of(width: int, height: int) -> bytes:
-    """A PNG that says how large it is and holds nothing of it."""
+    """Make a PNG file whose header gives a size and which holds no pixels."""
     import zlib
 
     def chunk(kind: bytes, data: bytes) -> bytes:
@@ -158,7 +158,7 @@ def test_pictures_that_are_too_large_are_refused_before_they_are_decoded(tmp_pat
 
 
 def test_a_large_picture_of_the_earth_is_read_without_a_word(tmp_path):
-    """Of more texels than Pillow warns of, and, as its size goes, than it refuses."""
+    """A picture with more pixels than Pillow's limits is read without a warning or an error."""
     Image.new("1", (21600, 10800)).save(tmp_path / "marble.png")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -309,7 +309,7 @@ main()
 
 @posix
 def test_an_interruption_while_the_process_ends_ends_it(tmp_path):
-    """As while the drawing process is shut down: no traceback, and not the status of success."""
+    """An interruption while the process exits gives no traceback and not the status of success."""
     process = subprocess.Popen([sys.executable, "-c", ENDING], stdout=-1, stderr=-1, text=True)
     try:
         assert process.stdout.readline().startswith("omtwarp")
@@ -322,7 +322,7 @@ def test_an_interruption_while_the_process_ends_ends_it(tmp_path):
 
 
 def test_a_hole_is_named_by_its_loop():
-    """A square hole and, at larger numbers, one of three sides."""
+    """A defect names how many holes there are, the edges of the first one's loop, and a vertex on it."""
     ball = shapes.icosphere(6)
     beside = int(ball.face_neighbours[0].min())
     near = ball.faces[[0, beside]]

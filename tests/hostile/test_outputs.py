@@ -59,7 +59,7 @@ WRITERS = {
 
 @pytest.fixture(params=WRITERS)
 def writer(request):
-    """A name and the function that writes a file of that name."""
+    """Return a file's name and a function that writes such a file."""
     if request.param.endswith("mp4"):
         pytest.importorskip("imageio_ffmpeg")
     return request.param, WRITERS[request.param]
@@ -199,7 +199,7 @@ for name, write in WRITERS.items():
 
 @posix
 def test_a_full_disk_names_the_users_file(tmp_path):
-    """With files limited to 200 bytes, which fails as a full disk does; in one process for all formats."""
+    """Where files are limited to 200 bytes, as on a full disk, the error names the file that the user asked for."""
     # -B: bytecode that is cut at 200 bytes would break every later import.
     command = [sys.executable, "-B", "-c", FULL, os.path.dirname(__file__), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -220,7 +220,7 @@ def aged(folder, seconds: float) -> None:
 
 @posix
 def test_folders_left_by_killed_processes_are_swept(tmp_path):
-    """Those that are old and held by nobody; neither a living process's nor a young one nor anything else."""
+    """Old staging folders that no process holds are removed; young ones, held ones and all other files stay."""
     code = """
 import os, sys, time
 from pathlib import Path

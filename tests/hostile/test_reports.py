@@ -36,7 +36,7 @@ PLAIN = MapResult(BALL.vertices, BALL.faces, BALL.vertices, BALL.vertices, np.on
 
 @pytest.fixture(autouse=True)
 def words_only(monkeypatch):
-    """No pictures, and of the view only its description, which holds texts."""
+    """Leave out pictures and, of the view, all but its description, which holds texts."""
 
     def described(result, stages, *args, **options):
         labels = [{"key": stage.key, "label": stage.label} for stage in stages]
@@ -70,7 +70,7 @@ class Elements(HTMLParser):
 
 
 def filled(shape, words):
-    """A report of a shape with the words in all its texts, and in its names where any name will do."""
+    """Fill a report's texts, and its names where any is allowed, with given words."""
     if isinstance(shape, dict):
         return {words if name == "*" else name: filled(inner, words) for name, inner in shape.items()}
     return [filled(shape[0], words)] if isinstance(shape, list) else words
@@ -104,7 +104,7 @@ json_values = st.recursive(
 
 
 def like(shape):
-    """Reports of about the right shape, with anything anywhere."""
+    """Generate reports of about the expected structure with arbitrary values."""
     if isinstance(shape, dict):
         fields = {name if name != "*" else "omtwarp": like(inner) for name, inner in shape.items()}
         return st.fixed_dictionaries({}, optional=fields) | json_values
@@ -119,7 +119,7 @@ def test_any_report_makes_a_page(report, history):
 
 
 def test_what_a_file_says_of_itself_is_measured_again(tmp_path):
-    """A map that was turned inside out, with a certificate that claims the contrary."""
+    """The page of an inverted map shows measured flips, whatever the certificate in its file claims."""
     claims = {"certificate": {"bijective": True, "flips": 0, "degree": 1.0}}
     page = report_page(replace(PLAIN, sphere=-PLAIN.sphere, conformal=-PLAIN.sphere, report=claims))
     assert f"{len(BALL.faces)} flipped triangles: not one to one" in page and "Certified" not in page
@@ -134,7 +134,7 @@ def test_a_report_of_deep_brackets_is_none(tmp_path):
 
 @pytest.fixture
 def no_drawing(monkeypatch):
-    """A small picture in place of every one that a page draws."""
+    """Replace every picture that a page draws by a small one."""
     for module in ("cohort.page", "shape_analysis.group_report", "reporting.torus_page"):
         monkeypatch.setattr(f"omtwarp.{module}.preview", lambda *a, **k: Image.new("RGB", (2, 2)))
     monkeypatch.setattr("omtwarp.reporting.torus_page.torus_view", lambda *a, **k: SimpleNamespace(up=None))

@@ -29,7 +29,7 @@ def images(found, points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def sheared(sphere: Surface) -> Surface:
-    """Long oblique triangles, none turned over: no Delaunay triangulation, on which walks may go in circles."""
+    """Make long oblique triangles without a flip: not a Delaunay triangulation, so that walks could go in circles."""
     moved = Surface(twisted(pushed_north(sphere.vertices, 0.6), 3.0), sphere.faces)
     assert (orientation_signs(moved.vertices, moved.faces) == 1).all()
     return moved

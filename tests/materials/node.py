@@ -29,7 +29,7 @@ def _run(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def package(name: str) -> Path | None:
-    """The folder of a package of node, None where node or the package is not there."""
+    """Find the folder of a node package; None where node or the package is not installed."""
     if NODE is None:
         return None
     found = _run("-p", f"require.resolve({name!r})")

@@ -172,7 +172,7 @@ def test_colours_of_glb_are_linear(tmp_path, level):
 
 
 def share(picture, color):
-    """The part of a picture's pixels that are within 12 of a colour."""
+    """Return the share of a picture's pixels within 12 levels of a colour."""
     return (np.abs(np.asarray(picture.convert("RGB")).astype(int) - color).max(axis=2) <= 12).mean()
 
 

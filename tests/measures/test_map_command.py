@@ -39,7 +39,7 @@ def test_weights_from_text_and_arrays_give_the_same_map(desk):
 
 
 def test_weights_follow_a_mesh_that_is_repaired(desk):
-    """Repairing removes the vertex that no face uses, and turns faces: weights are of the file's vertices."""
+    """Weights of the file's vertices are reordered where repair removes an unused vertex and turns faces."""
     faces = SURFACE.faces.copy()
     faces[::9] = faces[::9, ::-1]
     vertices = np.vstack([[9.0, 9.0, 9.0], SURFACE.vertices])

@@ -16,7 +16,7 @@ AMOUNT = 0.5
 
 
 def pushed_density(points):
-    """What the uniform sphere becomes under :func:`pushed_north`: 1 / (1 - a z(w)) at the image height w."""
+    """Return the density of the uniform sphere's image under :func:`pushed_north`: 1 / (1 - a z(w)) at height w."""
     return 1.0 / np.sqrt(1.0 - 2.0 * AMOUNT * points[:, 2] + AMOUNT**2)
 
 
@@ -32,7 +32,7 @@ def test_the_total_mass_is_the_integral():
 
 
 def test_moser_carries_the_uniform_sphere_to_an_axisymmetric_density(device):
-    """The monotone rearrangement in latitude, to second order in the size of triangles."""
+    """Moser's map to an axisymmetric density is the monotone rearrangement in latitude, to second order in edges."""
     errors = []
     for frequency in (8, 16):
         surface = turned(icosphere(frequency))
@@ -77,7 +77,7 @@ def test_steepest_descent_keeps_a_target_too(device):
 
 
 def test_the_whole_pipeline_reaches_a_target_and_weights(device):
-    """On a sphere the conformal map is a rotation up to the mesh's size, and transport then along meridians."""
+    """The final map of a sphere to a target, with weights, agrees with the optimal motion along meridians."""
     surface = turned(icosphere(10))
     edge = mean_edge(surface, surface.vertices)
     result = omtwarp.map_to_sphere(surface, target=pushed_density, refine="area", device=device)

@@ -1,4 +1,4 @@
-"""Files of neuroimaging and data at vertices, written and read by us and by others."""
+"""Files of neuroimaging and data at vertices, written and read by the package and by other libraries."""
 
 from __future__ import annotations
 

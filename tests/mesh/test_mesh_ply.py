@@ -15,7 +15,7 @@ BALL = shapes.icosphere(2)
 
 
 def ply(form: str, line_end: str = "\n", index: str = "int", count: str = "uchar") -> bytes:
-    """A sphere with colours at the vertices, a number on every face, and an element that nobody asked for."""
+    """Make a PLY file of a sphere with vertex colours, a number per face, and an unknown element."""
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
     vertices, faces = BALL.vertices.astype(np.float32), BALL.faces
     head = [

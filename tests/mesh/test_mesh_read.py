@@ -49,7 +49,7 @@ def test_stl_corners_become_vertices_in_order(tmp_path):
 
 
 def test_obj_with_texture_normals_and_groups_is_not_split(tmp_path):
-    """Seams, materials, groups, unused vertices, comments, continuations and indices from the end change nothing."""
+    """An OBJ with seams, materials, groups, comments and negative indices gives the same mesh as one without."""
     rng = np.random.default_rng(0)
     lines = ["mtllib none.mtl", "o thing"]
     lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in BALL.vertices.tolist()] + ["v 5 5 5  # in no face"]
@@ -109,7 +109,7 @@ def test_polygons_are_refused_and_cut_on_request(tmp_path, write):
 
 @pytest.mark.parametrize("write", [ply, obj, off])
 def test_a_single_pentagon_among_triangles_is_found(tmp_path, write):
-    """A pyramid over a pentagon."""
+    """A pyramid's one pentagon among triangles is found and triangulated."""
     angle = 2 * np.pi * np.arange(5) / 5
     vertices = [*np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1).tolist(), [0.0, 0.0, 1.0]]
     polygons = [[k, (k + 1) % 5, 5] for k in range(5)] + [[4, 3, 2, 1, 0]]
@@ -129,7 +129,7 @@ def test_a_single_pentagon_among_triangles_is_found(tmp_path, write):
     ],
 )
 def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygons, words):
-    """The second has the length of as many quads, and would pass for them."""
+    """A body of mixed polygons as long as one of quads alone is not read as quads."""
     head = "ply\nformat binary_little_endian 1.0\nelement vertex 8\n"
     head += "property float x\nproperty float y\nproperty float z\n"
     head += f"element face {len(polygons)}\nproperty list uchar int vertex_indices\nend_header\n"
@@ -212,7 +212,7 @@ def test_a_scene_puts_its_mesh_where_it_says(tmp_path):
 
 
 def test_brain_surfaces(tmp_path):
-    """GIFTI, plain and compressed, and FreeSurfer's own format under its usual name."""
+    """GIFTI, plain and compressed, and FreeSurfer's format under its usual name give the same surface."""
     nibabel = pytest.importorskip("nibabel")
     arrays = [
         nibabel.gifti.GiftiDataArray(BALL.vertices.astype(np.float32), intent="NIFTI_INTENT_POINTSET"),

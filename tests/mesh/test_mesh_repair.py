@@ -16,7 +16,7 @@ def ball(frequency: int = 4) -> tuple[np.ndarray, np.ndarray]:
 
 
 def assert_repaired(given_vertices: np.ndarray, given_faces: np.ndarray, repaired: Repaired) -> None:
-    """No defect is left, and the origins lead back to the input."""
+    """Assert that no defect remains and that the origins lead back to the input."""
     assert [str(defect) for defect in check(repaired.vertices, repaired.faces)] == []
     np.testing.assert_array_equal(repaired.vertices, given_vertices[repaired.vertex_origin])
     old = repaired.face_origin >= 0
@@ -47,7 +47,7 @@ def test_a_soup_of_triangles_is_merged_at_any_scale(scale):
 
 
 def test_equal_vertices_of_a_sound_mesh_stay_apart():
-    """Two caps of a pinched shape touch in one point without being joined there."""
+    """Two vertices at one position, where parts of a sound surface touch, are not merged."""
     v, f = ball()
     top, bottom = int(np.argmax(v[:, 2])), int(np.argmin(v[:, 2]))
     v[top] = v[bottom] = 0.0
@@ -69,7 +69,7 @@ def test_faces_turned_at_random_agree_again_and_outward():
 
 @pytest.mark.parametrize("frequency", [4, 12])
 def test_holes_are_filled_without_new_vertices(frequency):
-    """A missing triangle, a missing fan of five, and a cap."""
+    """Holes of one triangle, of a fan of five and of a cap are filled without a new vertex."""
     v, f = ball(frequency)
     near = (v[f].mean(axis=1) @ np.array([0.0, 0.0, 1.0])) > 0.85
     fan = (f == np.argmin(v[:, 2])).any(axis=1)
@@ -111,7 +111,7 @@ def test_duplicates_impossible_faces_and_unused_vertices_are_dropped():
 
 
 def test_a_folded_flap_goes_whole():
-    """Two faces back to back, hung on an edge of a sound mesh, leave nothing behind."""
+    """Two faces back to back on an edge of a sound mesh are removed completely."""
     v, f = ball()
     a, b = f[0, 0], f[0, 1]
     vertices = np.concatenate([v, [[2.0, 2, 2]]])

@@ -92,6 +92,6 @@ def test_shuffling_keeps_the_surface():
 
 
 def test_a_creature_of_too_few_faces_is_refused():
-    """Its limbs, thickened for the coarse grid, would melt into five handles."""
+    """A creature of so few faces that its limbs would merge into handles is refused."""
     with pytest.raises(OmtwarpError, match="ask for 2,000 or more"):
         shapes.demo_shape(320)

@@ -35,7 +35,7 @@ def joined(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarra
 
 
 def spoiled() -> dict[str, tuple]:
-    """Name of the case: vertices, faces, kind of the first defect, count, where, and words of its line."""
+    """Return cases by name: vertices, faces, kind of the first defect, count, place, and words of its line."""
     cases = {}
     v, f = ball()
     cases["no faces"] = (v, f[:0], "empty", 1, -1, "92 vertices and 0 faces")

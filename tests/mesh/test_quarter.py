@@ -17,7 +17,7 @@ from omtwarp.mesh.surface import Surface
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 1000), faces=st.sampled_from([20, 60, 400]))
 def test_parts_make_up_their_triangles(seed, faces):
-    """In area, in plane, in orientation; and the whole is what trimesh's subdivision makes."""
+    """Parts have a quarter of their triangle's area, its plane and orientation, and are as trimesh's subdivision."""
     surface = shapes.blob(seed, 0.3, 3, shapes.random_sphere(faces, seed))
     cut = quarter(surface)
     assert cut.surface.vertex_count == surface.vertex_count + len(surface.edges)
@@ -42,7 +42,7 @@ def test_parts_make_up_their_triangles(seed, faces):
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), squeeze=st.floats(0.0, 3.0))
 def test_a_map_without_flips_stays_without_flips(seed, squeeze):
-    """Crowded towards a pole, too; and the middles are as far from both ends."""
+    """A map extended to midpoints, which are equally far from both ends, flips nothing, also if crowded to a pole."""
     surface = shapes.random_sphere(60, seed)
     sphere = surface.vertices * np.exp(squeeze * np.array([-1.0, -1.0, 1.0]))
     sphere /= np.linalg.norm(sphere, axis=1)[:, None]
@@ -58,7 +58,7 @@ def test_a_map_without_flips_stays_without_flips(seed, squeeze):
 
 
 def test_weights_and_what_cannot_be_cut():
-    """A part has a quarter of its triangle's measure; opposite ends have no middle; open meshes have no parts."""
+    """Parts get a quarter of the weight; edges between opposite points and open meshes are refused."""
     ball = shapes.icosphere(2)
     weighted = ball.with_areas(np.linspace(1.0, 2.0, ball.face_count))
     cut = quarter(weighted)

@@ -72,7 +72,7 @@ def test_map_keeps_the_vertices_of_the_file(split, capsys):
 
 
 def test_what_does_not_belong_together_is_left_apart(tmp_path):
-    """Two balls of a scene are not one mesh, and copies in PLY that leave a hole when joined may be meant."""
+    """Two balls of a scene are not joined, nor are copies of vertices in PLY whose joining would leave a hole."""
     ball = omtwarp.shapes.icosphere(2)
     one = trimesh.Trimesh(ball.vertices, ball.faces, process=False)
     other = trimesh.Trimesh(ball.vertices + 5.0, ball.faces, process=False)

@@ -79,7 +79,7 @@ def test_triangles_without_area_are_flips():
 
 
 def test_triangles_wider_than_a_quarter_of_the_sphere(device):
-    """A very flat pyramid over the southern hemisphere: three triangles whose corners are 120 degrees apart."""
+    """The degree is right for a flat pyramid of three triangles whose corners are 120 degrees apart."""
     turn = 2 * np.pi * np.arange(3) / 3
     for z in (-0.6, -0.05, 0.05, 0.6, 0.95):
         rim = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), 0 * turn + z], axis=1)

@@ -15,7 +15,7 @@ from omtwarp.metrics.distortion import aggregates, measure, triangle_quantities
 
 
 def by_singular_values(surface: Surface, sphere: np.ndarray) -> dict:
-    """The definition, with NumPy's SVD of the map between the planes of every pair of triangles.
+    """Compute distortion by its definition, with NumPy's SVD of the map between every pair of triangles.
 
     The Jacobian J takes edge vectors to edge vectors and normals to nothing: J = E' E⁺ with E and E' the 3 x 2 matrices
     of edges. Its two non-zero singular values are those of the paper; areas come from Heron-free cross products.
@@ -151,7 +151,7 @@ def test_printed_form_names_flips_degree_area_and_angle():
 @settings(deadline=None, max_examples=20)
 @given(count=st.integers(4, 300), seed=st.integers(0, 1000), turn=st.floats(0.0, 8.0))
 def test_aggregates_made_on_a_device_are_those_of_numpy(count, seed, turn):
-    """By sorting and tree sums instead of partitions and pairwise ones; strong twists flip triangles."""
+    """Aggregates by sorting and tree sums on the device equal NumPy's, also for maps with flipped triangles."""
     surface = blob(seed, 0.3, 4, random_sphere(count, seed))
     sphere = twisted(random_sphere(count, seed).vertices, turn)
     expected = measure_triangles(surface.vertices, surface.faces, sphere, device="cpu").to_dict()
@@ -165,7 +165,7 @@ def test_aggregates_made_on_a_device_are_those_of_numpy(count, seed, turn):
 
 
 def test_aggregates_say_when_a_map_is_not_finite(device):
-    """A vertex without a place has triangles without orientation around it, and a surface without one no means."""
+    """An image that is not finite makes the faces around it flips; means are those of the other faces."""
     surface, where = icosphere(3), resolve_device(device)
     sphere = surface.vertices.copy()
     sphere[5] = np.nan

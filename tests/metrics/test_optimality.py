@@ -104,7 +104,7 @@ def spherical_areas(points, faces):
 
 
 def test_a_twist_shows_as_curl_and_its_cost_as_the_gap():
-    """The twisted map costs 7 % more than the optimum; the bound says so without being told the optimum."""
+    """A twisted map, which costs 7 % more than the optimum, has a gap of 7 %."""
     x, y, masses, faces = latitude_map(12)
     best = optimality((y, faces), y, start=x, masses=masses, ascent_steps=0, device="cpu")
     _, twisted, _, _ = latitude_map(12, twist=0.1)
@@ -131,7 +131,7 @@ def test_curl_grows_with_the_twist(twist):
 
 
 def lattice_minimum(x, y, faces, potential, edge_terms, divisions):
-    """The least c(x_i, z) - ψ(z) over a lattice of points z in every triangle, by looking at all of them."""
+    """Return the least c(x_i, z) - ψ(z) over a lattice of points z in every triangle, by exhaustive search."""
     steps = [(i, j) for i in range(divisions + 1) for j in range(divisions + 1 - i)]
     b = np.array([[divisions - i - j, i, j] for i, j in steps]) / divisions
     z = np.einsum("lk,fkd->fld", b, y[faces])
@@ -216,7 +216,7 @@ def test_the_bound_never_exceeds_the_exact_optimum(seed, noise, spread):
 
 
 def test_the_identity_is_optimal():
-    """Nothing moves: no cost, no gap, no curl."""
+    """The identity has no cost, no gap and no curl."""
     surface = shapes.icosphere(4)
     y = surface.vertices / np.linalg.norm(surface.vertices, axis=1)[:, None]
     report = optimality(surface, y, start=y, device="cpu")
@@ -224,7 +224,7 @@ def test_the_identity_is_optimal():
 
 
 def test_rotations_of_the_sphere_do_not_matter():
-    """The report is about distances; and twice the same call gives the same bits."""
+    """A rotation of the sphere changes no figure, and a second call gives the same bits."""
     x, y, masses, faces = latitude_map(6, twist=0.05)
     mesh = (y, faces)
     first = optimality(mesh, y, start=x, masses=masses, device="cpu").to_dict()
@@ -236,7 +236,7 @@ def test_rotations_of_the_sphere_do_not_matter():
 
 
 def golden_spiral(count):
-    """Points of equal shares of the sphere, which know nothing of any mesh."""
+    """Return points with equal shares of the sphere, independent of any mesh."""
     k = np.arange(count) + 0.5
     height, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
     radius = np.sqrt(1.0 - height**2)
@@ -258,21 +258,21 @@ def sampled_optimum(x, y, faces, face_masses, samples):
 
 @pytest.mark.parametrize("shift", [0.6, 0.9])
 def test_the_exact_optimum_against_a_sphere_sampled_independently(shift):
-    """POT, which knows nothing of our mesh's image, finds what the closed form says, within 2 %."""
+    """POT's optimum on an independent sampling of the sphere agrees with the closed form within 2 %."""
     x, y, _, faces = latitude_map(6, shift)
     cost, optimum = sampled_optimum(x, y, faces, triangle_areas(y, faces), 2 * len(faces))
     assert optimum == pytest.approx(cost, rel=0.02)
 
 
 def test_a_twist_costs_more_than_the_sampled_optimum():
-    """The excess of 7 % shows there too."""
+    """A twisted map costs 7 % more than the optimum of an independent sampling."""
     x, y, _, faces = latitude_map(6, twist=0.1)
     cost, optimum = sampled_optimum(x, y, faces, triangle_areas(y, faces), 2 * len(faces))
     assert cost / optimum - 1.0 == pytest.approx(0.07, abs=0.02)
 
 
 def test_exact_transport_undoes_a_permutation():
-    """The same points in another order: the plan finds them and costs nothing."""
+    """The plan between points and the same points in another order is the permutation, at no cost."""
     points = latitude_map(3)[1]
     order = np.random.default_rng(0).permutation(len(points))
     total, mean = exact_transport(points, np.ones(len(points)), points[order], np.ones(len(points)))
@@ -280,7 +280,7 @@ def test_exact_transport_undoes_a_permutation():
 
 
 def test_errors_say_what_is_wrong(monkeypatch):
-    """One line each."""
+    """Unusable maps, masses and potentials are refused, each in one line."""
     x, y, masses, faces = latitude_map(2)
     mesh = (y, faces)
     with pytest.raises(OmtwarpError, match=r"the start: shape \[41, 3\], not \[42, 3\]"):
@@ -297,7 +297,7 @@ def test_errors_say_what_is_wrong(monkeypatch):
 
 
 def test_of_a_map_with_and_without_masses_are_one():
-    """Three ways to ask, one answer; the uniform sphere's bound is the discrete one where areas are kept."""
+    """Three ways to call the report agree, and the bounds with and without the masses agree where areas are kept."""
     x, y, masses, faces = latitude_map(8)
     surface = Surface(y, faces)
     of_surface = optimality(surface, y, start=x, device="cpu")

@@ -54,7 +54,7 @@ def test_axisymmetric_density_in_closed_form(device, amount):
 
 
 def test_a_uniform_sphere_stays_where_it_is(device):
-    """μ = 1 up to the difference between flat and spherical areas, which is none here: both are the same triangles."""
+    """The flow leaves a uniform sphere where it is."""
     surface = random_sphere(1200, seed=2)
     flowed = moser_map(surface, surface.vertices, device=device)
     np.testing.assert_allclose(flowed.sphere, surface.vertices, atol=1e-12)
@@ -62,7 +62,7 @@ def test_a_uniform_sphere_stays_where_it_is(device):
 
 
 def test_area_error_vanishes_under_refinement(device):
-    """To second order in the edges, from a conformal map with areas wrong by factors of 10, without any symmetry."""
+    """The area error falls to second order in the edges, for a conformal map with areas wrong by factors of 10."""
     excess = []
     for faces in (1280, 5120):
         surface = blob(seed=2, amplitude=0.35, degree=5, sphere=faces)
@@ -92,7 +92,7 @@ def test_a_factorisation_handed_in_is_used():
 
 
 def test_the_triangle_that_a_vertex_begins_in_does_not_matter():
-    """Out of triangles of 1e-8 of the sphere, next to larger ones, and from corners where all of them meet."""
+    """Paths from tiny triangles, and from corners where many meet, do not depend on the triangle they begin in."""
     surface = demo_shape(2000)
     start = conformal_map(surface, device="cpu").sphere
     one = moser_map(surface, start, device="cpu").sphere
@@ -108,7 +108,7 @@ def test_the_triangle_that_a_vertex_begins_in_does_not_matter():
 @settings(max_examples=8)
 @given(seed=st.integers(0, 10_000), amount=st.floats(-0.8, 0.8))
 def test_turning_the_start_turns_the_map(seed, amount):
-    """Nothing in the flow knows about axes; a particle's steps are its own, so only round-off differs."""
+    """Rotating the start rotates the map, up to round-off."""
     surface = turned(icosphere(5), seed)
     start = pushed_north(surface.vertices, amount)
     rotation = random_rotation(seed + 1)

@@ -31,7 +31,7 @@ def round_disk(rings: int = 14) -> tuple[np.ndarray, np.ndarray]:
 
 
 def without(surface: omtwarp.Surface, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is left of a surface when only some vertices are kept."""
+    """Return the part of a surface whose vertices are all kept."""
     used, faces = np.unique(surface.faces[keep[surface.faces].all(axis=1)], return_inverse=True)
     return surface.vertices[used], faces.reshape(-1, 3)
 
@@ -137,7 +137,7 @@ def test_small_filling_takes_a_hundredth():
 
 
 def test_small_filling_of_half_a_coarse_sphere_converges():
-    """Its sides are a quarter of those of the mesh; with a hundredth of the sphere they would be a ninth."""
+    """The map converges with a small filling, whose share grows until its sides are a quarter of the mesh's."""
     ball = shapes.icosphere(6)
     mesh = without(ball, ball.vertices[:, 2] > -0.3)
     result = omtwarp.map_surface(mesh, domain="sphere", fill_area="small", optimality=False, device="cpu")
