@@ -31,7 +31,7 @@ from omtwarp.commands.spharm import spharm
 from omtwarp.commands.texture import texture_mesh
 from omtwarp.commands.transfer import transfer
 from omtwarp.commands.unwrap import unwrap_mesh
-from omtwarp.errors import OmtwarpError, one_line
+from omtwarp.errors import INTERRUPTED, OmtwarpError, one_line
 from omtwarp.version import package_version
 
 EXAMPLES = {
@@ -164,7 +164,7 @@ def main(arguments: list[str] | None = None) -> None:
         except MemoryError:
             _fail("out of memory: use a coarser mesh, or a machine with more")
         except KeyboardInterrupt:
-            sys.exit(130)
+            sys.exit(INTERRUPTED)
         except Exception as error:
             if os.environ.get("OMTWARP_TRACEBACK"):
                 raise

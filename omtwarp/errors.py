@@ -1,5 +1,7 @@
 """The package's exception, the category of its warnings, and their form in a terminal."""
 
+INTERRUPTED = 130  # exit status of a command that is interrupted: 128 and the number of the signal, as shells report it
+
 
 class OmtwarpError(ValueError):
     """Raised for input that cannot be used, or a request that cannot be met; its message is one line.

@@ -9,7 +9,7 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
@@ -20,14 +20,20 @@ Record: TypeAlias = Row
 
 ATTEMPTS = 2  # an item whose process was killed from outside is tried once more
 GRACE = 30.0  # seconds that a host may take to load, and to end an item that exceeds its time
+# Seconds that a host has to end its item where the run is interrupted: it does so at once, but while it loads.
+SECONDS_TO_STOP = 1.0
 
 
 class Executor(Protocol):
     """The interface of executors, which compute the items of a cohort."""
 
-    def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
-        """Yield the records of all jobs, in the order in which these finish."""
+    def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
+        """Yield the records of all jobs, in the order in which these finish; closing it ends what is at work."""
         ...
+
+
+class Stopped(Exception):
+    """The run that an item belongs to was given up."""
 
 
 class Host:
@@ -40,15 +46,22 @@ class Host:
     def __init__(self, threads: int = 1):
         self._threads = threads
         self._process: subprocess.Popen[str] | None = None
+        self._stopped = threading.Event()
 
     def run(self, job: Job) -> Record:
-        """Compute an item in a process of its own, and return its record, also of a failure."""
+        """Compute an item in a process of its own, and return its record, also of a failure.
+
+        Raises:
+            Stopped: the run was given up; the item has no record, so that the next run computes it.
+        """
         died = 0
         for _ in range(ATTEMPTS):
             exit_status, late = self._attempt(job)
             record = read_record(job)
             if record is not None:
                 return record
+            if self._stopped.is_set():
+                raise Stopped
             if late:
                 return settle(job, TIMEOUT, f"took longer than {job.time_limit:g} s", seconds=job.time_limit)
             died = -exit_status
@@ -96,7 +109,23 @@ class Host:
                 start_new_session=True,  # the driver handles interruptions
                 env=os.environ | {"OMTWARP_THREADS": str(self._threads)},
             )
+            if self._stopped.is_set():  # by another thread, which may not have seen the process
+                self.close()
+                raise Stopped
         return self._process
+
+    def stop(self) -> None:
+        """End the item at work and the process, called by another thread than that of :meth:`run`."""
+        self._stopped.set()
+        process = self._process
+        if process is None:
+            return
+        with contextlib.suppress(OSError):
+            if process.stdin is not None:
+                process.stdin.close()  # by which the process knows, and ends its item
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(SECONDS_TO_STOP)
+        process.kill()
 
     def close(self) -> None:
         """End the child process."""
@@ -124,7 +153,7 @@ class LocalPool:
     def __init__(self, workers: int, threads: int = 1):
         self._workers, self._threads = workers, threads
 
-    def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
+    def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
         waiting: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         done: queue.SimpleQueue[Record | BaseException] = queue.SimpleQueue()
         for job in jobs:
@@ -158,8 +187,7 @@ class LocalPool:
             for _ in hosts:
                 waiting.put(None)
             for host in hosts:
-                if host._process is not None:
-                    host._process.kill()
+                host.stop()
             for thread in threads:
                 thread.join(5.0)
 
@@ -223,7 +251,7 @@ class DaskCluster:
         except (OSError, ValueError) as error:
             raise OmtwarpError(f"no Dask scheduler answers at '{address}': {str(error).splitlines()[0]}") from None
 
-    def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
+    def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
         from distributed import as_completed
 
         futures = self._client.map(run_job, [job.to_json() for job in jobs], pure=False, retries=ATTEMPTS)
@@ -263,7 +291,7 @@ class SubmititArray:
             raise OmtwarpError(f"submitit cannot use '{cluster}': {error}") from None
         self._workers = workers
 
-    def records(self, jobs: Sequence[Job]) -> Iterator[Record]:
+    def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
         import submitit
 
         shares = [share for k in range(self._workers) if (share := list(jobs[k :: self._workers]))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Unpack, cast
@@ -75,6 +75,7 @@ def run_cohort(
 
     Raises:
         OmtwarpError: an unknown option or executor, or a folder that cannot be written to.
+        KeyboardInterrupt: the run was interrupted; its text says how many items have a record.
 
     Example:
         >>> import tempfile, omtwarp
@@ -142,13 +143,22 @@ def _asked(options: MapKeywords) -> dict[str, object]:
     return {name: str(value) if isinstance(value, str) else value for name, value in parsed.items()}
 
 
-def _follow(records: Iterable[Row], done: int, total: int, progress: Progress | None) -> None:
-    """Wait for the records of running items, and report progress after each."""
+def _follow(records: Generator[Row, None, None], done: int, total: int, progress: Progress | None) -> None:
+    """Wait for the records of running items, and report progress after each.
+
+    Raises:
+        KeyboardInterrupt: with how many items are done.
+    """
     failed = 0
-    for count, record in enumerate(records, done + 1):
-        failed += record["status"] != OK
-        if progress is not None:
-            progress("cohort", count, total, {"failed": failed})
+    try:
+        with contextlib.closing(records):
+            for record in records:
+                done += 1
+                failed += record["status"] != OK
+                if progress is not None:
+                    progress("cohort", done, total, {"failed": failed})
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"{done} of {total} items done; run again to continue") from None
 
 
 def _row(item: Item, job: Job) -> Row:
