@@ -259,7 +259,7 @@ REPORT = (["report", "--map", "map.npz", "--device", "cpu"], "out.html")
 
 
 def test_an_interruption_at_any_moment_leaves_a_whole_output_or_none(place):
-    """By a signal from outside, which ends each command at once and without a word."""
+    """By a signal from outside, which ends each command at once and silently."""
     words = json.dumps([*(COMMANDS[name] for name in SINGLE), REPORT])
     (place / "temporary").mkdir()
     environment = os.environ | {"TMPDIR": str(place / "temporary")}
