@@ -23,12 +23,23 @@ from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetr
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
 from omtwarp.open_surfaces.planar import untangle_in_plane, untangle_on_sphere
-from omtwarp.options import Domain, FillArea, MapKeywords, MapOptions, Progress, Solver, choose, parse_refinement
+from omtwarp.options import (
+    CutAlong,
+    Domain,
+    FillArea,
+    MapKeywords,
+    MapOptions,
+    Progress,
+    Solver,
+    choose,
+    parse_refinement,
+)
 from omtwarp.pipeline import map_double, map_to_sphere
 from omtwarp.result import MapResult, MeshReport, SurfaceReport
 from omtwarp.surface_map import SurfaceMap
 from omtwarp.texturing.density import TargetLike
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops, loop_length
+from omtwarp.topology.cuts import cut_open
 from omtwarp.topology.doubling import Double, double, quartered_double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
 from omtwarp.topology.handles import cut_handles, slit_open
@@ -63,6 +74,7 @@ def map_surface(
     components: bool = True,
     together: bool = False,
     cut: bool = True,
+    cut_along: str = CutAlong.AUTO,
     progress: Progress | None = None,
     weights: ArrayLike | None = None,
     target: TargetLike | None = None,
@@ -90,7 +102,10 @@ def map_surface(
         components: whether a surface of several parts is taken, each mapped by itself.
         together: whether all parts lie side by side on one sphere, each on a spherical cap of its own, with areas in
             proportion to those of the parts; closed parts are slit open. ``domain`` is then left at ``auto``.
-        cut: whether a surface with handles is cut along a short loop around each, and both sides filled small.
+        cut: whether a surface with handles is cut along a loop for each, and both sides filled small.
+        cut_along: ``handles``, the shortest loops around them; ``holes``, along them through the holes that they make,
+            which closes these; ``auto``, the shortest loops unless they leave limbs with few vertices around, and then
+            those that leave thicker limbs.
         progress: called as ``progress(stage, done, total, details)``.
         weights: of vertices or triangles, see :func:`omtwarp.map_to_sphere`; not for a torus.
         target: the density on the sphere, see :func:`omtwarp.map_to_sphere`; for closed, connected surfaces of genus 0.
@@ -113,6 +128,7 @@ def map_surface(
     ('hemisphere', 0, True)
     """
     domain, fill_area = choose(Domain, domain), choose(FillArea, fill_area)
+    along = _loops_to_cut(cut, cut_along)
     vertices, faces = _arrays(mesh)
     parts = parts_of(vertices, faces)
     together = together and len(parts) > 1
@@ -132,7 +148,14 @@ def map_surface(
     names = mesh.names if isinstance(mesh, Surface) else None
     maps = [
         _map_part(
-            part, domain, fill_area, cut, progress, options, None if shares is None else shares[part.face_origin], names
+            part,
+            domain,
+            fill_area,
+            along,
+            progress,
+            options,
+            None if shares is None else shares[part.face_origin],
+            names,
         )
         for part in parts
     ]
@@ -142,6 +165,12 @@ def map_surface(
         caps = centres, sizes
     _certify(maps)
     return maps[0] if len(maps) == 1 else joined(maps, count, caps)
+
+
+def _loops_to_cut(cut: bool, cut_along: str) -> CutAlong | None:
+    """Return the loops that handles are cut along; None where they are not to be cut."""
+    along = choose(CutAlong, cut_along)
+    return along if cut else None
 
 
 def _check_domain(domain: Domain, part_count: int, components: bool, together: bool, exact: bool) -> None:
@@ -291,6 +320,7 @@ class _Opened:
         small: index of the first loop with a small filling; those of all later ones are small too.
         pairs: the two sides of each cut.
         filled: the surface with its loops filled.
+        cut_along: the kind of each cut, see :func:`omtwarp.topology.cuts.cut_open`.
     """
 
     vertices: Floats
@@ -302,13 +332,14 @@ class _Opened:
     small: int
     pairs: NDArray[np.int64]
     filled: FilledSurface
+    cut_along: list[str]
 
 
 def _map_part(
     part: Part,
     domain: str,
     fill_area: str,
-    cut: bool,
+    along: CutAlong | None,
     progress: Progress | None,
     options: MapKeywords,
     weights: Floats | None,
@@ -316,7 +347,7 @@ def _map_part(
 ) -> SurfaceMap:
     if domain == "auto":
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
-    if part.genus and not cut:
+    if part.genus and along is None:
         raise OmtwarpError(f"the surface has {described(part)}: " + _or(options_for([part])))
     if domain != "sphere" and not part.loops:
         raise OmtwarpError(f"a closed surface has no boundary to put on the rim of a {domain}: map it to the sphere")
@@ -325,7 +356,7 @@ def _map_part(
             f"exact areas are for the sphere and the hemisphere: straight sides of triangles are bent on the way to a "
             f"{domain}"
         )
-    opened = _opened(part, fill_area, to_rim=domain != "sphere")
+    opened = _opened(part, fill_area, along or CutAlong.AUTO, to_rim=domain != "sphere")
     surface = _surface(opened, weights)
     surface.names = _names(part, opened, names)
     if domain == "sphere":
@@ -428,8 +459,8 @@ def _or(lines: list[str]) -> str:
     return " or ".join(line.partition(":")[0] for line in lines) + " would map it"
 
 
-def _opened(part: Part, fill_area: str, to_rim: bool) -> _Opened:
-    cut = cut_handles(part.vertices, part.faces, part.genus)
+def _opened(part: Part, fill_area: str, along: CutAlong, to_rim: bool) -> _Opened:
+    cut, kinds = cut_open(part.vertices, part.faces, part.genus, along)
     vertices, faces, origin = cut.vertices, cut.faces, cut.vertex_origin
     loops = list(part.loops)
     face_origin, split_edges = np.arange(len(faces)), np.zeros((0, 2), dtype=np.int64)
@@ -443,7 +474,7 @@ def _opened(part: Part, fill_area: str, to_rim: bool) -> _Opened:
     pairs = len(loops) + np.arange(2 * part.genus).reshape(-1, 2)
     loops += [side for pair in cut.sides for side in pair]
     filled = fill_holes(vertices, faces, loops)
-    return _Opened(vertices, faces, origin, face_origin, split_edges, loops, small, pairs, filled)
+    return _Opened(vertices, faces, origin, face_origin, split_edges, loops, small, pairs, filled, kinds)
 
 
 def _names(part: Part, opened: _Opened, given: InputNames | None) -> InputNames:
@@ -506,6 +537,8 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
         "filled_loops": len(opened.loops),
         "mapped_surface": closed.report.get("mesh"),
     }
+    if opened.cut_along:
+        about["cut_along"] = opened.cut_along
     origin = opened.vertex_origin
     return SurfaceMap(
         vertices=opened.vertices,

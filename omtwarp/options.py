@@ -95,6 +95,14 @@ class FillArea(StrEnum):
     SMALL = "small"
 
 
+class CutAlong(StrEnum):
+    """The loops that handles are cut along; ``auto`` takes the shortest unless they leave thin limbs."""
+
+    AUTO = "auto"
+    HANDLES = "handles"
+    HOLES = "holes"
+
+
 class Solver(StrEnum):
     """How sparse systems are solved: by SciPy, or faster by a built-in solver; ``auto`` takes the fastest."""
 
@@ -129,6 +137,7 @@ _NAMES: dict[type[StrEnum], str] = {
     Interpolation: "interpolation",
     Domain: "domain",
     FillArea: "fill area",
+    CutAlong: "loops to cut along",
 }
 
 
@@ -243,6 +252,7 @@ class SurfaceKeywords(TypedDict, total=False):
     components: bool
     together: bool
     cut: bool
+    cut_along: str
 
 
 @dataclass(frozen=True)

@@ -101,6 +101,7 @@ class SurfaceReport(TypedDict, total=False):
     genus: int
     split_edges: int
     filled_loops: int
+    cut_along: list[str]
     mapped_surface: MeshReport | None
     share_of_sphere: float
     centre: list[float]

@@ -20,7 +20,7 @@ GROUPS = {
     ),
     "Map": (
         "method", "until", "cost", "scheme", "refine", "exact", "weights", "density", "target_floor", "optimality",
-        "hemisphere", "disk", "cap", "fill_area", "components", "together", "cut", "torus",
+        "hemisphere", "disk", "cap", "fill_area", "components", "together", "cut", "cut_along", "torus",
     ),
     "Method": (
         "to", "by", "aligned", "mirror", "grid", "degree", "scale", "fit", "permutations", "seed", "transport",

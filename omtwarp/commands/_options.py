@@ -12,7 +12,19 @@ from typer.models import OptionInfo
 
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import Backend, Cost, FillArea, Kind, Method, Scheme, Solver, Stage, choose, parse_refinement
+from omtwarp.options import (
+    Backend,
+    Cost,
+    CutAlong,
+    FillArea,
+    Kind,
+    Method,
+    Scheme,
+    Solver,
+    Stage,
+    choose,
+    parse_refinement,
+)
 
 Value = TypeVar("Value")
 
@@ -143,8 +155,13 @@ TogetherOption = Annotated[
 ]
 CutOption = Annotated[
     bool,
-    typer.Option(
-        "--cut", help="Cut handles open along shortest loops and map to the sphere; textures have seams there."
+    typer.Option("--cut", help="Cut handles open along short loops and map to the sphere; textures have seams there."),
+]
+CutAlongOption = Annotated[
+    CutAlong | None,
+    named(
+        CutAlong,
+        "Cut along the shortest loops, around handles, or through the holes that these make, which leaves fewer limbs.",
     ),
 ]
 TorusOption = Annotated[bool, typer.Option("--torus", help="Map a closed surface of genus 1 to a flat torus.")]

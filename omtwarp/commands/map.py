@@ -12,6 +12,7 @@ from omtwarp.commands._options import (
     CapOption,
     ComponentsOption,
     CostOption,
+    CutAlongOption,
     CutOption,
     DeviceOption,
     DiskOption,
@@ -36,7 +37,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
-from omtwarp.options import Domain, FillArea, MapOptions, Refinement, SurfaceKeywords
+from omtwarp.options import CutAlong, Domain, FillArea, MapOptions, Refinement, SurfaceKeywords
 
 if TYPE_CHECKING:
     import numpy as np
@@ -70,6 +71,7 @@ def map_mesh(
     components: ComponentsOption = False,
     together: TogetherOption = False,
     cut: CutOption = False,
+    cut_along: CutAlongOption = None,
     torus: TorusOption = False,
     device: DeviceOption = MapOptions.device,
     solver: SolverOption = MapOptions.solver,
@@ -146,7 +148,9 @@ def map_mesh(
         if report_target is not None:
             check_output(report_target, (".json",), *meshes, target)
     rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap, torus), strict=True) if given]
-    any_surface = surface_options(rims, fill_area=fill_area, components=components, together=together, cut=cut)
+    any_surface = surface_options(
+        rims, fill_area=fill_area, components=components, together=together, cut=cut, cut_along=cut_along
+    )
     start_device(device)
     goal = None
     if density is not None:
@@ -246,7 +250,13 @@ def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
 
 
 def surface_options(
-    rims: list[Domain], *, fill_area: FillArea | None, components: bool, together: bool, cut: bool
+    rims: list[Domain],
+    *,
+    fill_area: FillArea | None,
+    components: bool,
+    together: bool,
+    cut: bool,
+    cut_along: CutAlong | None,
 ) -> SurfaceKeywords | None:
     """Collect the options of :func:`omtwarp.map_surface`; None where none is given and the surface has to be a sphere.
 
@@ -257,14 +267,15 @@ def surface_options(
         raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
     if together and rims:
         raise OmtwarpError(f"both --together and --{rims[0]}: parts side by side lie on caps")
-    if not (rims or fill_area or components or together or cut):
+    if not (rims or fill_area or components or together or cut or cut_along):
         return None
     return {
         "domain": Domain.AUTO if together else rims[0] if rims else Domain.SPHERE,
         "fill_area": fill_area or FillArea.NATURAL,
         "components": components or together,
         "together": together,
-        "cut": cut,
+        "cut": cut or cut_along is not None,
+        "cut_along": cut_along or CutAlong.AUTO,
     }
 
 

@@ -106,7 +106,7 @@ def options_for(parts: list[Part]) -> list[str]:
         lines.append("--torus: map the surface to the flat torus that it is conformal to")
     if genus:
         handles = number(genus, "handle")
-        lines.append(f"--cut: cut {handles} open along the shortest loops, fill the cuts small, and map to the sphere")
+        lines.append(f"--cut: cut {handles} open along short loops, fill the cuts small, and map to the sphere")
     return lines
 
 

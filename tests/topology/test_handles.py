@@ -13,6 +13,8 @@ import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.validate import check
+from omtwarp.options import CutAlong
+from omtwarp.topology.cuts import cut_open, loops_through_holes
 from omtwarp.topology.filling import fill_holes
 from omtwarp.topology.handles import cut_handles, shortest_handle_loop
 from omtwarp.topology.kind import parts_of
@@ -133,6 +135,45 @@ def _on_loops(result: omtwarp.SurfaceMap, points: np.ndarray) -> np.ndarray:
 def test_handles_without_leave_to_cut_are_refused():
     with pytest.raises(OmtwarpError, match="--cut would map it"):
         omtwarp.map_surface(shapes.rings(2, cell=0.3), cut=False)
+
+
+@pytest.fixture(scope="module")
+def thin_pretzel():
+    """Two rings of thin tubes: six vertices around, where 0.9 times as many as needed are left by shortest loops."""
+    return shapes.rings(2, tube=0.35, cell=0.35)
+
+
+def test_loops_through_holes_cross_their_cuts_once(thin_pretzel):
+    vertices, faces = _arrays(thin_pretzel)
+    cut = cut_handles(vertices, faces, 2)
+    around = [set(cut.vertex_origin[one].tolist()) for one, _ in cut.sides]
+    through = loops_through_holes(cut)
+    for k, loop in enumerate(through):
+        assert len(around[k] & set(loop.tolist())) == 1 and not around[1 - k] & set(loop.tolist())
+        # The inner circle of a ring of radius 1 has a radius of 0.65.
+        assert 0.97 < length_of(vertices, loop) / (2.0 * np.pi * 0.65) < 1.25
+    assert not set(through[0].tolist()) & set(through[1].tolist())
+    for loops in (through, [through[0], cut.vertex_origin[cut.sides[1][0]]]):
+        other = cut_handles(vertices, faces, 2, loops)
+        filled = fill_holes(other.vertices, other.faces, [side for pair in other.sides for side in pair])
+        assert not check(filled.vertices, filled.faces)
+
+
+def test_where_limbs_would_be_thin_holes_are_closed(thin_pretzel):
+    """Areas need vertices around limbs; a thick surface is cut along the shortest loops."""
+    result = omtwarp.map_surface(thin_pretzel, optimality=False, device="cpu")
+    assert result.report["surface"]["cut_along"] == ["holes", "holes"]
+    assert result.certificate.bijective and result.distortion().area["surface"] < 2.015
+    assert np.array_equal(result.vertex_origin[result.faces], thin_pretzel.faces)
+    vertices, faces = _arrays(shapes.rings(1, tube=0.8, cell=0.35))
+    assert cut_open(vertices, faces, 1)[1] == ["handles"]
+    assert cut_open(vertices, faces, 1, CutAlong.HOLES)[1] == ["holes"]
+    assert cut_open(*_arrays(thin_pretzel), 2, CutAlong.HANDLES)[1] == ["handles", "handles"]
+
+
+def test_unknown_loops_are_refused():
+    with pytest.raises(OmtwarpError, match="unknown loops to cut along 'short'"):
+        omtwarp.map_surface(shapes.rings(2, cell=0.4), cut_along="short")
 
 
 def test_no_loop_is_left_once_all_handles_are_cut():
