@@ -21,13 +21,13 @@ def random_rotation(seed: int) -> np.ndarray:
 
 
 def rotated_onto(points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The points after the rotation (never a reflection) that brings them nearest to the target (Kabsch 1976)."""
+    """Rotate points, without reflection, to bring them nearest to the target (Kabsch 1976)."""
     u, _, vt = np.linalg.svd(points.T @ target)
     return points @ (u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
 
 def apart(points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Distance of every point from its target after the best rotation, shape [V]."""
+    """Return the distance of every point from its target after the best rotation, shape [V]."""
     return np.linalg.norm(rotated_onto(points, target) - target, axis=1)
 
 
@@ -46,7 +46,7 @@ def height_and_longitude(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def turned(surface: Surface, seed: int = 3) -> Surface:
-    """The same surface with no vertex on an axis and no symmetry about one."""
+    """Rotate a surface so that no vertex lies on an axis and none is an axis of symmetry."""
     return Surface(surface.vertices @ random_rotation(seed).T, surface.faces)
 
 

@@ -43,7 +43,7 @@ def torus_map(**arrays):
 
 
 def broken_points():
-    """Arrays [V, 3] that are none, by what is wrong with them."""
+    """Return values that are no arrays [V, 3], by what is wrong with each."""
     holed, masked = VERTICES.copy(), np.ma.array(VERTICES, mask=np.zeros(VERTICES.shape, dtype=bool))
     holed[5, 1] = np.nan
     masked[2, 0] = np.ma.masked
@@ -66,7 +66,7 @@ def broken_points():
 
 
 def broken_faces():
-    """Arrays [F, 3] that are none."""
+    """Return values that are no arrays of faces [F, 3]."""
     beyond, negative = FACES.copy(), FACES.copy()
     beyond[7, 1], negative[3, 2] = COUNT, -1
     masked = np.ma.array(FACES, mask=FACES == FACES[4, 0])
@@ -131,7 +131,7 @@ TAKES_FACES = {
 
 
 def broken_numbers():
-    """Arrays [V] that are none."""
+    """Return values that are no arrays of numbers [V]."""
     plain = np.ones(COUNT)
     cases = {"complex": plain + 0.5j, "objects": plain.astype(object), "text": plain.astype(str)}
     cases |= {"truth values": plain > 0, "masked": np.ma.array(plain, mask=np.arange(COUNT) == 3)}
@@ -249,7 +249,7 @@ def test_paths_that_are_none(function):
 
 
 def test_maps_of_every_kind_own_their_arrays():
-    """What callers do with their arrays later does not change a map."""
+    """Maps of every kind own their arrays: a caller's later changes do not reach them."""
     disk, lattice = np.zeros((COUNT, 2)), np.eye(2)
     one, two = surface_map(domain="disk", disk=disk), torus_map(lattice=lattice)
     disk += 1.0
@@ -313,7 +313,7 @@ def test_any_unit_gives_the_same_figures(exponent):
 
 
 def test_a_negated_sphere_is_not_certified_by_its_file(tmp_path):
-    """What a file says of its map is measured again."""
+    """A map with a negated sphere has flips, whatever certificate its file holds."""
     sphere = icosphere(3)
     result = omtwarp.map_to_sphere(sphere, until="moser")
     assert result.bijective

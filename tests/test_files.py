@@ -45,7 +45,7 @@ def test_a_directory_in_the_way_is_one_line(tmp_path):
 
 
 def test_staging_inside_of_staging(tmp_path):
-    """As where a command stages what a function of the library stages once more."""
+    """Staging works inside of staging, as where a command stages what a function stages again."""
     target = tmp_path / "it.obj"
     with staged(target) as outer:
         with staged(outer) as inner:

@@ -146,7 +146,7 @@ def test_refinement_keeps_the_bijection_and_betters_the_area():
 
 @pytest.mark.parametrize("weight", [0.003, 0.3, 100.0])
 def test_refinement_ends_below_every_map_before_it(weight):
-    """What it lowers is angle + weight * area, also where a nearly conformal map comes before a nearly optimal one."""
+    """Refinement ends at a smaller angle + weight * area than every stage before, nearly conformal ones included."""
     surface = blob(seed=6, amplitude=0.2, degree=4, sphere=1280)
     stages = mapped(surface, until="refine", refine=weight).report["stages"]
     energies = [stage["angle"]["surface"] - 2 + weight * (stage["area"]["surface"] - 2) for stage in stages]
@@ -155,7 +155,7 @@ def test_refinement_ends_below_every_map_before_it(weight):
 
 
 def test_exact_areas_of_every_triangle():
-    """Of the input's triangles, each made of four; optimal, one to one, all arrays in the quartered mesh's order."""
+    """Exact maps keep every input triangle's area and are one to one; arrays are in the quartered mesh's order."""
     surface = blob(seed=6, amplitude=0.3, degree=5, sphere=320)
     plain, result = mapped(surface), mapped(surface, exact=True, optimality=True)
     assert len(result.faces) == 4 * surface.face_count and result.bijective

@@ -31,7 +31,7 @@ def test_area_distortion_falls_and_angle_distortion_rises_with_the_exponent(devi
 
 
 def test_areas_are_those_asked_for(device):
-    """a μ^p, from the definition."""
+    """Areas are a μ^p, as the definition says."""
     exponent = 0.5
     sphere = map_with_density_exponent(SURFACE, CONFORMAL, exponent, weight=1000.0, device=device)
     on_sphere = triangle_areas(CONFORMAL, SURFACE.faces)
@@ -43,7 +43,7 @@ def test_areas_are_those_asked_for(device):
 
 
 def test_evening_out_only_helps_at_equal_area():
-    """Against Moser's map alone: less angle distortion, weighted by area on the sphere, at hardly another area."""
+    """Evening out lowers the angle distortion of Moser's map alone, at nearly the same area distortion."""
     rough, even = (
         measure_triangles(
             SURFACE.vertices, SURFACE.faces, map_with_density_exponent(SURFACE, CONFORMAL, 0.6, weight=weight)

@@ -62,7 +62,7 @@ def test_every_error_line_has_an_entry():
 
 
 def test_hardly_an_entry_is_about_nothing():
-    """Messages are reworded now and then: one entry in twenty may wait for the next look at the page."""
+    """At most one entry in twenty of the page matches no message of the code."""
     stale = [
         words
         for words, pattern in entries().items()

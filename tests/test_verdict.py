@@ -48,7 +48,7 @@ def test_a_plate_as_cad_programs_write_it():
 
 @pytest.mark.parametrize("ratio", [1e2, 1e8])
 def test_a_pair_of_needles_is_mapped_in_silence(ratio):
-    """The triangles are hard to map and the map is good all the same: it is what comes out that is warned of."""
+    """A pair of needles whose map is good gives no warning, since warnings depend on the map."""
     vertices, faces = needle_pair(ratio)
     assert elongation(Surface(vertices, faces)).max() > 0.9 * ratio
     with warnings.catch_warnings():

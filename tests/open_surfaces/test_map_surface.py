@@ -17,7 +17,7 @@ from omtwarp.topology.boundary import boundary_loops
 
 
 def round_disk(rings: int = 14) -> tuple[np.ndarray, np.ndarray]:
-    """A triangulated unit disk in the plane: points of nearly even density, [V, 2], and faces."""
+    """Triangulate a unit disk in the plane: points of nearly even density, [V, 2], and faces."""
     points = [np.zeros((1, 2))]
     for ring in range(1, rings + 1):
         turn = 2.0 * np.pi * (np.arange(6 * ring) + 0.5 * (ring % 2)) / (6 * ring)
@@ -295,7 +295,7 @@ def test_mistakes_are_told_in_one_line(mesh, options, words):
 
 
 def test_exact_areas_of_a_surface_with_a_filled_hole():
-    """Every triangle keeps its share of the area, and the parts, splits and loops lead back to the input."""
+    """With --exact every triangle of a filled surface keeps its share of the area, and origins lead to the input."""
     ball = shapes.blob(seed=2, amplitude=0.2, degree=4, sphere=320)
     vertices, faces = without(ball, ball.vertices[:, 2] > -0.5)
     result = omtwarp.map_surface((vertices, faces), domain="sphere", exact=True, device="cpu")
@@ -315,7 +315,7 @@ def test_exact_areas_of_a_surface_with_a_filled_hole():
 
 
 def test_exact_areas_of_a_hemisphere():
-    """Every triangle keeps its share of the area to 1e-6, and the boundary stays on the equator to the last bit."""
+    """With --exact every triangle of a hemisphere keeps its area to 1e-6; the boundary is exactly on the equator."""
     ball = shapes.blob(seed=2, amplitude=0.2, degree=4, sphere=320)
     vertices, faces = without(ball, ball.vertices[:, 2] > -0.2)
     result = omtwarp.map_surface((vertices, faces), domain="hemisphere", exact=True, device="cpu")

@@ -27,7 +27,7 @@ def energy_of(surface, moser):
 
 
 def worth(energy, terms, stiffness):
-    """Cost, shape and penalty, as a sum over the whole sphere."""
+    """Return cost, shape and penalty as a sum over the whole sphere."""
     missing = energy.missing(terms)
     return energy.lagrangian(terms, np.zeros(len(missing))) + 0.5 * float(stiffness @ missing**2)
 

@@ -20,7 +20,7 @@ CPU = resolve_device("cpu")
 
 
 def stretched(level: int, factor: float = 1.6) -> Surface:
-    """A spheroid, its axis no axis of the icosphere it is made from."""
+    """Make a spheroid whose axis is no axis of the icosphere that it is made from."""
     ball = icosphere(level)
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     return Surface((ball.vertices @ turn) * [1.0, 1.0, factor], ball.faces)

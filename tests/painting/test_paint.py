@@ -23,7 +23,7 @@ from two_materials import RED, two_halves
 
 @pytest.fixture(scope="module")
 def halves(tmp_path_factory):
-    """A ball in two materials, one with a picture, and its map: itself."""
+    """Make a ball of two materials, one with a picture, and its map, the identity."""
     path, *_ = two_halves(tmp_path_factory.mktemp("halves"), picture=True)
     mesh = read_painted_mesh(path)
     return mesh, (mesh.vertices, mesh.faces, mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True))
@@ -36,7 +36,7 @@ def places(mesh, seed=0):
 
 
 def looked_up(picture, uv):
-    """The texel that holds each point, pictures repeating."""
+    """Return the colour of the texel that holds each point; pictures repeat."""
     height, width = picture.shape[:2]
     column = np.floor((uv[:, 0] % 1.0) * width).astype(int) % width
     row = np.floor((1.0 - uv[:, 1] % 1.0) * height).astype(int) % height
@@ -44,7 +44,7 @@ def looked_up(picture, uv):
 
 
 def shown(mesh, seed=0):
-    """The colour that a mesh shows at a random point of every triangle."""
+    """Return the colour that a mesh shows at a random point of every triangle."""
     _, uv = places(mesh, seed)
     colors = np.zeros((len(mesh.faces), 3))
     for number, material in enumerate(mesh.materials):
@@ -54,7 +54,7 @@ def shown(mesh, seed=0):
 
 
 def test_a_pattern_in_own_coordinates_is_where_the_map_says(halves):
-    """At random points of all triangles, those across the border of the picture too, and in both materials."""
+    """At random points the pattern in own coordinates has the map's colour, across border and materials too."""
     mesh, result = halves
     assert mesh.uv[..., 0].max() > 1.0, "some triangles reach over the picture's border"
     checker = Checker(10, 5)
@@ -68,7 +68,7 @@ def test_a_pattern_in_own_coordinates_is_where_the_map_says(halves):
 
 
 def test_lines_in_own_coordinates_are_as_smooth_as_on_an_atlas():
-    """On a coarse mesh both follow the smooth map; places linear in triangles would be elsewhere."""
+    """On a coarse mesh, lines in own coordinates and on an atlas both follow the smooth map, not the linear one."""
     surface = omtwarp.shapes.blob(seed=3, sphere=320)
     result = omtwarp.map_to_sphere(surface, until="moser", device="cpu")
     arrays = (result.vertices, result.faces, result.sphere)
@@ -129,7 +129,7 @@ def test_over_is_porter_and_duffs():
 
 
 def test_an_atlas_shows_the_materials_that_own_coordinates_show(halves, tmp_path):
-    """Materials laid out anew on the cube atlas: the same colours at the same places, each material by its name."""
+    """An atlas shows each material's colours at the places where the mesh's own coordinates show them."""
     mesh, result = halves
     own = paint(result, mesh, pattern="checker", keep="under", opacity=1.0, size=512)
     atlas = paint(result, mesh, pattern="checker", keep="under", opacity=1.0, uv="atlas", size=1536)
@@ -302,7 +302,7 @@ def test_object_normals_are_the_axes_as_colours():
 
 @pytest.mark.parametrize(("seed", "faces"), [(0, 320), (3, 1280), (5, 5120)])
 def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces):
-    """Inside the picture, none turned over, none on another: their areas add up to the texels that they cover."""
+    """Unwrapped triangles lie inside the picture, none flipped and no two overlapping."""
     surface = omtwarp.shapes.blob(seed=seed, sphere=faces)
     result = omtwarp.map_to_sphere(surface, until="moser", device="cpu")
     for aspect in (1.0, 1.5):
@@ -310,7 +310,7 @@ def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces):
 
 
 def apart(mesh, result, aspect):
-    """Hold coordinates to what the test above promises, on a picture of this aspect."""
+    """Assert what the test above promises of coordinates, on a picture of this aspect."""
     from omtwarp.device.start import wp
     from omtwarp.painting.texels import covered, overlap
 
@@ -327,7 +327,7 @@ def apart(mesh, result, aspect):
 
 
 def test_texels_of_an_unwrapped_surface_are_nearly_even():
-    """Area on the picture over area on the surface, of a map that preserves area: the cube's own spread."""
+    """Texels of an unwrapped surface vary in size by no more than the cube map does."""
     vertices, faces, sphere = ball(subdivisions=4)
     mesh = unwrap_uv((vertices, faces, sphere))
     one, other = mesh.uv[:, 1] - mesh.uv[:, 0], mesh.uv[:, 2] - mesh.uv[:, 0]

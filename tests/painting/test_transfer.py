@@ -19,13 +19,13 @@ def turn(seed):
 
 
 def pear(directions):
-    """A shape without symmetries, star-shaped about the origin, over unit vectors."""
+    """Return points of a star-shaped surface without symmetries over unit vectors."""
     x, y, z = directions.T
     return directions * AXES * (1.0 + 0.25 * z * x + 0.2 * y + 0.15 * x * x * y)[:, None]
 
 
 def meshed(subdivisions, seed):
-    """The shape with one of many triangulations, and its exact map: (vertices, faces, sphere)."""
+    """Triangulate the shape in one of many ways; return (vertices, faces, sphere) of its exact map."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions)
     directions = np.asarray(ball.vertices) @ turn(seed)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -43,7 +43,7 @@ def painted():
 
 
 def wrong_places(made, sphere_of):
-    """Part of random places where the colour is not the checker's there."""
+    """Return the share of random places whose colour is not the checker's there."""
     weights = np.random.default_rng(0).dirichlet((2, 2, 2), len(made.faces))
     uv = np.einsum("fk,fkj->fj", weights, made.uv)
     directions = sphere_of(np.einsum("fk,fkj->fj", weights, made.vertices[made.faces]))
@@ -62,7 +62,7 @@ def back_to_the_sphere(points):
 
 @pytest.mark.parametrize("onto_own", [False, True])
 def test_a_texture_comes_back_on_other_triangles(painted, onto_own):
-    """Only places next to a field's border differ, as they do before the transfer."""
+    """A transferred texture differs only next to the borders of fields, as much as before the transfer."""
     mesh, result = painted
     other = meshed(4, 2)
     before = wrong_places(mesh, back_to_the_sphere)

@@ -15,7 +15,7 @@ from omtwarp.untangling.untangle import untangle
 
 
 def singular_values(points, faces):
-    """Of the Jacobian from every triangle of a surface to that of the image, by NumPy's SVD on flattened triangles."""
+    """Return the singular values of the Jacobian of every triangle, by NumPy's SVD on flattened triangles."""
 
     def flat(corners):
         a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -77,7 +77,7 @@ def test_a_sphere_is_its_own_best_map(device):
 
 @pytest.mark.parametrize("weight", [0.5, 10.0, 300.0])
 def test_gradient_matches_central_differences(weight, device):
-    """Along random tangent directions, with the image's total area varying as it does."""
+    """The gradient agrees with differences along random directions, in which the image's total area varies too."""
     surface = blob(5, sphere=500)
     sphere = start_map(surface)
     energy = DistortionEnergy(surface, resolve_device(device))
@@ -206,7 +206,7 @@ def test_hessian_of_a_triangle_is_the_projection_of_the_exact_one(curvature_shar
 
 
 def test_frames_flatten_triangles():
-    """Pulled back to the surface itself, both columns are orthonormal, needles included."""
+    """Frames are of flattened triangles: the identity's Jacobian has orthonormal columns, also in needles."""
     surface = needle(20.0, 300)
     p, q, r = triangle_frames(surface).T
     corner = surface.scaled_vertices[surface.faces]

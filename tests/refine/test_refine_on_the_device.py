@@ -39,7 +39,7 @@ def test_maps_do_not_depend_on_where_steps_are_found(start, device, monkeypatch)
 
 
 def test_directions_and_corrections_agree(start, device, monkeypatch):
-    """Over more pairs than are kept, among them one without curvature, which is not."""
+    """Host and device agree over more pairs than are kept; both drop one without positive curvature."""
     surface, sphere = start
     monkeypatch.setattr(steps, "MAX_PAIRS", 3)
     energy = DistortionEnergy(surface, wp.get_device(device))

@@ -21,7 +21,7 @@ from omtwarp.untangling.untangle import untangle
 
 @pytest.fixture(scope="module")
 def refined():
-    """A surface, and its map without distortion that could be lowered much."""
+    """Return a surface and a refined map of it."""
     surface = noisy(blob(2, amplitude=0.3, sphere=1500), 0.1)
     start = untangle(surface, tube_map(surface), device="cpu").sphere
     return surface, refine_map(surface, start, weight=20.0, device="cpu", tolerance=1e-6).sphere
@@ -43,7 +43,7 @@ def disturbed(surface, sphere, centre, seed):
 
 
 def relaxed(surface, sphere, chosen=None, device="cpu"):
-    """Energy before and after, map after, and which vertices were chosen."""
+    """Relax a map; return its energy before and after, the map after, and the chosen vertices."""
     energy = DistortionEnergy(surface, resolve_device(device))
     points = energy.upload(sphere)
     terms = energy.terms(points)
@@ -74,7 +74,7 @@ def test_a_disturbed_patch_is_found_and_put_right(refined, centre, seed):
 
 
 def test_what_is_moved_ends_where_nothing_pulls(refined, device):
-    """After enough rounds the gradient is zero at the freed vertices, as of the whole map's energy."""
+    """After enough rounds the whole map's gradient is zero at the freed vertices."""
     surface, sphere = refined
     start, near = disturbed(surface, sphere, 5, 1)
     energy = DistortionEnergy(surface, resolve_device(device))
@@ -91,7 +91,7 @@ def test_what_is_moved_ends_where_nothing_pulls(refined, device):
 
 
 def test_two_patches_do_not_hold_each_other_back(refined):
-    """One is relaxed alone as it is beside another that it does not touch, to rounding."""
+    """A patch ends at the same place alone and beside another that it does not touch, up to rounding."""
     surface, sphere = refined
     far = int(np.argmin(sphere @ sphere[5]))
     start, first = disturbed(surface, sphere, 5, 1)
@@ -110,7 +110,7 @@ def test_too_many_vertices_are_left_to_a_step_of_all(refined):
 
 
 def test_vertices_chosen_gain_more_alone_than_in_a_step_of_all():
-    """Above three times the mean they are chosen, at most 15 in 100, the largest first; one in any case."""
+    """Chosen are vertices with over three times the mean gain, the largest first: at most 15 %, and at least one."""
     decrements = np.full(1000, 1e-3)
     assert stiff_vertices(decrements, 1.0).sum() == 1
     decrements[[3, 5, 7]] = 4e-3, 2e-3, 1e3

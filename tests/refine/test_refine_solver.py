@@ -26,7 +26,7 @@ def start_map(surface):
 
 
 def check(surface, start, weight):
-    """Refine, and hold the result to what is promised of every map."""
+    """Refine a map, and assert what is promised of every refined map."""
     result = refine_map(surface, start, weight=weight, device="cpu", iterations=40)
     energies = [record["energy"] for record in result.history]
     assert all(after <= before for before, after in pairwise(energies))
@@ -47,7 +47,7 @@ def ring_errors(surface, sphere):
 
 
 def test_refined_blob_keeps_areas_around_vertices(device):
-    """By default these, not those of triangles, are held; the map has less angle distortion for it."""
+    """Refinement towards area keeps areas around vertices, at less angle distortion than areas of triangles."""
     surface = blob(1, sphere=1500)
     result = refine_map(surface, start_map(surface), device=device)
     judged = measure_triangles(surface.vertices, surface.faces, result.sphere)
@@ -107,7 +107,7 @@ def test_the_minimum_does_not_depend_on_the_start():
 
 
 def test_the_identity_on_the_sphere_stays():
-    """Nothing to gain, nothing moved."""
+    """Refinement leaves the identity on the sphere where it is."""
     surface = icosphere(5)
     sphere = surface.vertices / np.linalg.norm(surface.vertices, axis=1, keepdims=True)
     result = refine_map(surface, sphere, weight="balanced", device="cpu")
@@ -115,7 +115,7 @@ def test_the_identity_on_the_sphere_stays():
 
 
 def test_same_answer_twice():
-    """Bit for bit."""
+    """Two calls give the same bits."""
     surface = noisy(blob(9, sphere=600), 0.2)
     start = start_map(surface)
     first, second = (refine_map(surface, start, device="cpu", iterations=8).sphere for _ in range(2))
@@ -145,7 +145,7 @@ def test_tiny_triangles_grow_back():
     seed=st.integers(0, 10**6), kind=st.sampled_from(["blob", "noise", "tube", "limbs"]), weight=st.floats(1.0, 200.0)
 )
 def test_no_flip_on_random_shapes(seed, kind, weight):
-    """Whatever the shape and λ: no flip, degree 1, energy never up."""
+    """On random shapes and weights refinement has no flip and degree 1, and never raises the energy."""
     rng = np.random.default_rng(seed)
     if kind == "tube":
         surface = tube(length=float(rng.uniform(3, 12)), face_count=600)
@@ -159,7 +159,7 @@ def test_no_flip_on_random_shapes(seed, kind, weight):
 
 
 def test_refuses_flipped_maps_and_unknown_weights():
-    """In one clear line."""
+    """Flipped maps and unknown weights are refused, each in one line."""
     surface = icosphere(3)
     sphere = surface.vertices / np.linalg.norm(surface.vertices, axis=1, keepdims=True)
     mirrored = sphere * [1.0, 1.0, -1.0]
@@ -172,7 +172,7 @@ def test_refuses_flipped_maps_and_unknown_weights():
 
 
 def test_newton_matrix_sums_blocks_and_solves():
-    """Against a dense sum of the same blocks."""
+    """The Newton matrix and its solutions agree with a dense sum of the same blocks."""
     surface = icosphere(2)
     count = surface.vertex_count
     rng = np.random.default_rng(0)

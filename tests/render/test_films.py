@@ -37,7 +37,7 @@ def creature() -> MapResult:
 
 
 def swept(frames: list[Image.Image]) -> np.ndarray:
-    """Share of the picture that edges sweep over from one frame to the next: changes over those of a whole edge."""
+    """Return the share of the picture that edges sweep over between two frames: changes over those of a whole edge."""
     seen = [np.asarray(frame).astype(int) for frame in frames]
     return np.array([np.abs(a - b).max(axis=2).mean() / 150.0 for a, b in itertools.pairwise(seen)])
 

@@ -26,7 +26,7 @@ TRIANGLE = (np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
 
 
 def projected(points: np.ndarray, shot) -> np.ndarray:
-    """Picture coordinates in [-1, 1]."""
+    """Project points to picture coordinates in [-1, 1]."""
     seen = (points - shot.pose[:3, 3]) @ shot.pose[:3, :3]
     depth = -seen[:, 2] if shot.perspective else 1.0
     return np.column_stack([seen[:, 0] / depth / shot.half_width, seen[:, 1] / depth / shot.half_height])
@@ -294,7 +294,7 @@ def test_transparent_gif_keeps_its_holes(tmp_path) -> None:
 
 @pytest.fixture
 def fresh_client(monkeypatch):
-    """The drawing process as if nothing had been drawn yet, and gone afterwards."""
+    """Reset the drawing process before a test, and end it afterwards."""
     monkeypatch.setattr(gl_client, "_current", None)
     monkeypatch.setattr(gl_client, "_no_use", None)
     monkeypatch.setattr(pictures, "_told", set())
@@ -329,7 +329,7 @@ def test_without_an_opengl_library_the_ray_caster_steps_in(fresh_client, caplog)
 
 
 def test_a_library_that_only_the_loader_finds_is_used(fresh_client) -> None:
-    """As unpacked without rights, on LD_LIBRARY_PATH, where neither ldconfig nor a linker knows of it."""
+    """An OpenGL library on LD_LIBRARY_PATH is used, although neither ldconfig nor a linker lists it."""
     pytest.importorskip("pyrender")
     try:
         preview(TRIANGLE, size=(32, 32), backend="pyrender")

@@ -372,7 +372,7 @@ def test_arrows_lie_on_the_visible_side(backend: str) -> None:
 
 
 def test_turntable_frames_and_gif(backend: str, tmp_path) -> None:
-    """So many frames, all different, evenly around; the GIF has them all and repeats for ever."""
+    """A turntable has the frames asked for, all different and evenly spaced; its GIF has all of them and loops."""
     target = tmp_path / "turn.gif"
     frames = preview(globe(3), target, frames=5, size=(64, 64), camera=Camera(0, 10), fps=10, backend=backend)
     assert isinstance(frames, list) and len(frames) == 5
@@ -425,7 +425,7 @@ def test_finished_map_file_is_drawn_like_the_map(tmp_path) -> None:
 
 
 def test_image_repeats_upwards_only_where_coordinates_ask_for_it(backend: str) -> None:
-    """Within [0, 1] the top row does not bleed into the bottom one; beyond, the image is tiled."""
+    """An image is tiled upwards beyond [0, 1], and within [0, 1] its top row does not bleed into the bottom row."""
     vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     image = np.array([[[250, 10, 10]], [[10, 10, 250]]], np.uint8).repeat(16, axis=0).repeat(16, axis=1)

@@ -91,7 +91,7 @@ class Browser:
         return self.wait_for("document.documentElement?.dataset.viewer")
 
     def run(self, code: str) -> Any:
-        """The value of an expression in the page."""
+        """Return the value of an expression in the page."""
         answer = self.ask("Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
@@ -107,7 +107,7 @@ class Browser:
         raise TimeoutError(f"never true: {code}; {self.complaints}")
 
     def picture(self, selector: str) -> np.ndarray:
-        """What an element looks like, colours in 0..1, shape [H, W, 3]."""
+        """Return a picture of an element, colours from 0 to 1, shape [H, W, 3]."""
         frames = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))"
         self.run(frames)
         clip = self.run(

@@ -42,7 +42,7 @@ def page_of(view: str) -> str:
 
 
 def test_repr_computes_nothing(result, monkeypatch):
-    """Neither a text nor the completion of names draws, measures or imports."""
+    """``repr`` and the completion of names draw, measure and import nothing."""
 
     def fails(*args, **kwargs):
         raise AssertionError("something was computed")

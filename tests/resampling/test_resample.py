@@ -19,7 +19,7 @@ METHODS = ["barycentric", "nearest", "adaptive", "conservative"]
 
 
 def irregular(seed: int = 0, count: int = 12):
-    """A bijective map of the sphere with triangles of very different sizes and shapes."""
+    """Make a bijective map of the sphere with triangles of very different sizes and shapes."""
     sphere = shapes.icosphere(count)
     points = twisted(pushed_north(sphere.vertices @ random_rotation(seed).T, 0.7), 1.5)
     return mesh_grid(points, sphere.faces, "irregular")

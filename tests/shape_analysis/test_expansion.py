@@ -53,7 +53,7 @@ def test_band_limited_surfaces_come_back_from_irregular_points():
 
 
 def test_they_agree_with_pyshtools():
-    """On pyshtools' own grid, by its quadrature (Driscoll and Healy), to 1e-6 and much better."""
+    """Coefficients agree with those of pyshtools on its own grid (Driscoll and Healy) to 1e-6."""
     pyshtools = pytest.importorskip("pyshtools")
     longitude, colatitude = np.arange(48) * 2 * np.pi / 48, np.arange(24) * np.pi / 24
     theta, phi = (a.ravel() for a in np.meshgrid(colatitude, longitude, indexing="ij"))

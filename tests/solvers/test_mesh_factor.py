@@ -88,7 +88,7 @@ def test_saddle_points_with_cells_are_solved_alike():
 
 
 def stages(solver: Solver, moser: np.ndarray, start: np.ndarray) -> dict[str, np.ndarray]:
-    """What every stage that solves a linear system makes of the same input."""
+    """Return the results of all stages that solve a linear system, for one input."""
     tangled = moser.copy()
     corner, across = SURFACE.faces[0, :2]
     tangled[corner] = 2.0 * moser[across] - moser[corner]
@@ -132,7 +132,7 @@ def test_a_map_to_the_torus_is_the_same_to_round_off(solver):
 
 
 def test_scipy_carries_a_whole_map_alone(monkeypatch):
-    """No built-in solver is as much as made."""
+    """A whole map with ``--solver scipy`` creates no built-in solver."""
     for name in ("omtwarp.solvers.mesh_factor.MultifrontalCholesky", "omtwarp.solvers.multigrid.DeviceLaplacian"):
         monkeypatch.setattr(name, lambda *_, **__: pytest.fail("a built-in solver was made"))
     monkeypatch.setattr("omtwarp.solvers.mesh_factor.SaddleFactor", lambda *_: pytest.fail("a built-in one was made"))

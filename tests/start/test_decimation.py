@@ -71,7 +71,7 @@ def test_rounds_are_few():
 
 
 def test_long_limbs_keep_their_samples():
-    """Cost is the mass of a star: halfway down, either half of a tube has about half of the vertices."""
+    """Simplification keeps limbs: halfway down, either half of a tube has about half of the vertices."""
     surface = tube(length=20.0, face_count=4000)
     level = next(x for x in simplify(surface, CPU).levels if len(x.vertices) < 200)
     along = surface.vertices - surface.vertices.mean(axis=0)

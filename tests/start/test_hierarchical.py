@@ -120,7 +120,7 @@ def test_no_triangle_flips_and_the_sphere_is_covered_once(name):
 @settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**31 - 1), kind=st.sampled_from(["blob", "noise", "slivers", "stacked", "random", "tube"]))
 def test_random_shapes_embed(seed, kind):
-    """The same over random seeds."""
+    """Random shapes are embedded without a flip, at degree 1."""
     rng = np.random.default_rng(seed)
     surface = {
         "blob": lambda: blob(seed % 10000, amplitude=rng.uniform(0.1, 1.0), degree=8, sphere=1280),
@@ -161,14 +161,14 @@ def test_the_weight_trades_area_for_angle():
 
 
 def test_the_same_answer_twice_bit_for_bit():
-    """No step depends on anything but the input."""
+    """The embedding gives the same bits twice."""
     surface = blob(11, sphere=1280)
     first, second = (hierarchical_embedding(surface, device="cpu").sphere for _ in range(2))
     assert first.tobytes() == second.tobytes()
 
 
 def test_scale_and_place_of_the_input_do_not_matter():
-    """Only the shape counts; the input may be far away and tiny."""
+    """The embedding of a scaled and moved surface is the same."""
     surface = blob(5, sphere=500)
     moved = Surface(surface.vertices * 2.0**-60 + 2.0**-58, surface.faces)
     ours, theirs = (hierarchical_embedding(s, device="cpu").sphere for s in (surface, moved))
@@ -176,7 +176,7 @@ def test_scale_and_place_of_the_input_do_not_matter():
 
 
 def test_progress_grows_to_one():
-    """The callback hears what part of the vertices has its place."""
+    """Progress is the share of vertices that are placed, and grows to one."""
     heard = []
     hierarchical_embedding(
         icosphere(6), device="cpu", progress=lambda stage, done, total, details: heard.append(done / total)
@@ -186,7 +186,7 @@ def test_progress_grows_to_one():
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.nan, np.inf])
 def test_a_weight_that_is_not_positive_is_refused(weight):
-    """The energy would have no minimum."""
+    """A weight that is not positive, for which the energy has no minimum, is refused."""
     with pytest.raises(OmtwarpError, match="weight"):
         hierarchical_embedding(icosphere(2), area_weight=weight, device="cpu")
 
@@ -226,7 +226,7 @@ def insert(ring):
 @pytest.mark.parametrize("count", range(3, MAX_VALENCE + 1))
 @pytest.mark.parametrize("radius", [1e-6, 0.5, 1.5])
 def test_a_vertex_enters_a_regular_ring_at_its_centre(count, radius):
-    """By symmetry; the colour is the first one free."""
+    """A vertex that enters a regular ring is placed at its centre and gets the first free colour."""
     t = np.arange(count) * 2 * np.pi / count
     ring = np.stack([np.sin(radius) * np.cos(t), np.sin(radius) * np.sin(t), np.full(count, np.cos(radius))], axis=1)
     x, colour, least = insert(ring)

@@ -52,7 +52,7 @@ def test_long_tubes_take_another_road(length):
 
 
 def test_a_long_tube_of_obtuse_triangles_is_embedded_coarse_to_fine():
-    """Latitude by area flips triangles there, and repairing them would spoil the areas."""
+    """A long tube of obtuse triangles starts coarse to fine, as latitude by area flips triangles there."""
     surface = flip_edges(tube(length=30.0, girth=1.0, face_count=1500), rounds=8, seed=1)
     assert count_flips(tube_map(surface), surface.faces) > 0
     start = bijective_start(surface)

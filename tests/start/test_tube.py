@@ -39,7 +39,7 @@ def octahedron():
     ids=["tetrahedron", "octahedron", "icosphere", "uv sphere", "tube", "limbs", "noisy", "shuffled"],
 )
 def test_covers_the_sphere_once(surface):
-    """Degree 1, few flips, and none after untangling."""
+    """The start of a tube covers the sphere once, with few flips, and none after untangling."""
     sphere = tube_map(surface)
     assert np.allclose(np.linalg.norm(sphere, axis=1), 1.0)
     judged = measure_triangles(surface.vertices, surface.faces, sphere)
@@ -59,7 +59,7 @@ def test_a_long_tube_does_not_shrink():
 
 
 def test_poles_are_far_apart_and_never_neighbours():
-    """The ends of a tube; two that do not touch on the smallest meshes."""
+    """Poles are the ends of a tube, and on the smallest meshes two vertices that are no neighbours."""
     surface = tube(length=12.0, face_count=1200)
     south, north = poles(surface)
     length = np.ptp(surface.vertices, axis=0).max()
@@ -91,6 +91,6 @@ def test_latitude_shares_ties():
 
 
 def test_same_answer_twice():
-    """Bit for bit."""
+    """Two calls give the same bits."""
     surface = blob(5, sphere=500)
     assert np.array_equal(tube_map(surface), tube_map(surface))

@@ -49,7 +49,7 @@ def test_no_edge_within_the_reach(name):
 
 
 def test_large_pictures_are_the_same_in_strips():
-    """More than one strip, colours and alpha, a height that no strip divides."""
+    """Large PNGs written in strips decode to the same picture, also where strips do not divide the height."""
     rng = np.random.default_rng(1)
     for channels in (3, 4):
         picture = np.repeat(rng.integers(0, 256, (301, 90, channels), dtype=np.uint8), 60, axis=1)

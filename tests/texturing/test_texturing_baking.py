@@ -47,7 +47,7 @@ def test_round_trip_at_ordinary_size(name, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ATLASES)
 def test_round_trip_at_8k(name):
-    """8192 texels wide, in floats: within 1e-3, supersampled or not."""
+    """A picture 8192 texels wide gives the function back within 1e-3, supersampled or not."""
     d = directions(200_000)
     picture = bake(lambda n: 0.5 * n[:, 0] * n[:, 1] + 0.4 * n[:, 2], name, size=8192, supersample=1)
     error = np.abs(sample(picture, d, name)[:, 0] - (0.5 * d[:, 0] * d[:, 1] + 0.4 * d[:, 2])).max()
@@ -95,7 +95,7 @@ def test_gutters_show_what_lies_beyond(name):
 
 
 def test_supersampling_is_the_mean_over_the_texel():
-    """Against a plain NumPy average of 8 x 8 samples."""
+    """A supersampled texel is NumPy's average of 8 x 8 samples."""
     fine = bake("circles", "equirectangular", size=1024, supersample=1).reshape(64, 8, 128, 8, 3).mean(axis=(1, 3))
     coarse = bake("circles", "equirectangular", size=128, supersample=8)
     assert np.abs(coarse - fine).max() < 0.04
@@ -134,7 +134,7 @@ def two_triangle_charts(faces):
 
 
 def test_baking_to_own_coordinates_and_back(device):
-    """The whole chain: function, the mesh's own texture, equirectangular picture, function."""
+    """A function baked to own coordinates, then to an equirectangular picture, comes back as itself."""
     _, faces, sphere = ellipsoid(3, seed=7)
     uv = two_triangle_charts(faces)
     turn = rotation(2)

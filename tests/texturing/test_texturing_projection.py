@@ -44,7 +44,7 @@ def test_sinusoidal_scales_longitude_by_the_cosine_of_latitude():
 
 
 def test_latitude_is_accurate_next_to_the_pole():
-    """asin(z) would lose half of the digits there."""
+    """Latitude keeps its digits next to the pole, where asin(z) would lose half of them."""
     lat = np.pi / 2 - 1e-9
     got = longitude_latitude(direction_from_angles(0.3, lat))[1]
     assert np.pi / 2 - got == pytest.approx(1e-9, rel=1e-6)

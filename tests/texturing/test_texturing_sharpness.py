@@ -28,7 +28,7 @@ def test_triangles_without_area_count_as_what_they_are():
 
 @pytest.mark.parametrize("atlas", ["cube", "octahedral", "equirectangular"])
 def test_no_texel_is_larger_than_it_should_be(atlas):
-    """Steps of one texel in eight directions, from points all over the surface, carried back to it."""
+    """Steps of one texel are no longer on the surface than the chosen size promises, from points all over it."""
     vertices, faces, sphere = ellipsoid(4, seed=2)
     chosen = sharp_size(vertices, faces, sphere, atlas)
     assert chosen.coarse == 0.0

@@ -115,7 +115,7 @@ def test_triangles_collapsed_to_a_point():
 
 
 def test_same_answer_twice():
-    """Bit for bit."""
+    """Two calls give the same bits."""
     surface = icosphere(6)
     _, start, _ = scrambled(surface, 3, 0.5, 0)
     first, second = (untangle(surface, start, device="cpu").sphere for _ in range(2))

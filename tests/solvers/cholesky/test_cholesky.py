@@ -80,7 +80,7 @@ def test_solutions_are_those_of_a_general_solver(seed, count, block, leaf):
     threads=st.sampled_from([1, 3]),
 )
 def test_pieces_that_do_not_touch(seed, counts, block, leaf, threads):
-    """As the patches that are untangled: the tree of fronts then is a forest, with levels that need no front."""
+    """Meshes of several pieces, such as patches that are untangled, are factorised; their fronts form a forest."""
     rng = np.random.default_rng(seed)
     pieces = [random_sphere(count, seed + k) for k, count in enumerate(counts)]
     first = np.cumsum([0, *(piece.vertex_count for piece in pieces)])
@@ -113,7 +113,7 @@ def test_no_edge_joins_vertices_of_fronts_on_different_branches(leaf):
 
 
 def test_rows_of_a_front_are_those_that_elimination_fills():
-    """Against the pattern of a factor that a general solver computes in the same order."""
+    """Fronts have the rows of the factor that a general solver computes in the same order."""
     surface = blob(seed=2, sphere=640)
     dissection = dissect(surface.scaled_vertices, surface.edges, 8)
     diagonal, off = dominant_blocks(surface, 1, 0)
@@ -234,7 +234,7 @@ def test_corners_opposite_to_edges():
 
 
 def test_threads_that_share_a_front_find_the_same_factor(monkeypatch):
-    """Panels and strips far smaller than the front, so that all kinds of them occur."""
+    """Several threads find the factor of one, with panels and strips so small that every kind of them occurs."""
     from omtwarp.solvers.cholesky import lapack
 
     monkeypatch.setattr(lapack, "PANEL", 7)
@@ -256,7 +256,7 @@ def test_threads_that_share_a_front_find_the_same_factor(monkeypatch):
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_no_front_is_overwritten_before_its_parent_has_it(threads):
-    """In the order of a job: a front's place must be free of all that still waits for its parent."""
+    """In a job's order, no front is placed on another that its parent has not used yet."""
     surface = random_sphere(3000, 3)
     factor = MultifrontalCholesky(dissect(surface.vertices, surface.edges), block=2, threads=threads)
     d, sizes = factor.dissection, factor._sizes

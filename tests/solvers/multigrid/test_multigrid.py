@@ -96,7 +96,7 @@ def start_map(surface: Surface) -> np.ndarray:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_laplacians_are_solved_as_by_scipy(shape):
-    """Closed surfaces, whose Laplacian annihilates constants: right side and solution of mean zero."""
+    """Laplacians of closed surfaces, whose right-hand sides and solutions have mean zero, are solved as by SciPy."""
     surface = SHAPES[shape]()
     diagonal, off = laplacian(surface)
     if shape in ("noise", "slivers"):
@@ -142,7 +142,7 @@ def uneven_solver():
 @settings(max_examples=12)
 @given(seed=st.integers(0, 10**6), scale=st.floats(-60.0, 60.0), support=st.sampled_from([1, 10, 10**6]))
 def test_any_right_hand_side(uneven_solver, seed, scale, support):
-    """Of any size, spread out or at a single vertex."""
+    """Right-hand sides of any size, at all vertices or a single one, are solved."""
     direct, solver = uneven_solver
     rng = np.random.default_rng(seed)
     right = np.zeros(direct.shape[0])
@@ -181,7 +181,7 @@ def test_an_indefinite_matrix_is_said_to_have_failed():
 @pytest.mark.parametrize("shape", ["blob", "uneven"])
 @pytest.mark.parametrize("curvature_share", [1.0, 0.03])
 def test_newton_matrices_are_solved_as_by_scipy(shape, curvature_share):
-    """Two unknowns per vertex, area a hundred times as heavy as angle, the rotations of the sphere nearly free."""
+    """Newton matrices with λ = 100, nearly singular under rotations of the sphere, are solved as by SciPy."""
     surface = SHAPES[shape]()
     sphere = start_map(surface)
     diagonal, off, rotations = newton(surface, sphere, 100.0, curvature_share)
@@ -220,7 +220,7 @@ def test_the_same_bits_twice(device):
 
 
 def test_the_loop_can_be_recorded():
-    """As a graph with a loop in it, replayed for other right-hand sides and other values of the matrix."""
+    """A recorded solve, replayed with other right-hand sides and matrices, gives the same as a direct one."""
     surface = SHAPES["uneven"]()
     diagonal, off = laplacian(surface)
     diagonal += surface.vertex_areas
@@ -264,7 +264,7 @@ def test_the_preconditioner_is_symmetric_and_near_the_inverse():
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_levels(shape):
-    """Every node in one group, groups connected and few, colours proper, patterns those of SciPy's products."""
+    """Every node is in one connected group, neighbours differ in colour, and patterns are those of SciPy's products."""
     surface = SHAPES[shape]()
     diagonal, off = laplacian(surface)
     hierarchy = MeshHierarchy(surface.vertex_count, surface.edges, diagonal, off, wp.get_device("cpu"))
@@ -293,7 +293,7 @@ def test_levels(shape):
 
 
 def test_groups_and_colours_of_small_graphs():
-    """A path, a star, and nodes that nothing joins."""
+    """Groups and colours are right for a path, a star and isolated nodes."""
     path = sparse.diags([-np.ones(8), 2.0 * np.ones(9), -np.ones(8)], [-1, 0, 1]).tocsr()
     groups, number = aggregate(path, 0.1)
     np.testing.assert_array_equal(groups, [0, 0, 1, 1, 1, 2, 2, 2, 2])

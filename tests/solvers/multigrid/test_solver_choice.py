@@ -19,7 +19,7 @@ from omtwarp.transport.polish import polish_transport
 
 
 class OnCuda:
-    """What the decision asks of a device."""
+    """A stand-in for a CUDA device with the attributes that the policy reads."""
 
     is_cuda = True
 
@@ -73,7 +73,7 @@ def test_without_convergence_the_host_goes_on(monkeypatch):
 
 
 def test_an_image_stretched_otherwise_gets_levels_of_its_own(monkeypatch):
-    """Vertices of a round sphere pulled out to a needle: the surface's levels do not suit it."""
+    """A sphere stretched to a needle, for which the surface's levels converge too slowly, gets levels of its own."""
     surface = blob(seed=0, sphere=5120)
     stretched = surface.scaled_vertices * [30.0, 1.0, 1.0]
     points = wp.array(stretched, dtype=wp.vec3d, device="cpu")
@@ -94,7 +94,7 @@ def test_levels_are_made_once_for_a_surface():
 
 
 def test_arrays_are_solved_where_the_solver_is(device, monkeypatch):
-    """Whatever the solver, several right-hand sides at once, and the answers where the questions were."""
+    """Every solver takes several right-hand sides on a device, and returns solutions on that device."""
     surface = blob(seed=2, amplitude=0.4, sphere=1500)
     matrix = cotangent_laplacian(surface.scaled_vertices, surface.faces)
     right = np.random.default_rng(1).normal(size=(surface.vertex_count, 2))
@@ -137,7 +137,7 @@ def test_each_stage_agrees(device, monkeypatch, by_stages):
 
 
 def test_only_numbers_leave_the_device_within_a_stage(device, monkeypatch, by_stages):
-    """A stage brings its map back, and what it says of it; nothing else is as long as the mesh."""
+    """Within a stage no array as long as the mesh leaves the device, but for its map and its documented results."""
     surface, start, _, transported, _ = by_stages
     monkeypatch.setenv("OMTWARP_SOLVER", "multigrid")
     laplacian.surface_hierarchy(surface, wp.get_device(device))  # levels are made from the host's arrays, once
