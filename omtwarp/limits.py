@@ -18,7 +18,7 @@ LARGEST_VIEW = 8192  # pixels of a drawn picture along one side
 MOST_FRAMES = 3600  # of a film: a minute at 60 per second
 MOST_FILM_PIXELS = 2**31  # of all its frames together, which are in memory at a time, 3 bytes each
 FRAMES_PER_SECOND = (0.1, 240.0)  # of a film: chosen, from a slide show to the fastest screens
-MOST_REPEATS = 1000  # of a measurement
+MOST_REPEATS = 1000  # of a measurement: the median needs no more, and more is most likely a mistake
 
 
 def amount(bytes_: int) -> str:

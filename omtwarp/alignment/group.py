@@ -19,7 +19,7 @@ from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
 
-ROUNDS = 20  # at most
+ROUNDS = 20  # largest number of means that are computed; a mean that settles to TOLERANCE ends it earlier
 # Radians, or shares of the mean's size: invisible in pictures of a group.
 TOLERANCE = 1e-6
 

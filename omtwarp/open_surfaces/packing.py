@@ -15,7 +15,7 @@ from omtwarp.mesh.arrays import ROUND_OFF
 
 Floats = NDArray[np.float64]
 
-GAP = 0.02  # radians between caps
+GAP = 0.02  # radians between caps: a seam to be seen, and far above the errors that SETTLED leaves
 TRIES, FEW = 4, 50  # random arrangements at every share; for more than FEW caps one suffices
 BISECTIONS = 7  # of the share that is covered, which is then known to 1 %
 SEED = 1943  # chosen: fixed, so that results are the same bits

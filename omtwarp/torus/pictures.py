@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 PATTERNS = ("circles", "checker")
 CIRCLES = 162  # as many as the sphere's pattern has
 COVERAGE = 0.56  # the share of the torus that circles cover
-CHECKS = 6  # of the shorter lattice vector
+CHECKS = 6  # fields along the shorter lattice vector, an even number so that the picture closes up
 TEXELS = 1 << 21  # of a pattern, as many as a pattern 2048 wide has on the sphere
 LIGHT = np.array([0.96, 0.94, 0.90])  # sRGB between the circles, and of every other field
 

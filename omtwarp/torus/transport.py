@@ -54,12 +54,12 @@ Floats = NDArray[np.float64]
 Report: TypeAlias = Callable[[int, int, Record], None]
 """How a minimisation reports on itself: ``report(done, most, record)``."""
 
-ITERATIONS = 100  # most steps
+ITERATIONS = 100  # largest number of steps; a map that needs more reports that it has not converged
 # β is this times the root mean squared distance of the start where that is less than the sphere's: see
 # omtwarp.pipeline. The least one is for surfaces whose conformal map already keeps areas.
 SHAPE_BY_DISTANCE, LEAST_SHAPE_WEIGHT = 0.036, 1e-6
 REACH = 0.5  # the farthest that a vertex goes in one step; the torus has the area 4π
-HALVINGS = 20  # of a step
+HALVINGS = 20  # of a step with a fresh matrix, down to a millionth
 HALVINGS_OLD = 1  # of a step with an older matrix
 HOLDS = 30  # halvings of the shares of single vertices
 LEAST_AREA = 0.1  # of a triangle's area, that a step has to leave

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 
-SUFFICIENT_DECREASE = 1e-4  # of the slope
+SUFFICIENT_DECREASE = 1e-4  # share of the decrease that the slope predicts (Nocedal and Wright 2006, chapter 3)
 
 
 def search_patches(
