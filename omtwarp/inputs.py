@@ -106,7 +106,7 @@ def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, ArrayLike]) -> None:
-    """Write arrays as an ``.npz`` that appears whole or not at all; :func:`read_arrays` reads it.
+    """Write arrays as an ``.npz``, completely or not at all; :func:`read_arrays` reads it.
 
     Raises:
         OmtwarpError: the file cannot be written; nothing is left of it.
