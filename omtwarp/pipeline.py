@@ -26,6 +26,7 @@ from omtwarp.flips.rings import Examined, examine, is_bijective
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.names import InputNames
 from omtwarp.mesh.quarter import quarter
@@ -67,7 +68,6 @@ TARGET_POLISHES = 8
 # Ascent steps of the bound on the cost in every report: each costs as much as the bound itself and gains little where
 # the map is nearly optimal, where the bound matters.
 ASCENT_STEPS = 0
-MINIMUM_COST = 1e-300  # keeps quotients of costs finite
 # What the measurement after the last stage is called in progress and in the records of stages.
 OPTIMALITY = "optimality"
 # What the map of the quartered mesh is called there.
@@ -813,7 +813,7 @@ class _Run:
         transported = self.record_of(Stage.OMT)
         if transported is not None and self.sphere is not self.maps[Stage.OMT]:
             last = self.records[-1].transport_cost
-            found["added_by_refinement"] = last / max(transported.transport_cost, MINIMUM_COST) - 1.0
+            found["added_by_refinement"] = last / max(transported.transport_cost, TINY) - 1.0
         seconds = time.perf_counter() - self.stage_begun
         last_record = self.records[-1]
         self.records.append(

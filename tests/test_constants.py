@@ -62,4 +62,4 @@ def test_the_least_divisor_stands_in_one_place():
     bare = [
         file.name for file in sorted(PACKAGE.rglob("*.py")) if re.search(r"\b1(\.0)?e-300\b", file.read_text("utf-8"))
     ]
-    assert bare == ["arrays.py", "pipeline.py"]
+    assert bare == ["arrays.py"]
