@@ -42,7 +42,7 @@ REACH = 0.5  # radians: the farthest that a vertex moves in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix, down to a millionth
 MAX_HALVINGS_OLD = 1  # of a step with an older one: beyond that a fresh matrix gains more
 UNTANGLED = 3  # lengths tried with flipped triangles untangled, the longest first; others only hold vertices back
-MAX_MENDED = 0.002  # share of the vertices: the matrix is used again while no more are untangled or held back
+MAX_CORRECTED = 0.002  # share of the vertices: the matrix is used again while no more are untangled or held back
 MIN_GAIN_SHARE = 0.2  # share by which a step with an older matrix has to lower the expected gain
 # Added to the diagonal, relative to its mean: it holds the three rotations and makes H definite. Where rounding still
 # leaves a pivot of the wrong sign, the diagonal grows by these shares, one after another.
@@ -78,7 +78,7 @@ class OptimalMap:
             shape and area errors in one number), ``ring_rms`` and ``ring_largest`` (relative errors of the areas around
             vertices), ``area`` and ``angle`` (mean distortions of triangles), ``decrement`` (expected gain),
             ``length`` (share of the Newton step taken), ``factorised`` (whether the matrix is of this step),
-            ``mended`` (number of vertices untangled or held back) and ``settled`` (number moved by local steps).
+            ``corrected`` (number of vertices untangled or held back) and ``settled`` (number moved by local steps).
         converged: whether the expected gain and the areas reached their tolerances.
         ended: why the minimisation ended, in words.
         factorisations: number of sparse matrices that were factorised.
@@ -264,23 +264,23 @@ class _Newton:
                 self.curvature_share = 1.0 if fresh else self.curvature_share
                 renew = True
                 continue
-            points, after, length, mended, before, value = moved
+            points, after, length, corrected, before, value = moved
             if self.constrained:
                 self.multipliers = self.multipliers + length * q
             trust = (before - value) / (length * decrement)
             points, terms, settled = self._settled(points, after)
             last = decrement
-            history.append(self._record(terms, decrement, length, fresh, mended, settled))
+            history.append(self._record(terms, decrement, length, fresh, corrected, settled))
             if progress is not None:
                 progress(self.stage, number + 1, iterations, history[-1])
-            if fresh and length == 1.0 and mended == 0 and trust > TRUSTED:
+            if fresh and length == 1.0 and corrected == 0 and trust > TRUSTED:
                 self.curvature_share = max(self.curvature_share / 3.0, MIN_CURVATURE_SHARE)
             elif fresh and (length < 1.0 or trust < DISTRUSTED):
                 self.curvature_share = min(1.0, 3.0 * self.curvature_share)
             if fresh:
                 change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
                 self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
-            renew = length < 1.0 or mended > MAX_MENDED * self.surface.vertex_count or trust < RENEWED
+            renew = length < 1.0 or corrected > MAX_CORRECTED * self.surface.vertex_count or trust < RENEWED
         if not self._penalised_energy(terms) <= first:
             return OptimalMap(
                 sphere,
@@ -407,16 +407,16 @@ class _Newton:
                 held = self.steps.held_back(points, direction, volume, length)
                 if held is not None:
                     tried.append((held[0], int((held[1].numpy() < 1.0).sum())))
-            for moved, mended in tried:
+            for moved, corrected in tried:
                 after = self.energy.terms(moved)
                 value = self._merit(after)
                 if value <= before - SUFFICIENT_DECREASE * length * decrement:
-                    return moved, after, length, mended, before, value
+                    return moved, after, length, corrected, before, value
             length *= 0.5
         return None
 
     def _record(
-        self, terms: MapTerms, decrement: float, length: float, factorised: bool, mended: int, settled: int = 0
+        self, terms: MapTerms, decrement: float, length: float, factorised: bool, corrected: int, settled: int = 0
     ) -> Record:
         """Return the entry of the history for a step, as :class:`OptimalMap` describes it."""
         rms, largest = self.energy.ring_errors(terms)
@@ -430,6 +430,6 @@ class _Newton:
             "decrement": decrement,
             "length": length,
             "factorised": factorised,
-            "mended": mended,
+            "corrected": corrected,
             "settled": settled,
         }

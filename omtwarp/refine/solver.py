@@ -49,7 +49,7 @@ class RefineResult:
         sphere: unit vectors, float64, shape [V, 3]; no triangle is flipped.
         weight: λ, the weight of area against angle that was minimised.
         history: one record per iteration: ``energy`` (angle + λ area, less 2 + 2λ), ``area`` and ``angle`` (means
-            weighted by original area), ``decrement``, ``length`` of the step, vertices ``mended`` (untangled after
+            weighted by original area), ``decrement``, ``length`` of the step, vertices ``corrected`` (untangled after
             the step, or held back), vertices ``relaxed`` by steps of their own after it, whether the matrix was
             ``factorised``. The first record is the start.
         converged: whether the tolerance was reached.
@@ -79,7 +79,7 @@ class _Step:
     points: wp.array[wp.vec3d]
     terms: Terms
     length: float
-    mended: int
+    corrected: int
 
 
 class _MatrixPolicy:
@@ -114,13 +114,13 @@ class _MatrixPolicy:
         """Choose the next matrix by the gain of a step relative to the quadratic model's, half the decrement."""
         fresh, trust = self.renew, 2.0 * gain / decrement
         if fresh:
-            if step.length == 1.0 and step.mended <= self._trusted_repairs and TRUSTED < trust:
+            if step.length == 1.0 and step.corrected <= self._trusted_repairs and TRUSTED < trust:
                 self.curvature_share = max(self.curvature_share / 3.0, MIN_CURVATURE_SHARE)
             elif step.length < 1.0 or trust < DISTRUSTED:
                 self.curvature_share = min(1.0, 3.0 * self.curvature_share)
             self._last_gain = gain
         too_little = gain < MIN_GAIN_SHARE * self._last_gain
-        self.renew = step.mended > 0 or relaxed > 0 or too_little or (fresh and step.length < 1.0)
+        self.renew = step.corrected > 0 or relaxed > 0 or too_little or (fresh and step.length < 1.0)
 
 
 class Refiner:
@@ -184,7 +184,7 @@ class Refiner:
             ended = decrement < 2.0 * enough and found.length >= (0.5 if fresh else 1.0)
             if not ended:
                 now, relaxed = self._relaxed(now, weight, matrix.curvature_share, decrement, enough)
-            history.append(_record(now.terms, weight, decrement, found.length, found.mended, relaxed, fresh))
+            history.append(_record(now.terms, weight, decrement, found.length, found.corrected, relaxed, fresh))
             if progress is not None:
                 details = {"area": now.terms.area + 2.0, "angle": now.terms.angle + 2.0}
                 progress("refine", step + 1, iterations, details)
@@ -220,10 +220,10 @@ class Refiner:
             if attempt < MAX_REPAIR_TRIALS:
                 untangled = self._flip_free.untangled(points, direction.vectors, d_volume, length, weight)
                 if untangled is not None:
-                    moved, mended = untangled
+                    moved, corrected = untangled
                     after = self.energy.terms(moved)
                     if after.total(weight) <= before + SUFFICIENT_DECREASE * length * direction.slope:
-                        return _Step(moved, after, length, mended)
+                        return _Step(moved, after, length, corrected)
             held = self._flip_free.held_back(points, direction.vectors, d_volume, length)
             if held is not None:
                 moved, share = held
@@ -236,7 +236,7 @@ class Refiner:
 
 
 def _record(
-    terms: Terms, weight: float, decrement: float, length: float, mended: int, relaxed: int, fresh: bool
+    terms: Terms, weight: float, decrement: float, length: float, corrected: int, relaxed: int, fresh: bool
 ) -> Record:
     return {
         "energy": terms.total(weight),
@@ -244,7 +244,7 @@ def _record(
         "angle": terms.angle + 2.0,
         "decrement": decrement,
         "length": length,
-        "mended": mended,
+        "corrected": corrected,
         "relaxed": relaxed,
         "factorised": fresh,
     }

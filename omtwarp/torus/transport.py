@@ -85,7 +85,7 @@ class TorusTransport:
         multipliers: of the areas, as of :class:`omtwarp.optimal.OptimalMap`.
         history: one record per step, the first of the start: ``cost`` (Σ m |y - x|², masses 4π in all), ``energy``,
             ``ring_rms`` and ``ring_largest`` (relative errors of the areas), ``area`` and ``angle`` (distortions of
-            triangles), ``decrement`` (what the step was expected to gain), ``length``, ``factorised``, ``mended``
+            triangles), ``decrement`` (what the step was expected to gain), ``length``, ``factorised``, ``corrected``
             (vertices held back).
         converged: whether gain and areas reached their tolerances.
         ended: how it ended, in words.
@@ -380,7 +380,7 @@ class _Newton:
             "decrement": decrement,
             "length": length,
             "factorised": factorised,
-            "mended": held,
+            "corrected": held,
         }
 
 
