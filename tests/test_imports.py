@@ -2,6 +2,8 @@
 
 import ast
 import re
+import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -133,10 +135,63 @@ def test_no_files_import_each_other():
             del left[module]
 
 
+@cache
+def runtime_imports(module: str) -> list[str]:
+    """Modules that are loaded with a module: not those that functions or type checkers alone import."""
+    found = []
+
+    def visit(node: ast.AST) -> None:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            return
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            return
+        if isinstance(node, ast.Import):
+            found.extend(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            full = [f"{node.module}.{alias.name}" for alias in node.names]
+            found.extend(name if name in FILES else str(node.module) for name in full)
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    visit(ast.parse(FILES[module].read_text("utf-8")))
+    return found
+
+
+def is_slow_to_load(module: str) -> bool:
+    """Whether a module loads more than the standard library and typer, itself or by others, or loads on demand."""
+    left, seen = [module], set()
+    while left:
+        name = left.pop()
+        parents = [name.rsplit(".", k)[0] for k in range(name.count("."))] if name in FILES else [name]
+        for one in set(parents) - seen - {"omtwarp"}:
+            seen.add(one)
+            if one in FILES:
+                if "\ndef __getattr__" in FILES[one].read_text("utf-8"):
+                    return True
+                left += runtime_imports(one)
+            elif one.split(".")[0] not in sys.stdlib_module_names | {"omtwarp", "typer"}:
+                return True
+    return False
+
+
+@pytest.mark.parametrize("module", sorted(name for name in FILES if name.startswith("omtwarp.commands.")))
+def test_commands_load_inside_of_functions_what_is_slow_to_load(module):
+    """What is slow to load never stands at the top of a command, and what is not never stands elsewhere."""
+    assert not [name for name in runtime_imports(module) if is_slow_to_load(name)]
+    inside = {name for name, in_function in imports(module) if in_function}
+    assert not [name for name in inside if not is_slow_to_load(name)]
+
+
+def test_modules_that_are_slow_to_load_are_known():
+    assert is_slow_to_load("numpy") and is_slow_to_load("omtwarp.pipeline") and is_slow_to_load("omtwarp.mesh.read")
+    assert is_slow_to_load("omtwarp.texturing")  # names are loaded with it when they are asked for
+    assert not is_slow_to_load("omtwarp.options") and not is_slow_to_load("json")
+
+
 @pytest.mark.parametrize("module", sorted(set(FILES) - {"omtwarp"}))
 def test_imports_stand_at_the_top(module):
     if module.startswith(("omtwarp.commands", "omtwarp.cli")):
-        pytest.skip("commands start fast: they load what they need when they run")
+        pytest.skip("commands load what is slow inside of functions, whatever it is")
     inside = {name for name, in_function in imports(module) if in_function}
     rooms = HEAVY_ROOMS.get(room_of(module), set())
     wrong = {

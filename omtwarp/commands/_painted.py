@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from omtwarp.commands._streams import say
+from omtwarp.commands._work import load_map, make_map, require_bijective, say_stages, start_device
 from omtwarp.errors import OmtwarpError
 
 if TYPE_CHECKING:
@@ -56,7 +57,6 @@ def painted_map(
     Raises:
         OmtwarpError: the mesh or the map cannot be used, or the map is of another mesh.
     """
-    from omtwarp.commands._work import load_map, make_map, require_bijective, say_stages, start_device
 
     if finished is not None:
         from omtwarp.materials import read_painted_mesh

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption, output_option
+from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import input_file
+from omtwarp.commands._work import load_map, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
@@ -78,8 +80,6 @@ def align_map(
     One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.alignment import align
-    from omtwarp.commands._progress import progress_bar, steps
-    from omtwarp.commands._work import report_text
     from omtwarp.mesh.neuro import require_same_structure
     from omtwarp.mesh.write import SUFFIXES, write_mesh
     from omtwarp.resampling import as_points, file_points
@@ -153,6 +153,5 @@ def _degrees(found: Alignment) -> float:
 
 def _save_map(source: Path, output: Path, found: Alignment) -> None:
     from omtwarp.alignment import turned_map
-    from omtwarp.commands._work import load_map
 
     turned_map(load_map(source), found).save(output)

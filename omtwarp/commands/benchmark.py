@@ -10,7 +10,9 @@ import typer
 
 from omtwarp.commands._options import RefineOption, output_option
 from omtwarp.commands._streams import output_file, say
+from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output, staged
 from omtwarp.limits import MOST_FACES, MOST_REPEATS
 
 
@@ -89,8 +91,6 @@ def benchmark(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._work import report_text, start_device
-    from omtwarp.files import check_output, staged
 
     given = tuple(meshes or ())
     if json_output is not None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Required, TypedDict
 import typer
 
 from omtwarp.commands._options import JsonOption, MeshArguments, output_option
+from omtwarp.commands._work import each, outputs_of, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
@@ -31,7 +32,6 @@ def check_mesh(
 
     The exit status is 0 if nothing does.
     """
-    from omtwarp.commands._work import each, outputs_of, report_text
     from omtwarp.mesh.write import SUFFIXES
 
     if output is not None and not repair:

@@ -9,6 +9,9 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption, output_option
+from omtwarp.commands._work import make_map, report_text, say_stages, start_device
+from omtwarp.commands.map import facts_of, save, summary
+from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged, written_by_omtwarp
 from omtwarp.limits import MOST_DEMO_FACES
 from omtwarp.options import MapOptions
@@ -30,9 +33,6 @@ def demo(
     quiet: QuietOption = False,
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
-    from omtwarp.commands._work import make_map, report_text, say_stages, start_device
-    from omtwarp.commands.map import facts_of, save, summary
-    from omtwarp.errors import OmtwarpError
     from omtwarp.mesh.shapes import demo_shape
     from omtwarp.mesh.write import write_mesh
 
@@ -89,7 +89,6 @@ def _refuse_other_files(files: list[Path]) -> None:
     Raises:
         OmtwarpError: a file of one of these names is not from an earlier demo, or cannot be written.
     """
-    from omtwarp.errors import OmtwarpError
 
     for file in files:
         check_output(file)

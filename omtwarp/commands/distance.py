@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption
+from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file
+from omtwarp.commands._work import load_whole_map, report_text, start_device
 
 
 def distance(
@@ -29,8 +31,6 @@ def distance(
         harmonics; and the root
     of the least transport cost between the densities of their conformal maps, in radians.
     """
-    from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import load_whole_map, report_text, start_device
     from omtwarp.shape_analysis.distance import shape_distance
 
     start_device(device)

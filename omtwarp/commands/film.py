@@ -30,6 +30,8 @@ from omtwarp.commands._options import (
     output_option,
     picture_size,
 )
+from omtwarp.commands._progress import progress_bar
+from omtwarp.commands._work import map_from, show_facts, start_device
 from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -87,8 +89,6 @@ def film_map(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import map_from, show_facts, start_device
     from omtwarp.render.films import film
     from omtwarp.render.output import check_target
     from omtwarp.texturing import read_image

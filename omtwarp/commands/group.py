@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption, output_option
+from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import STREAM, input_file, input_table
+from omtwarp.commands._work import load_whole_map, report_text, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_folder
 
@@ -48,8 +50,6 @@ def group(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import load_whole_map, report_text, start_device
     from omtwarp.shape_analysis.group import study_group, two_groups
     from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report
 

@@ -35,11 +35,24 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
+from omtwarp.commands._work import (
+    composed,
+    each,
+    make_map,
+    outputs_of,
+    read_sound_mesh,
+    report_text,
+    require_bijective,
+    say_stages,
+    start_device,
+)
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
 from omtwarp.options import CutAlong, Domain, FillArea, MapOptions, Refinement, SurfaceKeywords
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -126,27 +139,12 @@ def map_mesh(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._work import (
-        each,
-        make_map,
-        outputs_of,
-        read_sound_mesh,
-        report_text,
-        require_bijective,
-        say_stages,
-        start_device,
-    )
-    from omtwarp.mesh.write import SUFFIXES
 
     if torus and beside:
         raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
     targets = outputs_of(meshes, output, ".ply" if beside else ".npz")
     reports = outputs_of(meshes, report, ".json")
-    for target, report_target in zip(targets, reports, strict=True):
-        if target is not None:
-            check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
-        if report_target is not None:
-            check_output(report_target, (".json",), *meshes, target)
+    check_outputs(meshes, targets, reports, beside)
     rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap, torus), strict=True) if given]
     any_surface = surface_options(
         rims, fill_area=fill_area, components=components, together=together, cut=cut, cut_along=cut_along
@@ -185,9 +183,7 @@ def map_mesh(
             save(result, file, like=mesh, radius=radius, beside=beside, file_faces=file_faces)
         report_target = reports[targets.index(target)]
         if report_target is not None:
-            source = {"path": str(mesh), "notes": sound.notes}
-            with staged(report_target) as file:
-                file.write_text(report_text({"input": source, **result.report, "history": result.history}), "utf-8")
+            write_json_report(report_target, result, mesh, sound.notes)
         found.append(facts_of(result, target, report_target))
         if verbose:
             say_stages(result)
@@ -199,6 +195,36 @@ def map_mesh(
     finally:
         if as_json:
             print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
+
+
+def check_outputs(
+    meshes: Sequence[Path], targets: Sequence[Path | None], reports: Sequence[Path | None], beside: bool
+) -> None:
+    """Make sure that maps and their reports can be written, before anything long is computed.
+
+    Args:
+        meshes: the inputs, which must not be replaced.
+        targets, reports: files of the maps and of the reports, one for each mesh; None for none.
+        beside: whether a map is a mesh with its sphere at the vertices.
+
+    Raises:
+        OmtwarpError: an unknown suffix, a place that cannot be written to, or an input as the output.
+    """
+    from omtwarp.mesh.write import SUFFIXES
+
+    for target, report in zip(targets, reports, strict=True):
+        if target is not None:
+            check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
+        if report is not None:
+            check_output(report, (".json",), *meshes, target)
+
+
+def write_json_report(file: Path, result: MapResult | TorusMap, mesh: Path, notes: list[str]) -> None:
+    """Write a map's report and history as JSON, with the mesh it is of and what was noted when that was read."""
+
+    whole = {"input": {"path": str(mesh), "notes": notes}, **result.report, "history": result.history}
+    with staged(file) as place:
+        place.write_text(report_text(whole), "utf-8")
 
 
 def as_in_file(
@@ -214,7 +240,6 @@ def as_in_file(
     Returns:
         The map, and the file's faces where vertices that are doubled along seams are to be written as there.
     """
-    from omtwarp.commands._work import composed
     from omtwarp.result import MapResult
 
     file_faces = None

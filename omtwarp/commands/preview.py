@@ -22,6 +22,7 @@ from omtwarp.commands._options import (
     size_text,
 )
 from omtwarp.commands._streams import input_file
+from omtwarp.commands._work import show_facts
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend
@@ -91,7 +92,6 @@ def preview_mesh(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._work import show_facts
     from omtwarp.render import Camera, preview
 
     check_output(output, PICTURES, subject, finished, image)

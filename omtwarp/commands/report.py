@@ -25,6 +25,7 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
+from omtwarp.commands._work import map_from, show_facts, start_device
 from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -58,7 +59,6 @@ def report_on_map(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._work import map_from, show_facts, start_device
     from omtwarp.render import gl_client
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption, named, output_option
+from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import STREAM, input_file, output_file
+from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import Interpolation, MapOptions
@@ -78,8 +80,6 @@ def resample_map(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._progress import progress_bar, steps
-    from omtwarp.commands._work import report_text, start_device
     from omtwarp.mesh.neuro import require_same_structure
     from omtwarp.resampling import file_points, resample
     from omtwarp.spheres import is_named

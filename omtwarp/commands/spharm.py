@@ -18,6 +18,8 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
+from omtwarp.commands._progress import progress_bar
+from omtwarp.commands._work import map_from, require_whole, start_device
 from omtwarp.files import check_output, staged
 
 if TYPE_CHECKING:
@@ -64,8 +66,6 @@ def spharm(
     """
     import numpy as np
 
-    from omtwarp.commands._progress import progress_bar
-    from omtwarp.commands._work import map_from, require_whole, start_device
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.write import SUFFIXES as MESH_SUFFIXES
     from omtwarp.mesh.write import write_mesh

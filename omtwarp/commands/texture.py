@@ -26,13 +26,18 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
+from omtwarp.commands._painted import painted_map
 from omtwarp.commands._streams import say
-from omtwarp.errors import OmtwarpError
+from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from omtwarp.materials import PaintedMesh
     from omtwarp.options import MapChoices
@@ -146,9 +151,7 @@ def texture_mesh(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
-    from omtwarp.result import MapResult
-    from omtwarp.texturing import read_image, texture
+    from omtwarp.texturing import read_image
     from omtwarp.texturing.export import SUFFIXES
 
     check_output(output, SUFFIXES, mesh, finished, image)
@@ -202,17 +205,50 @@ def texture_mesh(
     _require_one(mesh, finished)
     result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping)
     require_bijective(result, finished)
+    facts, line = _texture(result, output, (mesh, finished, image), picture, looks, size, cut, device)
+    show_facts(facts, line, as_json=as_json, quiet=quiet)
+
+
+def _texture(
+    result: MapResult | TorusMap,
+    output: Path,
+    inputs: tuple[Path | None, ...],
+    picture: NDArray[np.generic] | None,
+    looks: LookKeywords,
+    size: str | None,
+    seam: float | str,
+    device: str,
+) -> tuple[dict[str, object], str]:
+    """Write the surface of a map with an atlas.
+
+    Args:
+        result: the map.
+        output: the file.
+        inputs: files that must not be replaced.
+        picture: what to put on it in place of a pattern.
+        looks: the texture's options; with a width, unless that is chosen here.
+        size: the width as it was asked for.
+        seam: longitude of the cut in degrees, or ``auto``.
+        device: where kernels run.
+
+    Returns:
+        The facts of what was written, and a line about them.
+    """
+    from omtwarp.result import MapResult
+    from omtwarp.texturing import texture
+
     blurred = ""
-    if size == "auto" or (size is None and image is None and isinstance(result, MapResult)):
-        looks["size"], blurred = _sharp_size(result, atlas.value, asked=size is not None)
-    textured = texture(result, picture, seam_longitude=cut, device=device, **looks)
-    files = textured.export(output, keep=(mesh, finished, image))
+    if size == "auto" or (size is None and picture is None and isinstance(result, MapResult)):
+        looks["size"], blurred = _sharp_size(result, looks["atlas"], asked=size is not None)
+    textured = texture(result, picture, seam_longitude=seam, device=device, **looks)
+    files = textured.export(output, keep=inputs)
     height, width = textured.image.shape[:2]
-    facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(result.vertices)}
-    facts |= {"faces": len(result.faces), "pictures": [{"what": "colour", "width": width, "height": height}]}
+    facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files]}
+    facts |= {"vertices": len(result.vertices), "faces": len(result.faces)}
+    facts |= {"pictures": [{"what": "colour", "width": width, "height": height}]}
     line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured, "
     line += f"{width} x {height} texels{blurred}{_with_files(files)}"
-    show_facts(facts, line, as_json=as_json, quiet=quiet)
+    return facts, line
 
 
 def _require_one(mesh: Path | None, finished: Path | None) -> None:
@@ -289,9 +325,6 @@ def _paint(
     **options: Unpack[PaintKeywords],
 ) -> None:
     """Texture a mesh in its own coordinates, with its own materials, or with bakes."""
-    from omtwarp.commands._painted import painted_map
-    from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
-    from omtwarp.errors import OmtwarpWarning
     from omtwarp.mesh.read import read_mesh
     from omtwarp.painting import paint
     from omtwarp.texturing import read_image

@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption, output_option
+from omtwarp.commands._painted import painted_map
 from omtwarp.commands._streams import input_file
+from omtwarp.commands._work import show_facts
 from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions
@@ -45,8 +47,6 @@ def transfer(
     quiet: QuietOption = False,
 ) -> None:
     """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned."""
-    from omtwarp.commands._painted import painted_map
-    from omtwarp.commands._work import show_facts
     from omtwarp.painting import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)

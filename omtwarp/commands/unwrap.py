@@ -18,6 +18,7 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
+from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
 
@@ -43,7 +44,6 @@ def unwrap_mesh(
     quiet: QuietOption = False,
 ) -> None:
     """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture."""
-    from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
     from omtwarp.painting import unwrap_uv
 
     check_output(output, (".glb", ".obj"), mesh, finished)

@@ -196,7 +196,7 @@ def test_unwritable_outputs_are_found_before_the_work_starts(tmp_path, capsys, m
     def never(*args, **options):
         raise AssertionError("the work was started")
 
-    monkeypatch.setattr("omtwarp.commands._work.make_map", never)
+    monkeypatch.setattr("omtwarp.commands.map.make_map", never)
     output, words = unwritable(tmp_path)[case]
     if case == "kernel's" and not os.path.isdir("/proc/self"):
         pytest.skip("no /proc here")
@@ -283,7 +283,7 @@ def test_errors_nobody_thought_of_are_one_line_too(tmp_path, capsys, monkeypatch
     def broken(*args, **options):
         raise ZeroDivisionError("two\nlines")
 
-    monkeypatch.setattr("omtwarp.commands._work.make_map", broken)
+    monkeypatch.setattr("omtwarp.commands.map.make_map", broken)
     status, _, err = run(capsys, "map", good(tmp_path), "-o", tmp_path / "out.npz", "--device", "cpu")
     assert status == 1
     assert_one_line(err, "internal error, ZeroDivisionError: two lines")

@@ -49,7 +49,7 @@ def radial(monkeypatch):
         seen.update(options)
         return radial_map(mesh.vertices, mesh.faces, flip=seen.get("flip", False))
 
-    monkeypatch.setattr("omtwarp.commands._work.make_map", make)
+    monkeypatch.setattr("omtwarp.commands.map.make_map", make)
     return seen
 
 
@@ -179,7 +179,7 @@ import signal, sys
 # Tests that run in the background of a script have been told to ignore the signal, which a child inherits.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from pathlib import Path
-import omtwarp.commands._work as work
+import omtwarp.commands.map as map_command
 from omtwarp import cli
 def busy(*args, **options):
     print("busy", file=sys.stderr, flush=True)
@@ -187,12 +187,12 @@ def busy(*args, **options):
 def save(result, file, **options):
     file.write_bytes(b"half")
     busy()
-import omtwarp.commands.map as map_command
 if {staged}:
-    work.make_map, work.require_bijective = lambda *args, **options: None, lambda result: None
+    map_command.make_map = lambda *args, **options: None
+    map_command.require_bijective = lambda result: None
     map_command.save = save
 else:
-    work.make_map = busy
+    map_command.make_map = busy
 cli.main(["map", sys.argv[1], "-o", sys.argv[2], "--device", "cpu"])
 """
 
