@@ -1,4 +1,4 @@
-"""Reading of inputs: regular files of bounded size, and arrays whose sizes are known before they are read; and writing.
+"""Reading of inputs, regular files of bounded size, and of arrays whose sizes are known first; writing of arrays.
 
 Every reader of the package uses :func:`read_bytes` or :func:`read_arrays`, so that a pipe without a writer, an endless
 device, or a file that inflates without end gives an error line and does not hang.
