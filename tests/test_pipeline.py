@@ -16,13 +16,14 @@ from sphere_truths import SHARED, apart, judge, mean_edge, random_rotation, rms,
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.shapes import blob, demo_shape, icosphere, random_sphere, tube
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.metrics.optimality import map_optimality
-from omtwarp.options import Stage, parse_refinement
-from omtwarp.pipeline import map_to_sphere
+from omtwarp.options import MapOptions, Stage, parse_refinement
+from omtwarp.pipeline import _Run, map_to_sphere
 from omtwarp.transport.flow import transport_cost
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -315,6 +316,17 @@ def test_noise_order_corners_and_position_do_not_matter_where_triangles_flip(nam
         assert distance.mean() < 1e-4 and distance.max() < 0.01, change
         if name != "cheburashka_13k":
             assert distance.max() < 1e-5, change
+
+
+def test_smoothing_does_not_turn_a_map():
+    """Distortion is the same after any rotation; what rounding turned would grow in the stages that follow."""
+    surface = creature()
+    before = mapped(surface, until="moser").sphere
+    after = _Run(surface, MapOptions(), "cpu", None).smoothed(before)
+    assert np.linalg.norm(after - before, axis=1).max() > 1e-3
+    turn = (surface.vertex_areas[:, None] * np.cross(before, after)).sum(axis=0) / surface.vertex_areas.sum()
+    assert np.abs(turn).max() < 1e-12  # the condition of the best rotation: no torque is left
+    assert not count_flips(after, surface.faces)
 
 
 # The same answer twice ----------------------------------------------------------------------------------------------

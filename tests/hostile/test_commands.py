@@ -267,3 +267,62 @@ def test_an_interruption_at_any_moment_leaves_a_whole_output_or_none(place):
     done = subprocess.run(command, check=False, cwd=place, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert not list(place.rglob(files.PREFIX + "*"))
+
+
+def damaged(place: Path, kind: str) -> str:
+    """Write a map with one defect, and return its name."""
+    name = kind.replace(" ", "_") + ".npz"
+    if kind == "cut short":
+        content = (place / "map.npz").read_bytes()
+        (place / name).write_bytes(content[: len(content) // 2])
+        return name
+    with np.load(place / "map.npz") as file:
+        arrays = dict(file)
+    if kind == "not a number":
+        arrays["sphere"][3] = np.nan
+    elif kind == "too short":
+        arrays["sphere"] = arrays["sphere"][:-1]
+    elif kind == "beyond the vertices":
+        arrays["faces"][0, 0] = len(arrays["vertices"])
+    elif kind == "not of unit length":
+        arrays["sphere"] *= 2.0
+    elif kind == "no vertices":  # without a sphere it would be a mesh, which may be filmed
+        del arrays["vertices"]
+    np.savez(place / name, **arrays)
+    return name
+
+
+DAMAGES = ("cut short", "not a number", "too short", "beyond the vertices", "not of unit length", "no vertices")
+READERS = {
+    **COMMANDS,
+    "distance": (["distance", "map.npz", "map.npz", "--degree", "2"], ""),
+    "preview": (["preview", "map.npz", "--size", "16x16"], "out.png"),
+    "report": REPORT,
+    "align to": (["align", "map.npz", "--to", "map.npz"], "out.npz"),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGES)
+def test_damaged_maps_are_one_line_for_every_command(place, capsys, kind):
+    bad = damaged(place, kind)
+    before = listing(place)
+    for name, (words, output) in READERS.items():
+        last = max(index for index, word in enumerate(words) if word == "map.npz")
+        damaged_words = [*words[:last], bad, *words[last + 1 :]]
+        status, line = ended(capsys, damaged_words + ["-o", output] * bool(output))
+        assert status in (1, 2) and bad in line, (name, line)
+        assert listing(place) == before, name
+
+
+def test_a_map_of_another_mesh_does_not_carry_textures(place, capsys):
+    ball = shapes.icosphere(3)
+    MapResult(ball.vertices, ball.faces, ball.vertices, ball.vertices, np.ones(ball.vertex_count)).save(
+        place / "other.npz"
+    )
+    before = listing(place)
+    for option in ("--map-from", "--map-to"):
+        words = [*COMMANDS["transfer"][0], "-o", "out.glb"]
+        words[words.index(option) + 1] = "other.npz"
+        status, line = ended(capsys, words)
+        assert status == 1 and "other.npz" in line, line
+        assert listing(place) == before
