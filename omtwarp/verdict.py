@@ -42,6 +42,8 @@ FOLD, FOLDED_SHARE = 100.0, 0.18
 # Mean side of triangles over the mean thickness, twice the volume by the area. Plates are at 2.01 where it is 1.5, at
 # 2.05 for 1.9, and at 2.1 to 2.2 for 3; thin plates of larger triangles may come out at any of these.
 LARGEST_SIDE = 1.8
+# A surface glued to its mirror copy encloses nothing but rounding errors, and is no sheet.
+LEAST_THICKNESS = 1e-9
 
 
 @dataclass(frozen=True)
@@ -128,8 +130,8 @@ def _coarse_findings(surface: Surface) -> list[Finding]:
         found.append(Finding("folded-triangles", number, text, "remesh with more triangles where the surface bends"))
     thickness = 2.0 * abs(float((corners[:, 0] * across).sum())) / 6.0 / SPHERE_AREA
     side = float(np.sqrt(4.0 / np.sqrt(3.0) * SPHERE_AREA / surface.face_count))
-    if side > LARGEST_SIDE * thickness:
-        text = f"the mean side of triangles is {side / max(thickness, TINY):.3g} times the mean thickness"
+    if thickness > LEAST_THICKNESS and side > LARGEST_SIDE * thickness:
+        text = f"the mean side of triangles is {side / thickness:.3g} times the mean thickness"
         found.append(Finding("thin-sheet", -1, text, "remesh with triangles smaller than the sheet is thick"))
     return found
 
