@@ -113,7 +113,7 @@ def run(
         seconds = seconds[: len(costs)]
         # Algorithm 2 takes the cost at the circumcentres, the others at the centres of triangles: slightly different
         # numbers for the same map. The start is known in both.
-        costs = costs * (omtwarp.transport.transport_cost(surface, initial, start=start) / costs[0])
+        costs = costs * (omtwarp.transport_cost(surface, initial, start=start) / costs[0])
     else:
         limit = most if scheme == "plain" else None
         moved = optimal_transport(

@@ -38,10 +38,10 @@ _PUBLIC = {
     "mobius_centring": "omtwarp.conformal",
     "moser_map": "omtwarp.moser",
     "optimal_map": "omtwarp.optimal",
-    "optimal_transport": "omtwarp.transport",
+    "optimal_transport": "omtwarp.transport.flow",
     "optimality": "omtwarp.metrics.optimality",
     "paint": "omtwarp.painting",
-    "paper_flow": "omtwarp.transport",
+    "paper_flow": "omtwarp.transport.paper",
     "preview": "omtwarp.render",
     "read_mesh": "omtwarp.mesh.read",
     "read_painted_mesh": "omtwarp.materials",
@@ -50,7 +50,7 @@ _PUBLIC = {
     "resample": "omtwarp.resampling",
     "texture": "omtwarp.texturing",
     "transfer_texture": "omtwarp.painting",
-    "transport_cost": "omtwarp.transport",
+    "transport_cost": "omtwarp.transport.cost",
     "untangle": "omtwarp.untangling.untangle",
     "unwrap_uv": "omtwarp.painting",
     "weighted_surface": "omtwarp.measures",
@@ -100,9 +100,9 @@ if TYPE_CHECKING:
     from omtwarp.surface_map import SurfaceMap as SurfaceMap
     from omtwarp.texturing import texture as texture
     from omtwarp.torus.torus_map import TorusMap as TorusMap
-    from omtwarp.transport import optimal_transport as optimal_transport
-    from omtwarp.transport import paper_flow as paper_flow
-    from omtwarp.transport import transport_cost as transport_cost
+    from omtwarp.transport.cost import transport_cost as transport_cost
+    from omtwarp.transport.flow import optimal_transport as optimal_transport
+    from omtwarp.transport.paper import paper_flow as paper_flow
     from omtwarp.untangling.untangle import untangle as untangle
 
 __all__ = ["__version__", *_PUBLIC, *_MODULES]  # noqa: PLE0604 (ruff cannot see that all are texts)

@@ -13,7 +13,6 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.baselines.barycentric import Weights, barycentric_map
 from omtwarp.conformal import density
 from omtwarp.device.arrays import vectors
 from omtwarp.device.memory import give_back
@@ -48,9 +47,7 @@ from omtwarp.start.choice import bijective_start, shrunken_triangles
 from omtwarp.texturing.density import TargetLike, as_target
 from omtwarp.topology.doubling import Double, quartered_double
 from omtwarp.transport.area import AreaMonitor
-from omtwarp.transport.flow import optimal_transport, transport_cost
-from omtwarp.transport.polish import MAX_ROUNDS as POLISH_ROUNDS
-from omtwarp.transport.polish import polish_transport
+from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import RepairBudget, untangle
 from omtwarp.verdict import judge, refusal
 from omtwarp.version import package_version
@@ -481,6 +478,9 @@ class _Run:
             self.transport_by_newton()
             return
         initial = self.sphere
+        # The kernels of the flow are read where they are used: they are a third of all that a map would import.
+        from omtwarp.transport.flow import optimal_transport
+        from omtwarp.transport.polish import MAX_ROUNDS, polish_transport
 
         moved = optimal_transport(
             self.surface,
@@ -497,7 +497,7 @@ class _Run:
         self.history = moved.history
         if self.options.scheme is Scheme.DEFAULT and self.options.cost is Cost.SQUARED:
             # With a target the prescribed areas depend on where triangles are: few rounds at a time, then new areas.
-            passes, rounds = (1, POLISH_ROUNDS) if self.target is None else (TARGET_POLISHES, 2)
+            passes, rounds = (1, MAX_ROUNDS) if self.target is None else (TARGET_POLISHES, 2)
             for _ in range(passes):
                 polished = polish_transport(
                     self.goal(sphere),
@@ -865,6 +865,8 @@ class _Run:
 
     def barycentric(self) -> None:
         """Compute the whole map by one of the spherical barycentric systems that the paper compares with."""
+        from omtwarp.baselines.barycentric import Weights, barycentric_map  # its kernels are read for these maps alone
+
         method = self.options.method
         weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"
         solved = barycentric_map(self.surface, weights=weights, device=self.device)

@@ -31,7 +31,6 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY, in_range, real_numbers, whole_numbers
-from omtwarp.wavelets.hierarchy import sphere_hierarchy
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
@@ -191,6 +190,8 @@ def named_grid(name: str) -> SphereGrid:
     text = name.strip().lower()
     if match := re.fullmatch(r"ico(\d+)", text):
         level = _within(int(match[1]), 0, 8, name)
+        from omtwarp.wavelets.hierarchy import sphere_hierarchy  # with kernels that a map does not need
+
         hierarchy = sphere_hierarchy(level)
         return SphereGrid(text, hierarchy.vertices, hierarchy.faces, (hierarchy.node_count,))
     if match := re.fullmatch(r"fsaverage(\d*)", text):

@@ -36,9 +36,16 @@ HEAVY = {
 }
 HEAVY_ROOMS = {
     # Kernels that few maps launch: reading their text takes as long as a tenth of a small map.
-    "omtwarp.pipeline": {"omtwarp.transport.paper"},
+    "omtwarp.measures": {"omtwarp.wavelets"},
+    "omtwarp.pipeline": {
+        "omtwarp.baselines",
+        "omtwarp.transport.flow",
+        "omtwarp.transport.paper",
+        "omtwarp.transport.polish",
+    },
     "omtwarp.refine": {"omtwarp.refine.device_newton"},
     "omtwarp.solvers": {"omtwarp.solvers.multigrid"},
+    "omtwarp.spheres": {"omtwarp.wavelets"},
     "omtwarp.start": {"omtwarp.start.hierarchical"},
     # A driver waits for processes, and draws pictures at the end.
     "omtwarp.cohort": {"omtwarp.cohort.page"},

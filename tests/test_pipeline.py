@@ -24,7 +24,7 @@ from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.metrics.optimality import map_optimality
 from omtwarp.options import MapOptions, Stage, parse_refinement
 from omtwarp.pipeline import _Run, map_to_sphere
-from omtwarp.transport.flow import transport_cost
+from omtwarp.transport.cost import transport_cost
 
 ROOT = Path(__file__).resolve().parents[1]
 MAPS = ("conformal", "moser", "transported")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, Unpack, overload, runtime_checkable
 
 from omtwarp.commands._progress import progress_bar
+from omtwarp.commands._start import import_scipy
 from omtwarp.commands._streams import say
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, parse_device
@@ -66,6 +67,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     Raises:
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
+    import_scipy()
     import numpy as np
 
     from omtwarp.mesh.names import InputNames

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.wavelets import sphere_hierarchy
 
 # Level of the icosahedron's subdivision that the total mass is taken on: 40,962 nodes, one and a quarter degrees apart.
 QUADRATURE_LEVEL = 6
@@ -47,6 +46,8 @@ class TargetDensity:
             )
         self._density = density
         self._lowest = 0.0
+        from omtwarp.wavelets import sphere_hierarchy  # with kernels that a map without a target does not need
+
         hierarchy = sphere_hierarchy(QUADRATURE_LEVEL)
         values = self._values(hierarchy.vertices, positive=floor == 0.0)
         if floor > 0.0:

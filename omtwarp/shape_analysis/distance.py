@@ -21,7 +21,8 @@ from omtwarp.result import MapResult
 from omtwarp.shape_analysis.expansion import expand
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.density import vertex_density
-from omtwarp.transport import optimal_transport, transport_cost
+from omtwarp.transport.cost import transport_cost
+from omtwarp.transport.flow import optimal_transport
 
 Floats = NDArray[np.float64]
 

@@ -2,19 +2,13 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import logarithm, triple_product
+from omtwarp.transport.cost_kernels import area_error, centre
 from omtwarp.transport.descent_kernels import FlowState
 from omtwarp.wavelets.sampling_kernels import spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 SIXTH = wp.constant(wp.float64(1.0 / 6.0))
-
-LEAST_RATIO = wp.constant(wp.float64(1e-150))  # of areas: its reciprocal, and that times an area, stay finite
-
-
-@wp.func
-def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
-    return wp.normalize(points[face[0]] + points[face[1]] + points[face[2]])
 
 
 @wp.kernel
@@ -39,29 +33,6 @@ def longest_edges(
     f = wp.tid()
     a, b, c = points[faces[f][0]], points[faces[f][1]], points[faces[f][2]]
     squares[f] = wp.max(wp.max(wp.length_sq(b - a), wp.length_sq(c - b)), wp.length_sq(a - c))
-
-
-@wp.kernel
-def centre_distance(
-    start: wp.array[wp.vec3d],
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    # Data out:
-    distance: wp.array[wp.float64],
-):
-    """Compute how far every triangle's centre has moved, in radians."""
-    f = wp.tid()
-    x, y = centre(start, faces[f]), centre(points, faces[f])
-    distance[f] = wp.atan2(wp.length(wp.cross(x, y)), wp.dot(x, y))
-
-
-@wp.func
-def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, largest: wp.float64):
-    """Return area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
-    p0 = points[face[0]]
-    image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
-    ratio = wp.max(image / area, LEAST_RATIO)
-    return area * wp.min(ratio + ONE / ratio - TWO, largest)
 
 
 @wp.kernel
@@ -226,19 +197,6 @@ def values_at_points(
     g, w = triangle_near(p, hints[v], nodes, faces, level_starts)
     total = w[0] * values[faces[g, 0]] + w[1] * values[faces[g, 1]] + w[2] * values[faces[g, 2]]
     found[v] = total / (w[0] + w[1] + w[2])
-
-
-@wp.kernel
-def capped_area_error(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    areas: wp.array[wp.float64],
-    largest: wp.float64,
-    # Data out:
-    error: wp.array2d[wp.float64],
-):
-    f = wp.tid()
-    error[f, 0] = area_error(points, faces[f], areas[f], largest)
 
 
 @wp.kernel

@@ -163,6 +163,29 @@ def test_help_and_version_answer_without_anything_heavy():
     assert "--until" in done.stdout
 
 
+def test_a_map_reads_no_kernels_of_stages_that_it_does_not_have(tmp_path, blob):
+    """Kernels of the flow, of baselines and of textures would be read for nothing, and so would modules of NumPy.
+
+    NumPy is complete afterwards.
+    """
+    unused = ["omtwarp.transport.kernels", "omtwarp.wavelets.sampling_kernels", "omtwarp.baselines.kernels", "PIL"]
+    unused += ["omtwarp.texturing.kernels", "numpy.f2py", "numpy.testing", "trimesh", "rich"]
+    code = "import sys\nfrom omtwarp.cli import main\ntry:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+    code += f"print([name for name in {unused} if name in sys.modules])\n"
+    code += "import numpy\nprint('f2py' in dir(numpy), numpy.testing.__name__, 'ma' in numpy.__all__)"
+    argv = ["map", tmp_path / "blob.ply", "-o", tmp_path / "blob.npz", "--quiet", "--device", "cpu"]
+    done = subprocess.run([sys.executable, "-c", code, *argv], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["[]", "True numpy.testing True"]
+
+
+def test_one_command_by_itself_has_the_help_and_the_completion_of_all(capsys):
+    """Only the command that is asked for is read; what is no command is refused with all of them in mind."""
+    shown = {name: run(capsys, *name) for name in (("map", "--help"), ("--help",), ("mapp",))}
+    assert shown[("map", "--help")][0] == 0 and "Usage: omtwarp map [OPTIONS]" in shown[("map", "--help")][1]
+    assert all(name in shown[("--help",)][1] for name in ("map", "texture", "report", "benchmark"))
+    assert shown[("mapp",)][0] == 2 and "Did you mean" in shown[("mapp",)][2]
+
+
 def test_python_m_omtwarp_and_version(capsys):
     done = subprocess.run([sys.executable, "-m", "omtwarp", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("omtwarp ") and done.stderr == ""

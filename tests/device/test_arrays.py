@@ -10,7 +10,8 @@ from omtwarp.flips.predicates import count_flips, flipped_faces
 from omtwarp.mesh.shapes import blob
 from omtwarp.metrics import measure_triangles
 from omtwarp.moser import moser_map
-from omtwarp.transport.flow import optimal_transport, transport_cost
+from omtwarp.transport.cost import transport_cost
+from omtwarp.transport.flow import optimal_transport
 from omtwarp.transport.polish import polish_transport
 
 SURFACE = blob(1, sphere=1280)

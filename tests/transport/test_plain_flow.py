@@ -5,7 +5,8 @@ from sphere_truths import pushed_north, turned, twisted
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.metrics import measure_triangles
-from omtwarp.transport.flow import optimal_transport, transport_cost
+from omtwarp.transport.cost import transport_cost
+from omtwarp.transport.flow import optimal_transport
 
 
 def test_it_ends_where_the_default_ends_with_its_areas_and_takes_longer(device):

@@ -12,7 +12,8 @@ from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.metrics import measure_triangles
 from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost
-from omtwarp.transport.flow import OPTIMAL_CURL, SETTLED_ENDINGS, optimal_transport, transport_cost
+from omtwarp.transport.cost import transport_cost
+from omtwarp.transport.flow import OPTIMAL_CURL, SETTLED_ENDINGS, optimal_transport
 
 
 def away(points: np.ndarray, target: np.ndarray) -> np.ndarray:

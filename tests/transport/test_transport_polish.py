@@ -12,7 +12,8 @@ from omtwarp.mesh.shapes import icosphere, random_sphere, sphere_from_directions
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import measure_triangles
 from omtwarp.metrics.optimality import optimality
-from omtwarp.transport.flow import AREA_PRICE, transport_cost
+from omtwarp.transport.cost import transport_cost
+from omtwarp.transport.flow import AREA_PRICE
 from omtwarp.transport.polish import AREA_SLACK, polish_transport
 from omtwarp.transport.polish_kernels import (
     cost_and_area_errors,
