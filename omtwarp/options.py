@@ -77,6 +77,13 @@ class Interpolation(StrEnum):
     CONSERVATIVE = "conservative"
 
 
+class TextureFormat(StrEnum):
+    """How the pictures of a glTF file are encoded; both keep every texel."""
+
+    PNG = "png"
+    WEBP = "webp"
+
+
 class Domain(StrEnum):
     """The domain of a map; ``auto`` is the sphere for closed surfaces and the hemisphere for those with one hole."""
 

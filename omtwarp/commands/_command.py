@@ -27,7 +27,7 @@ GROUPS = {
     ),
     "Texture": (
         "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",
-        "detail", "aspect", "margin",
+        "detail", "aspect", "margin", "texture_format",
     ),
     "View": (
         "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",

@@ -31,7 +31,7 @@ from omtwarp.commands._streams import say
 from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import check_output
-from omtwarp.options import MapOptions, Refinement
+from omtwarp.options import MapOptions, Refinement, TextureFormat
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -133,6 +133,10 @@ def texture_mesh(
             help="Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to 4096.",
         ),
     ] = None,
+    texture_format: Annotated[
+        TextureFormat,
+        typer.Option(help="Encoding of the pictures of a .glb; webp has half the bytes, and fewer viewers read it."),
+    ] = TextureFormat.PNG,
     method: MethodOption = MapOptions.method,
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,
@@ -152,9 +156,10 @@ def texture_mesh(
     One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.texturing import read_image
-    from omtwarp.texturing.export import SUFFIXES
+    from omtwarp.texturing.export import SUFFIXES, format_for
 
     check_output(output, SUFFIXES, mesh, finished, image)
+    format_for(output.suffix.lower(), texture_format)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
     width = None if size in (None, "auto") else int(str(size)[:9])
@@ -194,6 +199,7 @@ def texture_mesh(
             opacity=opacity,
             bake=bake or (),
             device=device,
+            texture_format=texture_format,
             **looks,
         )
         return
@@ -205,7 +211,8 @@ def texture_mesh(
     _require_one(mesh, finished)
     result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping)
     require_bijective(result, finished)
-    facts, line = _texture(result, output, (mesh, finished, image), picture, looks, size, cut, device)
+    inputs = mesh, finished, image
+    facts, line = _texture(result, output, inputs, picture, looks, size, cut, texture_format, device)
     show_facts(facts, line, as_json=as_json, quiet=quiet)
 
 
@@ -217,6 +224,7 @@ def _texture(
     looks: LookKeywords,
     size: str | None,
     seam: float | str,
+    texture_format: TextureFormat,
     device: str,
 ) -> tuple[dict[str, object], str]:
     """Write the surface of a map with an atlas.
@@ -229,6 +237,7 @@ def _texture(
         looks: the texture's options; with a width, unless that is chosen here.
         size: the width as it was asked for.
         seam: longitude of the cut in degrees, or ``auto``.
+        texture_format: of the picture in the file.
         device: where kernels run.
 
     Returns:
@@ -241,7 +250,7 @@ def _texture(
     if size == "auto" or (size is None and picture is None and isinstance(result, MapResult)):
         looks["size"], blurred = _sharp_size(result, looks["atlas"], asked=size is not None)
     textured = texture(result, picture, seam_longitude=seam, device=device, **looks)
-    files = textured.export(output, keep=inputs)
+    files = textured.export(output, keep=inputs, texture_format=texture_format)
     height, width = textured.image.shape[:2]
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files]}
     facts |= {"vertices": len(result.vertices), "faces": len(result.faces)}
@@ -322,6 +331,7 @@ def _paint(
     *,
     image: Path | None,
     device: str,
+    texture_format: TextureFormat,
     **options: Unpack[PaintKeywords],
 ) -> None:
     """Texture a mesh in its own coordinates, with its own materials, or with bakes."""
@@ -351,7 +361,7 @@ def _paint(
         made = paint(result, painted, picture, detail=fine, device=device, **options)
     for warning in caught:
         say(f"warning: {warning.message}")
-    files = made.export(output, keep=(mesh, finished, image, detail))
+    files = made.export(output, keep=(mesh, finished, image, detail), texture_format=texture_format)
     pictures = _pictures(made)
     facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(result.vertices)}
     facts |= {"faces": len(result.faces), "pictures": pictures}

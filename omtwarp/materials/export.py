@@ -14,6 +14,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import MARK, companion, staged
 from omtwarp.materials.base import Bytes, PaintedArrays
 from omtwarp.materials.gltf import glb_bytes
+from omtwarp.options import TextureFormat
+from omtwarp.texturing.export import format_for
 from omtwarp.texturing.image import png_bytes
 from omtwarp.texturing.textured import vertex_normals
 
@@ -27,26 +29,34 @@ _SLOTS = (
 )
 
 
-def export(mesh: PaintedArrays, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+def export(
+    mesh: PaintedArrays,
+    path: str | os.PathLike[str],
+    *,
+    keep: Iterable[Path | None] = (),
+    texture_format: str = TextureFormat.PNG,
+) -> list[Path]:
     """Write a mesh with materials in the format of the path's suffix.
 
     Args:
         mesh: what to write.
         path: ``.glb`` or ``.obj``.
         keep: files that must not be replaced, such as inputs.
+        texture_format: ``png`` or, in a .glb, ``webp``.
 
     Returns:
         The files written, the named one last.
 
     Raises:
-        OmtwarpError: another suffix, a place that cannot be written to, a full disk.
+        OmtwarpError: another suffix or format, a place that cannot be written to, a full disk.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise OmtwarpError(f"cannot write '{path}': a mesh with materials is written as .glb or .obj")
+    encoding = format_for(suffix, texture_format)
     kept = tuple(keep)
     with staged(path, keep=kept) as file:
-        files = [(file, glb_bytes(mesh))] if suffix == ".glb" else obj_files(mesh, file, keep=kept)
+        files = [(file, glb_bytes(mesh, encoding))] if suffix == ".glb" else obj_files(mesh, file, keep=kept)
         for name, content in files:
             name.write_bytes(content)
     return [Path(path).with_name(name.name) for name, _ in files[:-1]] + [Path(path)]

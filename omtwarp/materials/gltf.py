@@ -6,17 +6,18 @@ import numpy as np
 
 from omtwarp.materials.base import Floats, Ints, Material, PaintedArrays, linear
 from omtwarp.materials.tangents import corner_tangents
+from omtwarp.options import TextureFormat
 from omtwarp.texturing.gltf import GltfFile, flipped_rows, single_precision
 from omtwarp.texturing.textured import vertex_normals
 
 
-def glb_bytes(mesh: PaintedArrays) -> bytes:
+def glb_bytes(mesh: PaintedArrays, texture_format: TextureFormat = TextureFormat.PNG) -> bytes:
     """Write a mesh with its materials as a binary glTF 2.0 file.
 
     Raises:
         OmtwarpError: positions are too large for single precision.
     """
-    file = GltfFile(True, mesh.wraps_rows)
+    file = GltfFile(True, mesh.wraps_rows, texture_format)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, (0.0, 0.0, 1.0))
     primitives: list[dict[str, object]] = []

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from omtwarp.materials.base import PaintedArrays
 from omtwarp.materials.export import export
+from omtwarp.options import TextureFormat
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,7 +40,13 @@ class PaintedMesh(PaintedArrays):
         PaintedMesh(162 vertices, 320 faces without texture coordinates, 2 materials)
     """
 
-    def export(self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        keep: Iterable[Path | None] = (),
+        texture_format: str = TextureFormat.PNG,
+    ) -> list[Path]:
         """Write the mesh with its materials.
 
         ``.glb`` holds a primitive for every material, its pictures embedded; ``.obj`` is written with its ``.mtl`` and
@@ -48,6 +55,8 @@ class PaintedMesh(PaintedArrays):
         Args:
             path: the file to write.
             keep: more files that must not be replaced.
+            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in half the bytes, for viewers that
+                read the extension ``EXT_texture_webp``.
 
         Returns:
             The files written, the named one last.
@@ -55,7 +64,7 @@ class PaintedMesh(PaintedArrays):
         Raises:
             OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
         """
-        return export(self, path, keep=(*keep, *self.source_files))
+        return export(self, path, keep=(*keep, *self.source_files), texture_format=texture_format)
 
 
 __all__ = ["PaintedMesh"]

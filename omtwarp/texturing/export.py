@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import MARK, as_path, companion, staged
+from omtwarp.options import TextureFormat, choose
 from omtwarp.texturing.gltf import GltfFile, flipped_rows, single_precision
 from omtwarp.texturing.image import png_bytes
 from omtwarp.texturing.mesh import ROUGHNESS
@@ -66,7 +67,13 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
     return suffix
 
 
-def export(textured: Exportable, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+def export(
+    textured: Exportable,
+    path: str | os.PathLike[str],
+    *,
+    keep: Iterable[Path | None] = (),
+    texture_format: str = TextureFormat.PNG,
+) -> list[Path]:
     """Write a textured surface in the format of the path's suffix.
 
     Args:
@@ -74,18 +81,20 @@ def export(textured: Exportable, path: str | os.PathLike[str], *, keep: Iterable
         path: the file to write. The material and the picture of an OBJ get free names in the same folder, or those of
             files that the package wrote there before.
         keep: files that must not be replaced, such as inputs.
+        texture_format: ``png`` or, in a .glb, ``webp``.
 
     Returns:
         The files written, the named one last.
 
     Raises:
-        OmtwarpError: another suffix, a place that cannot be written to, a full disk.
+        OmtwarpError: another suffix or format, a place that cannot be written to, a full disk.
     """
     suffix = check_suffix(path)
+    encoding = format_for(suffix, texture_format)
     kept = (*keep, textured.source_image)
     with staged(path, keep=kept) as file:
         if suffix == ".glb":
-            files = [(file, glb_bytes(textured))]
+            files = [(file, glb_bytes(textured, encoding))]
         elif suffix == ".ply":
             files = [(file, ply_bytes(textured))]
         else:
@@ -95,12 +104,24 @@ def export(textured: Exportable, path: str | os.PathLike[str], *, keep: Iterable
     return [as_path(path).with_name(name.name) for name, _ in files[:-1]] + [as_path(path)]
 
 
-def glb_bytes(textured: Exportable) -> bytes:
+def format_for(suffix: str, texture_format: str) -> TextureFormat:
+    """Check the encoding of pictures in files of a suffix, and return it.
+
+    Raises:
+        OmtwarpError: an unknown encoding, or WebP in another file than .glb.
+    """
+    chosen = choose(TextureFormat, texture_format)
+    if chosen is TextureFormat.WEBP and suffix != ".glb":
+        raise OmtwarpError(f"WebP textures are for .glb: '{suffix}' has PNG, or colours at vertices")
+    return chosen
+
+
+def glb_bytes(textured: Exportable, texture_format: TextureFormat = TextureFormat.PNG) -> bytes:
     """Encode a textured mesh as a binary glTF 2.0 file.
 
     One mesh, one PBR material with the texture embedded, lit from any side the same way.
     """
-    file = GltfFile(textured.wraps, textured.wraps_rows)
+    file = GltfFile(textured.wraps, textured.wraps_rows, texture_format)
     attributes = {
         "POSITION": file.accessor(single_precision(textured.vertices, "positions"), bounds=True),
         "NORMAL": file.accessor(single_precision(textured.normals, "normals")),

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing.image import png_bytes
+from omtwarp.options import TextureFormat
+from omtwarp.texturing.image import png_bytes, webp_bytes
 
 # Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, targets, modes.
 REPEAT, CLAMP = 10497, 33071
@@ -17,6 +18,7 @@ LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
 FLOAT, UNSIGNED_INT = 5126, 5125
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 TRIANGLES = 4
+WEBP = "EXT_texture_webp"  # of textures: without it, pictures are PNG or JPEG
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
@@ -26,9 +28,11 @@ class GltfFile:
     Args:
         wraps: whether pictures repeat to the right.
         wraps_rows: whether they repeat upwards; on a sphere the poles would bleed into each other.
+        texture_format: how pictures are encoded; WebP is the extension EXT_texture_webp of the format.
     """
 
-    def __init__(self, wraps: bool, wraps_rows: bool):
+    def __init__(self, wraps: bool, wraps_rows: bool, texture_format: TextureFormat = TextureFormat.PNG):
+        self._format = texture_format
         self._buffer = bytearray()
         self._views: list[dict[str, object]] = []
         self._accessors: list[dict[str, object]] = []
@@ -70,8 +74,9 @@ class GltfFile:
         """Embed a picture, once however many materials share it, and return how a material refers to it."""
         if id(picture) not in self._known:
             self._known[id(picture)] = len(self._images)
-            view = self._view(png_bytes(picture))
-            self._images.append({"bufferView": view, "mimeType": "image/png", "name": name})
+            encoded = png_bytes(picture) if self._format is TextureFormat.PNG else webp_bytes(picture)
+            view = self._view(encoded)
+            self._images.append({"bufferView": view, "mimeType": f"image/{self._format}", "name": name})
         return {"index": self._known[id(picture)], "texCoord": 0}
 
     def content(self, primitives: list[dict[str, object]], materials: list[dict[str, object]]) -> bytes:
@@ -98,7 +103,11 @@ class GltfFile:
             "materials": materials,
         }
         if self._images:
-            textures = [{"sampler": 0, "source": source} for source in range(len(self._images))]
+            sources: list[dict[str, object]] = [{"source": source} for source in range(len(self._images))]
+            if self._format is TextureFormat.WEBP:
+                sources = [{"extensions": {WEBP: source}} for source in sources]
+                document |= {"extensionsUsed": [WEBP], "extensionsRequired": [WEBP]}
+            textures = [{"sampler": 0} | source for source in sources]
             document |= {"textures": textures, "samplers": [self._sampler], "images": self._images}
         blob = bytes(self._buffer) + b"\0" * (-len(self._buffer) % 4)
         buffers = [{"byteLength": len(blob)}]

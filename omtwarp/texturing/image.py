@@ -31,6 +31,7 @@ FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000"
 
 # Bytes of an image above which it is compressed on all cores: below, Pillow takes a tenth of a second or two.
 MOST_FOR_ONE_CORE = 4_000_000
+LONGEST_WEBP = 16383  # texels: a side has 14 bits in the format
 STRIP = 64  # rows; what lies more than 32 kB back is not looked at by the compression anyway
 STRIP_LEVEL = 1  # of zlib: on textures a twentieth more bytes than at 4, in half of the time
 COLOUR_TYPES = {3: 2, 4: 6}  # of the format, by the number of channels
@@ -164,6 +165,23 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
     origin.add_text("Software", MARK.decode())  # marks the file as one that a later run may replace
     # A tenth more bytes than at Pillow's 6, in a third of the time.
     Image.fromarray(image).save(stream, format="PNG", compress_level=4, pnginfo=origin)
+    return stream.getvalue()
+
+
+def webp_bytes(image: NDArray[np.uint8]) -> bytes:
+    """Encode an image as a WebP file without loss: the same texels in about half the bytes of a PNG.
+
+    Raises:
+        OmtwarpError: a side is longer than the format allows.
+    """
+    from PIL import Image
+
+    if max(image.shape[:2]) > LONGEST_WEBP:
+        height, width = image.shape[:2]
+        raise OmtwarpError(f"WebP holds {LONGEST_WEBP} texels a side, the texture has {width} x {height}: write PNG")
+    stream = io.BytesIO()
+    # More effort saves a tenth of the bytes and takes twice as long.
+    Image.fromarray(image).save(stream, format="WEBP", lossless=True, method=0)
     return stream.getvalue()
 
 

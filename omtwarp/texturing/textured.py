@@ -16,6 +16,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import ROUND_OFF, real_number, real_numbers
 from omtwarp.mesh.checks import as_faces
+from omtwarp.options import TextureFormat
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
 from omtwarp.texturing.bending import Bending, BentLook, Look
@@ -26,7 +27,7 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
-from omtwarp.texturing.sharpness import sharp_size
+from omtwarp.texturing.sharpness import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
 from omtwarp.texturing.smooth import smooth_curves
 
 Floats = NDArray[np.float64]
@@ -47,7 +48,13 @@ OCTAHEDRAL_SHARE, LEAST_OCTAHEDRAL = 0.75, 256
 class TexturedSurface(TexturedMesh):
     """A textured mesh that can be written to files; the attributes are those of the mesh."""
 
-    def export(self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        keep: Iterable[Path | None] = (),
+        texture_format: str = TextureFormat.PNG,
+    ) -> list[Path]:
         """Write the textured surface.
 
         ``.glb`` embeds the texture in a PBR material; ``.obj`` is written with its ``.mtl`` and ``.png`` in the same
@@ -57,6 +64,8 @@ class TexturedSurface(TexturedMesh):
             path: the file to write. The files of an ``.obj`` take its name where that is free or taken by them already,
                 and another name (``NAME-texture.png``) where the package did not write the file of that name.
             keep: more files that must not be replaced, such as the mesh that the surface came from.
+            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in half the bytes, for viewers that
+                read the extension ``EXT_texture_webp``.
 
         Returns:
             The files written, the named one last.
@@ -64,7 +73,7 @@ class TexturedSurface(TexturedMesh):
         Raises:
             OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
         """
-        return export(self, path, keep=keep)
+        return export(self, path, keep=keep, texture_format=texture_format)
 
 
 class TexturesItself(Protocol):
@@ -123,9 +132,9 @@ def texture(
             ``auto`` turns it about the poles so that its left and right borders are least visible.
         seam_longitude: degrees (of the texture) at which the equirectangular atlas is cut, 180 being the image's own
             borders; ``auto`` takes the meridian that is shortest and most hidden on the surface.
-        size: width of the texture in texels, or (width, height) for the equirectangular atlas. By default the image's
-            own size, or 2048 for a pattern. ``auto`` takes the size, up to 8192, at which no texel covers more than
-            1.5 pixels of a picture of 1024 x 1024 that the surface fills.
+        size: width of the texture in texels, or (width, height) for the equirectangular atlas. ``auto`` takes the size,
+            up to 8192, at which no texel covers more than 1.5 pixels of a picture of 1024 x 1024 that the surface
+            fills. By default the image's own size, or for a pattern that of ``auto``, up to 4096.
         smooth: make the map smooth between the vertices, and filter oscillations from one vertex to the next, so that
             lines of the texture have no corners at the edges of large triangles. The texture is then made for this mesh
             alone, and its lines in the picture are bent. False leaves the map linear on triangles; so does an image
@@ -159,10 +168,11 @@ def texture(
     check_projection(projection)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
-    if isinstance(size, str):
-        if size != "auto":
-            raise OmtwarpError(f"texture size '{size}': give texels, or auto")
-        size = sharp_size(vertices, faces, sphere, make_atlas(atlas).name).size
+    if isinstance(size, str) and size != "auto":
+        raise OmtwarpError(f"texture size '{size}': give texels, or auto")
+    if isinstance(size, str) or (size is None and image is None):
+        limit = LARGEST_UNASKED if size is None else LARGEST_SIZE
+        size = sharp_size(vertices, faces, sphere, make_atlas(atlas).name, limit).size
     source, layout, texels = _source(image, pattern, projection, atlas, size, seam)
     bends = texels is None and smooth and np.sqrt(layout.width * layout.height / len(faces)) >= LEAST_BENT
     # NumPy lets go of the interpreter in long operations: two threads take two thirds of the time of one.

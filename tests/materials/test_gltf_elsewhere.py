@@ -12,6 +12,7 @@ from two_materials import BLUE, RED, two_halves
 
 from omtwarp.materials import read_painted_mesh
 from omtwarp.painting import paint, transfer_texture, unwrap_uv
+from omtwarp.texturing import texture
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
 from browser import PROGRAM, Browser
@@ -73,7 +74,10 @@ def files(tmp_path_factory):
         "coordinates": unwrap_uv(result),
         "transferred": transfer_texture(mesh, result, result, size=96),
     }
-    return {name: one.export(folder / f"{name}.glb")[-1] for name, one in made.items()}
+    found = {name: one.export(folder / f"{name}.glb")[-1] for name, one in made.items()}
+    for name, one in {"painted": made["both"], "textured": texture(result, pattern="checker", size=96)}.items():
+        found[f"{name} webp"] = one.export(folder / f"{name}_webp.glb", texture_format="webp")[-1]
+    return found
 
 
 @pytest.mark.skipif(VALIDATOR is None, reason=WITHOUT_VALIDATOR)

@@ -1,5 +1,6 @@
 """The textured surface in pictures, and its files as other programs read them."""
 
+import json
 import os
 import struct
 
@@ -11,8 +12,9 @@ from texturing_shapes import ellipsoid, unit
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import pattern, texture
-from omtwarp.texturing.image import read_image
+from omtwarp.texturing.image import read_image, webp_bytes
 from omtwarp.texturing.patterns import Checker
+from omtwarp.texturing.sharpness import LARGEST_UNASKED, sharp_size
 
 
 @pytest.fixture(scope="module")
@@ -186,6 +188,33 @@ def test_glb_in_trimesh(textured, tmp_path):
     np.testing.assert_allclose(loaded.vertex_normals, textured.normals, atol=1e-3)
     own = textured.trimesh()
     assert np.array_equal(own.faces, textured.faces) and np.array_equal(own.visual.uv, textured.uv)
+
+
+def test_webp_holds_the_same_texels(textured, tmp_path):
+    """As another library reads them, which needs the extension: the file says so."""
+    (path,) = textured.export(tmp_path / "surface.glb", texture_format="webp")
+    loaded = trimesh.load(path, force="mesh", process=False)
+    seen = np.asarray(loaded.visual.material.baseColorTexture.convert("RGB"))
+    np.testing.assert_array_equal(seen, textured.image[..., :3])
+    content = path.read_bytes()
+    document = json.loads(content[20 : 20 + struct.unpack("<I", content[12:16])[0]])
+    assert document["extensionsRequired"] == document["extensionsUsed"] == ["EXT_texture_webp"]
+    assert document["textures"] == [{"sampler": 0, "extensions": {"EXT_texture_webp": {"source": 0}}}]
+    view = document["bufferViews"][document["images"][0]["bufferView"]]
+    start = 20 + struct.unpack("<I", content[12:16])[0] + 8 + view["byteOffset"]
+    assert content[start : start + 4] == b"RIFF" and document["images"][0]["mimeType"] == "image/webp"
+    with pytest.raises(OmtwarpError, match=r"WebP textures are for .glb"):
+        textured.export(tmp_path / "surface.obj", texture_format="webp")
+    with pytest.raises(OmtwarpError, match="WebP holds 16383 texels a side"):
+        webp_bytes(np.zeros((1, 16384, 3), dtype=np.uint8))
+
+
+def test_without_a_size_no_texel_of_a_pattern_shows(surface):
+    """Up to a limit; a picture keeps its own size."""
+    vertices, faces, sphere = surface
+    wanted = sharp_size(vertices, faces, sphere, "cube", LARGEST_UNASKED).size
+    assert texture(surface, pattern="checker", smooth=False).image.shape[1] == wanted
+    assert texture(surface, np.zeros((200, 400, 3), dtype=np.uint8)).image.shape[1] == 396
 
 
 def test_glb_header_by_hand(textured, tmp_path):
