@@ -85,7 +85,7 @@ MAX_GAP, MAX_CURL = 9e-4, 0.025
 # Where the conformal map shrinks limbs to points, the mesh's own error in the cost is larger: 0.2 and 0.75 % are left
 # on two scans of that kind, and less takes two to four times the time.
 MAX_GAP_SHRUNKEN = 9e-3
-SHAPE_DECAY = (0.1, 0.4)
+SHAPE_DECAY = (0.1, 0.7)
 SHAPE_ROUNDS = 4
 MIN_GAIN_POWER = 0.14
 # What area distortion counts in the shape term where the conformal map shrinks limbs to points: cost hardly determines

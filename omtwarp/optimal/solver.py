@@ -8,11 +8,16 @@ whose last block makes it a step of the augmented Lagrangian method with penalty
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A
 factorisation is used again as long as the steps made with it gain enough. After each step the few vertices that have
 the most to gain take steps of their own (:mod:`omtwarp.optimal.local`).
+
+A full step leaves errors of the areas of second order in u, which the penalty may count for more than the step gains,
+so that steps would be shortened however near the optimum is (Maratos 1978). Before a step is shortened it is therefore
+corrected: a second solve with the same matrix gives the smallest step that removes these errors to first order (Nocedal
+and Wright, section 15.6). What is still in the way then are a few vertices, which take steps of their own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +47,9 @@ REACH = 0.5  # radians: the farthest that a vertex moves in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix, down to a millionth
 MAX_HALVINGS_OLD = 1  # of a step with an older one: beyond that a fresh matrix gains more
 UNTANGLED = 3  # lengths tried with flipped triangles untangled, the longest first; others only hold vertices back
+# So many of the lengths tried are corrected to second order where they do not gain enough. With two, a body with thin arms takes 30
+# steps in place of more than 40, and ends at the optimum.
+SECOND_ORDER = 2
 MAX_CORRECTED = 0.002  # share of the vertices: the matrix is used again while no more are untangled or held back
 MIN_GAIN_SHARE = 0.2  # share by which a step with an older matrix has to lower the expected gain
 # Added to the diagonal, relative to its mean: it holds the three rotations and makes H definite. Where rounding still
@@ -64,6 +72,29 @@ LOCAL_GAIN_SHARE = 0.1
 # A map is optimal where a further step would gain less than this share of the cost and its areas are within the
 # energy's tolerances.
 GAIN = 1e-4
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A map that a step led to.
+
+    Attributes:
+        points: vec3d, shape [V], on the device.
+        terms: of the map.
+        length: share of the direction that was taken.
+        corrected: vertices untangled or held back.
+        merit: of the map, with the multipliers before the step.
+        multipliers: after the step, shape [V].
+        settled: vertices moved by local steps.
+    """
+
+    points: wp.array
+    terms: MapTerms
+    length: float
+    corrected: int
+    merit: float
+    multipliers: Numbers
+    settled: int = 0
 
 
 @dataclass(frozen=True)
@@ -254,21 +285,23 @@ class _Newton:
             if not fresh and decrement > (1.0 - MIN_GAIN_SHARE) * last:
                 renew = True
                 continue
-            moved = None
+            step = None
             if decrement > 0.0:
-                moved = self._search(points, terms, direction, decrement, MAX_HALVINGS if fresh else MAX_HALVINGS_OLD)
-            if moved is None:
+                halvings = MAX_HALVINGS if fresh else MAX_HALVINGS_OLD
+                step = self._search(points, terms, direction, q, decrement, halvings)
+            if step is None:
                 if fresh and self.curvature_share == 1.0:
                     ended = "no step lowers the cost"
                     break
                 self.curvature_share = 1.0 if fresh else self.curvature_share
                 renew = True
                 continue
-            points, after, length, corrected, before, value = moved
-            if self.constrained:
-                self.multipliers = self.multipliers + length * q
-            trust = (before - value) / (length * decrement)
-            points, terms, settled = self._settled(points, after)
+            length, corrected = step.length, step.corrected
+            trust = (self._merit(terms) - step.merit) / (length * decrement)
+            self.multipliers = step.multipliers
+            points, terms, settled = step.points, step.terms, step.settled
+            if settled == 0:
+                points, terms, settled = self._settled(points, terms)
             last = decrement
             history.append(self._record(terms, decrement, length, fresh, corrected, settled))
             if progress is not None:
@@ -367,14 +400,18 @@ class _Newton:
         missing = self.energy.missing(terms)
         gradient = self.energy.gradient(points, terms, self.multipliers)
         u, q = self.factor.solve(-self._coordinates(gradient), -missing)
-        vectors_ = wp.empty(len(u), dtype=wp.vec3d, device=self.device)
-        coordinates = wp.array(u, dtype=wp.float64, device=self.device)
-        wp.launch(from_tangent, dim=len(u), inputs=[self.base, coordinates], outputs=[vectors_], device=self.device)
-        here, step = points.numpy(), vectors_.numpy()
-        step = step - (step * here).sum(axis=1, keepdims=True) * here
+        step = self._tangent(points, u)
         # The slope of the penalty along u is that of B u = C q - missing.
         slope = float((gradient * step).sum()) + float(missing @ q) - float(self.stiffness @ missing**2)
         return wp.array(step, dtype=wp.vec3d, device=self.device), q, -slope
+
+    def _tangent(self, points: wp.array, coordinates: Numbers) -> Numbers:
+        """Return coordinates in the bases that the matrix was made in as vectors tangent at the points, [V, 3]."""
+        vectors_ = wp.empty(len(coordinates), dtype=wp.vec3d, device=self.device)
+        inputs = [self.base, wp.array(coordinates, dtype=wp.float64, device=self.device)]
+        wp.launch(from_tangent, dim=len(coordinates), inputs=inputs, outputs=[vectors_], device=self.device)
+        here, step = points.numpy(), vectors_.numpy()
+        return np.asarray(step - (step * here).sum(axis=1, keepdims=True) * here)
 
     def _coordinates(self, tangent: Numbers) -> Numbers:
         """Convert tangent vectors, shape [V, 3], to coordinates in the bases of the matrix, shape [V, 2]."""
@@ -385,35 +422,73 @@ class _Newton:
         return coordinates.numpy()
 
     def _search(
-        self, points: wp.array, terms: MapTerms, direction: wp.array, decrement: float, halvings: int
-    ) -> tuple[wp.array, MapTerms, float, int, float, float] | None:
-        """Halve a step until it lowers the merit without flipping a triangle.
-
-        Returns:
-            The map, its terms, the step's length, the number of vertices untangled or held back, and the merit before
-            and after; None where no step was found.
-        """
+        self, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, decrement: float, halvings: int
+    ) -> _Step | None:
+        """Halve a step until it lowers the merit without flipping a triangle; return None where none does."""
         before = self._merit(terms)
         reach = float(np.sqrt((direction.numpy() ** 2).sum(axis=1).max()))
         length = min(1.0, REACH / max(reach, TINY))
-        volume = terms.shape.d_volume
         for attempt in range(halvings + 1):
-            tried = []
-            if attempt < UNTANGLED:
-                found = self.steps.untangled(points, direction, volume, length, self.energy.area_weight)
-                if found is not None:
-                    tried.append(found)
-            if not tried or tried[0][1] > 0:
-                held = self.steps.held_back(points, direction, volume, length)
-                if held is not None:
-                    tried.append((held[0], int((held[1].numpy() < 1.0).sum())))
-            for moved, corrected in tried:
-                after = self.energy.terms(moved)
-                value = self._merit(after)
-                if value <= before - SUFFICIENT_DECREASE * length * decrement:
-                    return moved, after, length, corrected, before, value
+            enough = before - SUFFICIENT_DECREASE * length * decrement
+            tried = self._moved(points, terms, direction, q, length, attempt < UNTANGLED)
+            step = next((step for step in tried if step.merit <= enough), None)
+            if step is None and tried and attempt < SECOND_ORDER:
+                step = self._second_order(min(tried, key=_merit_of), points, terms, direction, q, enough)
+            if step is not None:
+                return step
             length *= 0.5
         return None
+
+    def _moved(
+        self, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, length: float, untangling: bool
+    ) -> list[_Step]:
+        """Return the flip-free maps at a share of the direction: with untangling, with vertices held back, or both."""
+        volume, moved = terms.shape.d_volume, []
+        if untangling:
+            found = self.steps.untangled(points, direction, volume, length, self.energy.area_weight)
+            if found is not None:
+                moved.append(found)
+        if not moved or moved[0][1] > 0:
+            held = self.steps.held_back(points, direction, volume, length)
+            if held is not None:
+                moved.append((held[0], int((held[1].numpy() < 1.0).sum())))
+        multipliers = self.multipliers + length * q if self.constrained else self.multipliers
+        steps = []
+        for there, corrected in moved:
+            after = self.energy.terms(there)
+            steps.append(_Step(there, after, length, corrected, self._merit(after), multipliers))
+        return steps
+
+    def _second_order(
+        self, step: _Step, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, enough: float
+    ) -> _Step | None:
+        """Correct a step by what is missing of areas where it leads, and if need be by local steps.
+
+        Args:
+            step: what was tried.
+            points, terms, direction, q: as of :meth:`_search`.
+            enough: the merit to reach.
+
+        Returns:
+            The step that reaches it, or None.
+        """
+        expected = (1.0 - step.length) * self.energy.missing(terms) + step.length * q / self.stiffness
+        u, _ = self.factor.solve(np.zeros((len(points), 2)), expected - self.energy.missing(step.terms))
+        longer = direction.numpy() + self._tangent(points, u) / step.length
+        there = wp.array(longer, dtype=wp.vec3d, device=self.device)
+        tried = self._moved(points, terms, there, q, step.length, True)
+        if not tried:
+            return None
+        best = min(tried, key=_merit_of)
+        if best.merit <= enough:
+            return best
+        before, self.multipliers = self.multipliers, best.multipliers
+        moved, after, settled = self._settled(best.points, best.terms)
+        multipliers, self.multipliers = self.multipliers, before
+        merit = self._merit(after)
+        if settled == 0 or merit > enough:
+            return None
+        return replace(best, points=moved, terms=after, merit=merit, multipliers=multipliers, settled=settled)
 
     def _record(
         self, terms: MapTerms, decrement: float, length: float, factorised: bool, corrected: int, settled: int = 0
@@ -433,3 +508,7 @@ class _Newton:
             "corrected": corrected,
             "settled": settled,
         }
+
+
+def _merit_of(step: _Step) -> float:
+    return step.merit
