@@ -47,8 +47,8 @@ REACH = 0.5  # radians: the farthest that a vertex moves in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix, down to a millionth
 MAX_HALVINGS_OLD = 1  # of a step with an older one: beyond that a fresh matrix gains more
 UNTANGLED = 3  # lengths tried with flipped triangles untangled, the longest first; others only hold vertices back
-# So many of the lengths tried are corrected to second order where they do not gain enough. With two, a body with thin arms takes 30
-# steps in place of more than 40, and ends at the optimum.
+# So many of the lengths tried are corrected to second order where they do not gain enough. With two, a body with thin
+# arms takes 30 steps in place of more than 40, and ends at the optimum.
 SECOND_ORDER = 2
 MAX_CORRECTED = 0.002  # share of the vertices: the matrix is used again while no more are untangled or held back
 MIN_GAIN_SHARE = 0.2  # share by which a step with an older matrix has to lower the expected gain
@@ -71,7 +71,7 @@ TRUSTED, DISTRUSTED, RENEWED = 0.4, 0.2, 0.3
 LOCAL_GAIN_SHARE = 0.1
 # A map is optimal where a further step would gain less than this share of the cost and its areas are within the
 # energy's tolerances.
-GAIN = 1e-4
+GAIN = 5e-5
 
 
 @dataclass(frozen=True)
