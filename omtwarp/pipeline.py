@@ -69,6 +69,9 @@ ASCENT_STEPS = 0
 OPTIMALITY = "optimality"
 # What the map of the quartered mesh is called there.
 EXACT = "exact"
+# Where one repair of a map took all that it may take and failed, later ones may take this share of it, as they fail
+# too: a box with triangles of 0.001 degrees spent 4.5 s on each, for nothing. Repairs of scans stay far below that.
+REPEATED_REPAIR = 0.1
 # Slivers are removed from Moser's map before transport is optimised, by minimising angle distortion and area distortion
 # with this weight to this tolerance. On scans that takes two or three factorisations and saves several larger ones.
 SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 20
@@ -280,6 +283,7 @@ class _Run:
         self.maps: dict[str, NDArray[np.float64]] = {}
         self.history: list[Record] = []
         self.given_up = ""  # what the current stage could not do
+        self.repair_given_up = False  # after the work that it may take
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
         self.origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where the mesh was quartered
         self.first: wp.array | None = None
@@ -405,6 +409,7 @@ class _Run:
         start = bijective_start(self.surface, device=self.device, progress=self.progress)
         self.origin = {"route": start.route, "reason": start.reason}
         sphere, repaired = start.sphere, start.repaired_flips
+        self.repair_given_up = start.repair_given_up
         # The cost depends only on where points lie under the conformal map; triangles may be flipped there.
         if start.conformal is not None and np.isfinite(start.conformal.sphere).all():
             self.source = start.conformal.sphere
@@ -890,10 +895,11 @@ class _Run:
         if self.examine(after).bijective:
             return after, 0
         flips = self.examine(after).flips
-        budget = RepairBudget(self.surface)
+        budget = RepairBudget(self.surface, REPEATED_REPAIR if self.repair_given_up else 1.0)
         repaired = untangle(self.goal(before), after, budget=budget, device=self.device).sphere
         if self.examine(repaired).bijective:
             return repaired, flips
+        self.repair_given_up |= budget.exhausted
         why = "what repair may take was spent" if budget.exhausted else "repair failed"
         self.given_up = f"{flips} flipped triangles were held back towards the map before: {why}"
         return hold_back(self.surface, before, after, device=self.device), flips

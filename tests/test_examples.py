@@ -16,6 +16,7 @@ SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 ARGUMENTS = {
     "compare_disks.py": ["--heights", "3/4"],
     "cut_by_planes.py": ["--heights", "1/2", "--exact"],
+    "hard_shapes.py": ["--rounds", "2", "--frequency", "4"],
     "mixed_topology.py": ["--count", "3", "--most-faces", "1500"],
     "paper_figures.py": ["--figures", "3", "8", "9"],
     "random_handles.py": ["--count", "2", "--most-faces", "1500"],

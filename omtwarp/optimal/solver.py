@@ -67,6 +67,11 @@ MIN_CURVATURE_SHARE = 0.03  # see refine.kernels.triangle_hessian
 # regions: with 0.1 to 0.48, 0.05 to 0.35 and 0.1 to 0.45 scans took as many steps, a body with thin arms 38 to 41.
 TRUSTED, DISTRUSTED, RENEWED = 0.4, 0.2, 0.3
 
+# Areas around vertices that are off by more than this (root mean square) and came right by less than this share in so
+# many steps will not come right: on a box with triangles of 0.001 degrees, where they are off by 0.86, the error falls
+# by 1 % in five steps and by 2 % in 25.
+STALLED_RMS, STALLED_SHARE, STALLED_STEPS = 0.5, 0.02, 5
+
 # Local steps end where the next is expected to gain less than this share of the gain that ends the minimisation.
 LOCAL_GAIN_SHARE = 0.1
 # A map is optimal where a further step would gain less than this share of the cost and its areas are within the
@@ -306,6 +311,9 @@ class _Newton:
             history.append(self._record(terms, decrement, length, fresh, corrected, settled))
             if progress is not None:
                 progress(self.stage, number + 1, iterations, history[-1])
+            if self.constrained and _stalled(history):
+                ended = "areas no longer come right"
+                break
             if fresh and length == 1.0 and corrected == 0 and trust > TRUSTED:
                 self.curvature_share = max(self.curvature_share / 3.0, MIN_CURVATURE_SHARE)
             elif fresh and (length < 1.0 or trust < DISTRUSTED):
@@ -512,3 +520,11 @@ class _Newton:
 
 def _merit_of(step: _Step) -> float:
     return step.merit
+
+
+def _stalled(history: list[Record]) -> bool:
+    """Return whether areas around vertices are far off and no longer come right, by the records of the steps so far."""
+    if len(history) <= STALLED_STEPS:
+        return False
+    before, now = (float(history[k]["ring_rms"]) for k in (-1 - STALLED_STEPS, -1))
+    return now > STALLED_RMS and now > (1.0 - STALLED_SHARE) * before

@@ -15,7 +15,7 @@ from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.options import Progress
 from omtwarp.start.tube import tube_map
-from omtwarp.untangling.untangle import untangle
+from omtwarp.untangling.untangle import RepairBudget, untangle
 
 # Unit vectors in float64 are known to about 1e-16, and so are triple products of them: below this area, in steradians,
 # a triangle's orientation depends on rounding.
@@ -43,6 +43,7 @@ class Start:
         reason: why the conformal map was not taken, or empty.
         conformal: the conformal map as section 4.1 gives it, before repair; None if it could not be computed.
         repaired_flips: flips of the conformal map that were repaired.
+        repair_given_up: whether repair of the conformal map was given up, as it had taken the work that it may take.
     """
 
     sphere: NDArray[np.float64]
@@ -50,6 +51,7 @@ class Start:
     reason: str
     conformal: ConformalMap | None
     repaired_flips: int
+    repair_given_up: bool = False
 
 
 def bijective_start(
@@ -75,6 +77,7 @@ def bijective_start(
     mesh = surface.on(device)
     conformal: ConformalMap | None = None
     many = 0
+    budget = RepairBudget(surface)
     try:
         conformal = conformal_map(surface, device=device, progress=progress)
         reason = _defect(surface, conformal.sphere)
@@ -87,7 +90,7 @@ def bijective_start(
         many = flips if flips > REPAIRABLE * surface.face_count else 0
         reason = f"the conformal map flips {flips} of {surface.face_count} triangles"
         if not many:
-            repaired = untangle(surface, conformal.sphere, device=device)
+            repaired = untangle(surface, conformal.sphere, budget=budget, device=device)
             if repaired.bijective:
                 return Start(repaired.sphere, "conformal, repaired", "", conformal, flips)
             reason += f", and {repaired.flips_after} could not be repaired"
@@ -97,7 +100,7 @@ def bijective_start(
 
     sphere = tube_map(surface)
     if is_bijective(sphere, mesh.faces, device=device) and area(sphere) < TUBE_AREA:
-        return Start(sphere, "tube", reason, conformal, 0)
+        return Start(sphere, "tube", reason, conformal, 0, budget.exhausted)
     from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
 
     sphere = hierarchical_embedding(surface, device=device, progress=progress).sphere
@@ -108,7 +111,7 @@ def bijective_start(
         repaired = untangle(surface, conformal.sphere, device=device)
         if repaired.bijective and area(repaired.sphere) < coarse_area:
             return Start(repaired.sphere, "conformal, repaired", "", conformal, many)
-    return Start(sphere, "hierarchical", reason, conformal, 0)
+    return Start(sphere, "hierarchical", reason, conformal, 0, budget.exhausted)
 
 
 def shrunken_triangles(surface: Surface, sphere: NDArray[np.float64]) -> int:

@@ -1,0 +1,50 @@
+"""Maps of hard shapes end after bounded work, counted alike on every machine, and say what they gave up."""
+
+from __future__ import annotations
+
+import pytest
+
+import omtwarp
+from omtwarp import map_to_sphere
+from omtwarp.untangling.untangle import STEP_WORK, WORK_PER_VERTEX, RepairBudget
+from tests.hostile.hostile_meshes import large_face, urchin
+
+# Of one repair: the start, the smoothing and two rounds of the optimal map may take one each, the stages a tenth each.
+MOST_REPAIRS = 5.0
+MOST_STEPS = 60  # of Newton's method, over all rounds
+
+
+@pytest.fixture
+def spent(monkeypatch):
+    """The work of every repair, in vertices times steps."""
+    work = []
+    spend = RepairBudget.spend
+
+    def counted(budget, vertices):
+        work.append(vertices + STEP_WORK)
+        spend(budget, vertices)
+
+    monkeypatch.setattr(RepairBudget, "spend", counted)
+    return work
+
+
+def hard_map(mesh, spent):
+    with pytest.warns(omtwarp.OmtwarpWarning):
+        result = map_to_sphere(mesh, device="cpu", optimality=False)
+    assert result.bijective
+    assert sum(spent) <= MOST_REPAIRS * WORK_PER_VERTEX * (len(result.vertices) + STEP_WORK)
+    assert len(result.history) - 1 <= MOST_STEPS
+    return {stage["name"]: stage for stage in result.report["stages"]}, result.report["start"]
+
+
+def test_a_face_that_cannot_keep_its_area_is_given_up_early(spent):
+    """A face of 97 % of the area covers half of the sphere at most, which leaves areas around the others far off."""
+    stages, start = hard_map(large_face(0.97, 5), spent)
+    assert stages["omt"]["converged"] is False
+    assert stages["omt"]["ended"] == "areas no longer come right" and stages["omt"]["iterations"] < 30
+    assert "could not be repaired" in start["reason"] or stages["moser"].get("gave_up")
+
+
+def test_spines_take_bounded_work(spent):
+    stages, _ = hard_map(urchin(20, 3.0, 6), spent)
+    assert stages["omt"]["iterations"] <= MOST_STEPS
