@@ -5,8 +5,8 @@
 
 The made hard shapes are a tetrahedron with one face cut into 729, whose vertices crowd in its corners, and a sphere
 with 50 vertices drawn out to spines. Ordinary shapes are smooth and noisy blobs, an ellipsoid, a body with limbs, a
-bent tube, and a blob with irregular triangles. Printed are processor seconds of all threads for a whole map, the median of
-the ordinary shapes, the quotient, and what each stage of the hard shape's map gave up.
+bent tube, and a blob with irregular triangles. Printed are processor seconds of all threads for a whole map, the median
+of the ordinary shapes, the quotient, and what each stage of the hard shape's map gave up.
 """
 
 from __future__ import annotations
