@@ -156,10 +156,7 @@ def texture(
     """
     on_torus = getattr(result, "textured", None)
     if on_torus is not None:
-        if isinstance(size, str):
-            raise OmtwarpError(f"texture size '{size}': a map to a torus takes texels")
-        if (projection, atlas, rotate, seam_longitude) != ("equirectangular", "cube", None, 180.0):
-            raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
+        _check_for_torus(size, (projection, atlas, rotate, seam_longitude))
         on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=size)
         return on_its_own
     vertices, faces, sphere = as_map(cast(SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike], result))
@@ -168,12 +165,12 @@ def texture(
     check_projection(projection)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
-    if isinstance(size, str) and size != "auto":
-        raise OmtwarpError(f"texture size '{size}': give texels, or auto")
+    chosen: int | tuple[int, int] | None
     if isinstance(size, str) or (size is None and image is None):
-        limit = LARGEST_UNASKED if size is None else LARGEST_SIZE
-        size = sharp_size(vertices, faces, sphere, make_atlas(atlas).name, limit).size
-    source, layout, texels = _source(image, pattern, projection, atlas, size, seam)
+        chosen = sharp_size(vertices, faces, sphere, make_atlas(atlas).name, _largest_size(size)).size
+    else:
+        chosen = size
+    source, layout, texels = _source(image, pattern, projection, atlas, chosen, seam)
     bends = texels is None and smooth and np.sqrt(layout.width * layout.height / len(faces)) >= LEAST_BENT
     # NumPy lets go of the interpreter in long operations: two threads take two thirds of the time of one.
     with ThreadPoolExecutor(1) as aside:
@@ -204,6 +201,21 @@ def texture(
         original_sphere=sphere,
         source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
     )
+
+
+def _check_for_torus(size: int | tuple[int, int] | str | None, on_sphere: tuple[object, ...]) -> None:
+    """Refuse a size that is chosen, and options of textures on the sphere, for a map to a torus."""
+    if isinstance(size, str):
+        raise OmtwarpError(f"texture size '{size}': a map to a torus takes texels")
+    if on_sphere != ("equirectangular", "cube", None, 180.0):
+        raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
+
+
+def _largest_size(asked: object) -> int:
+    """Return the limit of a size that is chosen: larger where ``auto`` asks for it than where nothing was said."""
+    if asked not in (None, "auto"):
+        raise OmtwarpError(f"texture size '{asked}': give texels, or auto")
+    return LARGEST_UNASKED if asked is None else LARGEST_SIZE
 
 
 def _source(
