@@ -36,7 +36,7 @@ from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
 from omtwarp.moser import moser_map
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetrised
 from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
-from omtwarp.optimal import SHAPE_WEIGHT, OptimalMap, optimal_map
+from omtwarp.optimal import GAIN, SHAPE_WEIGHT, OptimalMap, optimal_map
 from omtwarp.optimal.cells import exact_map
 from omtwarp.optimal.energy import AREA_WEIGHT
 from omtwarp.optimal.refinement import refine_map, refinement_weight
@@ -95,6 +95,8 @@ MIN_GAIN_POWER = 0.14
 # triangles there. With the usual 10 their mean area distortion is 2.055 and 2.071 on two scans of that kind, with 20 it
 # is 2.039 and 2.040, with 40 it is 2.031 and 2.022 at 3 % more angle distortion and a gap of up to 0.6 %.
 SHRUNKEN_AREA_WEIGHT = 20.0
+# There a step that would gain this share of the cost or less is the last: cost and shape have long flat valleys.
+SHRUNKEN_GAIN = 2.0 * GAIN
 # On hemispheres the weight is raised until the mean area distortion of triangles is below this, at most so many times
 # and to at most so much. Its part above 2 falls with the power -0.77 of the weight: the part of a gargoyle above a
 # plane through its middle is at 2.0109, 2.0064, 2.0038 and 2.0022 with 10, 20, 40 and 80, a caudate nucleus cut at a
@@ -636,6 +638,7 @@ class _Run:
             self.surface,
             start=self.source,
             shape_weight=weight,
+            gain=SHRUNKEN_GAIN if self.shrunken else GAIN,
             device=self.device,
             progress=self.progress,
         )
