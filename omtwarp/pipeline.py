@@ -37,7 +37,7 @@ from omtwarp.moser import moser_map
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetrised
 from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
 from omtwarp.optimal import GAIN, SHAPE_WEIGHT, OptimalMap, optimal_map
-from omtwarp.optimal.cells import exact_map
+from omtwarp.optimal.cells import LIGHT_PENALTIES, exact_map
 from omtwarp.optimal.energy import AREA_WEIGHT
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, continued
@@ -709,7 +709,10 @@ class _Run:
         if curled > 1.0 and not small:  # the weight is lowered whatever the gap, which takes long to bound
             return float(curled)
         self.measured = self.bounded(sphere)
-        return float(max(self.measured.gap / self.largest_gap, curled))
+        gap = self.measured.gap
+        if self.origins:  # areas are exact, so that the bound for the uniform sphere holds of the map too
+            gap = min(gap, self.measured.uniform_gap)
+        return float(max(gap / self.largest_gap, curled))
 
     @property
     def rough(self) -> bool:
@@ -759,6 +762,7 @@ class _Run:
 
         give_back()
         assert self.source is not None
+        shrunken = self.shrunken > 0
         quartered = quarter(self.surface)
         vertices, faces = (np.arange(count) for count in (self.surface.vertex_count, self.surface.face_count))
         names = self.surface.names or InputNames(vertices, faces)
@@ -786,6 +790,8 @@ class _Run:
                 start=source,
                 shape_weight=weight,
                 multipliers=multipliers,
+                penalties=LIGHT_PENALTIES if shrunken and multipliers is None else (),
+                gain=SHRUNKEN_GAIN if shrunken else GAIN,
                 device=self.device,
                 progress=notify,
             )

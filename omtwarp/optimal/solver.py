@@ -50,6 +50,9 @@ UNTANGLED = 3  # lengths tried with flipped triangles untangled, the longest fir
 # So many of the lengths tried are corrected to second order where they do not gain enough. With two, a body with thin
 # arms takes 30 steps in place of more than 40, and ends at the optimum.
 SECOND_ORDER = 2
+# Root mean square error of the areas up to which steps are corrected to second order. With larger errors these
+# corrections reach so far that slivers are left, which later steps get stuck at.
+MAX_SECOND_ORDER_RMS = 5e-3
 MAX_CORRECTED = 0.002  # share of the vertices: the matrix is used again while no more are untangled or held back
 MIN_GAIN_SHARE = 0.2  # share by which a step with an older matrix has to lower the expected gain
 # Added to the diagonal, relative to its mean: it holds the three rotations and makes H definite. Where rounding still
@@ -436,11 +439,12 @@ class _Newton:
         before = self._merit(terms)
         reach = float(np.sqrt((direction.numpy() ** 2).sum(axis=1).max()))
         length = min(1.0, REACH / max(reach, TINY))
+        correctable = SECOND_ORDER if self.energy.ring_errors(terms)[0] <= MAX_SECOND_ORDER_RMS else 0
         for attempt in range(halvings + 1):
             enough = before - SUFFICIENT_DECREASE * length * decrement
             tried = self._moved(points, terms, direction, q, length, attempt < UNTANGLED)
             step = next((step for step in tried if step.merit <= enough), None)
-            if step is None and tried and attempt < SECOND_ORDER:
+            if step is None and tried and attempt < correctable:
                 step = self._second_order(min(tried, key=_merit_of), points, terms, direction, q, enough)
             if step is not None:
                 return step
