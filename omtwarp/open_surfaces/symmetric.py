@@ -17,7 +17,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.cells import ITERATIONS, CellEnergy, Penalties, minimise_cells
+from omtwarp.optimal.cells import CELL_GAIN, ITERATIONS, CellEnergy, minimise_cells
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, OptimalMap, minimise
 from omtwarp.options import Progress
@@ -97,9 +97,8 @@ def symmetric_exact_map(
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
     multipliers: ArrayLike | None = None,
-    penalties: Penalties = (),
     iterations: int = ITERATIONS,
-    gain: float = GAIN,
+    gain: float = CELL_GAIN,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -111,8 +110,7 @@ def symmetric_exact_map(
         quartered: the double as parts of 2F triangles, V vertices, with the areas that are to be kept.
         sphere: a symmetric map without flips to begin with, shape [V, 3].
         start: the points x that are transported, symmetric, shape [V, 3].
-        shape_weight, multipliers, penalties, iterations, gain, device, progress: as of
-            :func:`omtwarp.optimal.cells.exact_map`.
+        shape_weight, multipliers, iterations, gain, device, progress: as of :func:`omtwarp.optimal.cells.exact_map`.
 
     Returns:
         The map, symmetric to the last bit; its multipliers belong to the triangles, shape [2F].
@@ -123,15 +121,7 @@ def symmetric_exact_map(
     where = resolve_device(device)
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
     energy = SymmetricCellEnergy(double, quartered, vectors(x, where), where, shape_weight)
-    return minimise_cells(
-        energy,
-        given,
-        multipliers=multipliers,
-        penalties=penalties,
-        gain=gain,
-        iterations=iterations,
-        progress=progress,
-    )
+    return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
 class _OnHalf(TransportEnergy):
