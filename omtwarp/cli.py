@@ -39,6 +39,7 @@ EXAMPLES = {
     "map": (
         "omtwarp map bunny.ply -o bunny.npz\n"
         "omtwarp map left.ply right.ply -o maps --json\n"
+        "omtwarp map head.ply -o head.npz --weights face.npy --target importance.png\n"
         "cat bunny.ply | omtwarp map - -o - | omtwarp texture --map - -o bunny.glb"
     ),
     "texture": (

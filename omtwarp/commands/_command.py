@@ -20,18 +20,21 @@ GROUPS = {
     ),
     "Map": (
         "method", "until", "cost", "scheme", "refine", "exact", "weights", "density", "target_floor", "optimality",
+    ),
+    "Holes, handles, parts": (
         "hemisphere", "disk", "cap", "fill_area", "components", "together", "cut", "cut_along", "torus",
     ),
     "Method": (
         "to", "by", "aligned", "mirror", "grid", "degree", "scale", "fit", "permutations", "seed", "transport",
+        "resample method", "group components",
     ),
     "Texture": (
         "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",
-        "detail", "aspect", "margin", "texture_format",
+        "detail", "aspect", "margin", "texture_format", "texture size", "transfer size",
     ),
     "View": (
         "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",
-        "frames", "fps", "seconds", "captions", "backend",
+        "frames", "fps", "seconds", "captions", "backend", "preview projection",
     ),
     "Computation": (
         "device", "devices", "solver", "repair", "strict", "executor", "workers", "shard", "time_limit", "memory_limit",
@@ -67,7 +70,7 @@ class Command(typer.core.TyperCommand):
             record = parameter.get_help_record(context)
             if record is not None:
                 record = _plain(record[0]), record[1]
-                heading = next((name for name, members in GROUPS.items() if parameter.name in members), "Other")
+                heading = heading_of(str(self.name), str(parameter.name))
                 rows.setdefault("Arguments" if parameter.param_type_name == "argument" else heading, []).append(record)
         for heading in ("Arguments", *GROUPS, "Other"):
             if heading in rows:
@@ -80,6 +83,15 @@ class Command(typer.core.TyperCommand):
             with formatter.section("Examples"):
                 for line in self.epilog.splitlines():
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+
+
+def heading_of(command: str, option: str) -> str:
+    """Return the heading of an option of a command: the command's own, or the one it has everywhere."""
+    for name in (f"{command} {option}", option):
+        for heading, members in GROUPS.items():
+            if name in members:
+                return heading
+    return "Other"
 
 
 def _plain(usage: str) -> str:

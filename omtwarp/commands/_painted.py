@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from omtwarp.commands._streams import say
-from omtwarp.commands._work import load_map, make_map, require_bijective, say_stages, start_device
+from omtwarp.commands._work import load_map, make_map, require_bijective, say_made, start_device
 from omtwarp.errors import OmtwarpError
 
 if TYPE_CHECKING:
@@ -74,7 +74,6 @@ def painted_map(
     mesh, surface = read_sound_painted(path, repair)
     start_device(device)
     result = make_map(surface, quiet=quiet, device=device, **options)
-    if verbose:
-        say_stages(result)
     require_bijective(result)
+    say_made(result, path, quiet=quiet, verbose=verbose)
     return mesh, result

@@ -43,6 +43,25 @@ def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progres
 
 
 @contextlib.contextmanager
+def step_times(verbose: bool) -> Iterator[Callable[[str], None]]:
+    """Time the steps of a command too short for a bar, and say at the end how long each took where that is asked for.
+
+    Args:
+        verbose: whether to say it.
+
+    Yields:
+        A function to be called with the name of a step when it is done.
+    """
+    with progress_bar(quiet=True, verbose=verbose) as progress:
+
+        def done(step: str) -> None:
+            if progress is not None:
+                progress(step, 1, 1, {})
+
+        yield done
+
+
+@contextlib.contextmanager
 def _bars(quiet: bool) -> Iterator[Progress | None]:
     """Draw bars on standard error, where that is a terminal."""
     if quiet or not sys.stderr.isatty():

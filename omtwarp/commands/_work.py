@@ -56,6 +56,11 @@ def show_facts(facts: Mapping[str, object], line: str, *, as_json: bool, quiet: 
         print(line)
 
 
+def with_files(files: Sequence[Path]) -> str:
+    """Return a line about the companions of a file that was asked for, which is the last; none if it is alone."""
+    return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
+
+
 def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = False) -> Input:
     """Read a mesh and make sure that it can be mapped.
 
@@ -386,9 +391,25 @@ def map_from(
     sound = read_sound_mesh(mesh, repair)
     start_device(device)
     result = make_map(sound.surface, quiet=quiet, device=device, **options)
+    say_made(result, mesh, quiet=quiet, verbose=verbose)
+    return result
+
+
+def say_made(result: MapResult | TorusMap, mesh: Path, *, quiet: bool, verbose: bool) -> None:
+    """Print the quality of a map that a command made on its way, and what every stage did.
+
+    Args:
+        result: the map.
+        mesh: the file that was mapped.
+        quiet: whether to leave the line about the quality out.
+        verbose: whether to print the stages.
+    """
+    from omtwarp.commands._facts import facts_of, quality
+
     if verbose:
         say_stages(result)
-    return result
+    if not quiet:
+        say(f"{mesh}: {quality(facts_of(result, mesh))}")
 
 
 def say_stages(result: MapResult | TorusMap) -> None:

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import RefineOption, output_option
-from omtwarp.commands._streams import output_file, say
+from omtwarp.commands._options import RefineOption, VerboseOption, output_option
+from omtwarp.commands._streams import input_file, output_file, say
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
@@ -44,7 +44,11 @@ def parse_sizes(text: str) -> tuple[int, ...]:
 def benchmark(
     meshes: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[MESH]...", help="Mesh files to measure in addition to generated shapes."),
+        typer.Argument(
+            metavar="[MESH]...",
+            callback=input_file,
+            help="Mesh files to measure in addition to generated shapes; - is standard input.",
+        ),
     ] = None,
     sizes: Annotated[
         str,
@@ -84,6 +88,8 @@ def benchmark(
         ),
     ] = None,
     output: Annotated[Path | None, output_option("Write the tables (.md) instead of printing.")] = None,
+    verbose: VerboseOption = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
 ) -> None:
     """Time every stage and its memory on meshes of several sizes, and compare with a sparse factorisation by SciPy.
 
@@ -117,8 +123,13 @@ def benchmark(
         refine=refine,
         kernels=kernels,
         cold=cold,
-        progress=say,
+        progress=None if quiet else say,
     )
+    if verbose:
+        for mesh in result["meshes"]:
+            for times in mesh["runs"]:
+                for stage in times["stages"]:
+                    say(f"{mesh['name']}, {times['device']}: {stage['name']}: {stage['seconds']:.2f} s")
     if json_output is not None:
         with staged(json_output) as file:
             file.write_text(report_text(result), "utf-8")

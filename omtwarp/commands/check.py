@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Required, TypedDict
 
 import typer
 
-from omtwarp.commands._options import JsonOption, MeshArguments, output_option
+from omtwarp.commands._options import JsonOption, MeshArguments, QuietOption, VerboseOption, output_option
 from omtwarp.commands._work import each, outputs_of, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -27,6 +27,8 @@ def check_mesh(
         output_option("Write the repaired mesh.", ".ply"),
     ] = None,
     as_json: JsonOption = False,
+    verbose: VerboseOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """List what keeps meshes from being mapped to the sphere.
 
@@ -43,13 +45,13 @@ def check_mesh(
     found: list[MeshFacts] = []
 
     def examine(mesh: Path, target: Path | None) -> None:
-        found.append(facts_of(mesh, repair, target))
-        if not as_json:
+        found.append(facts_of(mesh, repair, target, verbose=verbose))
+        if not as_json and not quiet:
             print("\n".join(lines_about(found[-1])))
         count = len(found[-1]["defects"])
         if count:
             saved = f"; what could be repaired was saved as '{target}'" if target is not None else ""
-            left, where = (" left" if repair else ""), ("" if as_json else ", see above")
+            left, where = (" left" if repair else ""), ("" if as_json or quiet else ", see above")
             raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{left}{where}{saved}")
 
     try:
@@ -83,36 +85,49 @@ class MeshFacts(TypedDict, total=False):
     output: WrittenMesh
 
 
-def facts_of(mesh: Path, repair: bool, target: Path | None) -> MeshFacts:
+def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) -> MeshFacts:
     """List what is wrong with a mesh, ready for JSON; write the repaired mesh where a target is given.
+
+    Args:
+        mesh: the file.
+        repair: whether to repair it.
+        target: where the repaired mesh goes.
+        verbose: whether to say how long every step took.
 
     Raises:
         OmtwarpError: the file cannot be read, or the repaired mesh cannot be written.
     """
+    from omtwarp.commands._progress import step_times
     from omtwarp.mesh.seams import read_joined_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import check
     from omtwarp.mesh.write import write_mesh
     from omtwarp.verdict import foretell
 
-    given = read_joined_mesh(mesh, triangulate=repair)
-    vertices, faces = given.vertices, given.faces
-    defects = before = check(vertices, faces)
-    facts: MeshFacts = {
-        "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces), "notes": list(given.notes), "repairs": [],
-    }  # fmt: skip
-    if repair and defects:
-        from omtwarp.mesh.repair import repair as repair_mesh
+    with step_times(verbose) as done:
+        given = read_joined_mesh(mesh, triangulate=repair)
+        done("read")
+        vertices, faces = given.vertices, given.faces
+        defects = before = check(vertices, faces)
+        done("check")
+        facts: MeshFacts = {
+            "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces), "notes": list(given.notes),
+            "repairs": [],
+        }  # fmt: skip
+        if repair and defects:
+            from omtwarp.mesh.repair import repair as repair_mesh
 
-        repaired = repair_mesh(vertices, faces)
-        facts["repairs"] = list(repaired.actions)
-        vertices, faces = repaired.vertices, repaired.faces
-        defects = check(vertices, faces)
-        facts["defects_before"] = [{"kind": defect.kind, "text": str(defect)} for defect in before]
-    facts["defects"] = [{"kind": defect.kind, "text": str(defect)} for defect in defects]
-    facts["options"] = options_text(vertices, faces, defects)
-    facts["mappable"] = not defects
-    facts["warnings"] = [] if defects else [finding.to_dict() for finding in foretell(Surface(vertices, faces))]
+            repaired = repair_mesh(vertices, faces)
+            facts["repairs"] = list(repaired.actions)
+            vertices, faces = repaired.vertices, repaired.faces
+            defects = check(vertices, faces)
+            facts["defects_before"] = [{"kind": defect.kind, "text": str(defect)} for defect in before]
+            done("repair")
+        facts["defects"] = [{"kind": defect.kind, "text": str(defect)} for defect in defects]
+        facts["options"] = options_text(vertices, faces, defects)
+        facts["mappable"] = not defects
+        facts["warnings"] = [] if defects else [finding.to_dict() for finding in foretell(Surface(vertices, faces))]
+        done("foretell")
     if target is not None:
         write_mesh(target, vertices, faces)
         facts["output"] = {"path": str(target), "vertices": len(vertices), "faces": len(faces)}

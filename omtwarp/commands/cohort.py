@@ -97,8 +97,7 @@ def cohort(
 ) -> None:
     """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun continues.
 
-    DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html. Example:
-    omtwarp cohort 'sub-*/surf/lh.white' -o out --time-limit 600 --memory-limit 4
+    DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html.
     \f
     One function, as most of its lines are options and where they are passed on.
     """

@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
+from omtwarp.commands._facts import facts_of, summary
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption, output_option
 from omtwarp.commands._work import make_map, report_text, say_stages, start_device
-from omtwarp.commands.map import facts_of, save, summary
+from omtwarp.commands.map import save
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged, written_by_omtwarp
 from omtwarp.limits import MOST_DEMO_FACES

@@ -28,8 +28,7 @@ def distance(
     """Measure the distance of two shapes, whatever their positions and rotations.
 
     There are two measures: the root mean square distance of corresponding points, from coefficients of spherical
-        harmonics; and the root
-    of the least transport cost between the densities of their conformal maps, in radians.
+    harmonics; and the root of the least transport cost between the densities of their conformal maps, in radians.
     """
     from omtwarp.shape_analysis.distance import shape_distance
 

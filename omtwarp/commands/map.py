@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from omtwarp.commands._facts import MapFacts, facts_of, summary
 from omtwarp.commands._options import (
     CapOption,
     ComponentsOption,
@@ -132,7 +133,7 @@ def map_mesh(
     part comes from (face_origin) and which vertices are new (vertex_origin is -1).
 
     With --weights parts of the surface cover more of the sphere than their area; with --target the sphere is not filled
-    evenly but as a picture says. Example: omtwarp map head.ply -o head.npz --weights face.npy --target importance.png
+    evenly but as a picture says.
 
     A surface with holes, handles or several parts is mapped with --hemisphere, --disk, --cap, --fill-area, --cut and
     --components; "omtwarp check" says what each would do with it.
@@ -348,53 +349,3 @@ def image_of(result: MapResult) -> NDArray:
 
     disk = getattr(result, "disk", None)
     return result.sphere if disk is None else np.concatenate([disk, np.zeros((len(disk), 1))], axis=1)
-
-
-class MapFacts(TypedDict):
-    """A finished map, its files and its figures, ready for JSON."""
-
-    output: str
-    report: str | None
-    vertices: int
-    faces: int
-    bijective: bool
-    flips: int
-    degree: float
-    area: float
-    angle: float
-    largest_area_error: float | None
-    gap: float | None
-    seconds: float
-
-
-def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> MapFacts:
-    """Sum up a finished map and where it was written, ready for JSON."""
-    stages, certificate = result.report["stages"], result.certificate
-    last = stages[-1]
-    exact = next((stage for stage in stages if "largest_area_error" in stage), None)
-    return {
-        "output": str(output),
-        "report": None if report is None else str(report),
-        "vertices": len(result.vertices),
-        "faces": len(result.faces),
-        "bijective": certificate.bijective,
-        "flips": certificate.flips,
-        "degree": last["degree"],
-        "area": last["area"]["surface"],
-        "angle": last["angle"]["surface"],
-        "largest_area_error": None if exact is None else exact["largest_area_error"],
-        "gap": (result.report.get("optimality") or {}).get("gap"),
-        "seconds": result.report["seconds"],
-    }
-
-
-def summary(facts: MapFacts) -> str:
-    """Sum up a finished map in one line for readers."""
-    size = f"{facts['vertices']} vertices, {facts['faces']} faces"
-    line = f"{facts['output']}: {size}; flips {facts['flips']}, degree {facts['degree']:.6f}"
-    line += f", area {facts['area']:.4f}, angle {facts['angle']:.4f}"
-    if facts["largest_area_error"] is not None:
-        line += f", areas of all triangles right to {facts['largest_area_error']:.1e}"
-    if facts["gap"] is not None:
-        line += f", cost within {facts['gap']:.3%} of the least"
-    return line if facts["report"] is None else f"{line}; report {facts['report']}"

@@ -17,10 +17,12 @@ from omtwarp.commands._options import (
     QuietOption,
     SizeOption,
     UpOption,
+    VerboseOption,
     as_size,
     output_option,
     size_text,
 )
+from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import show_facts
 from omtwarp.errors import OmtwarpError
@@ -50,7 +52,7 @@ def preview_mesh(
     subject: Annotated[
         Path | None,
         typer.Argument(
-            metavar="MESH", callback=input_file, help="A mesh (textures and colours are shown) or a map (.npz)."
+            metavar="MESH", callback=input_file, help="A mesh (textures and colours are shown) or a map (.npz), or -."
         ),
     ] = None,
     finished: Annotated[
@@ -86,6 +88,7 @@ def preview_mesh(
     backend: BackendOption = Backend.AUTO,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
+    verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Draw a surface without a display.
@@ -101,24 +104,26 @@ def preview_mesh(
     if not shown.is_file():
         raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
     camera = Camera(zoom=zoom, field_of_view=field_of_view, projection=projection.value)
-    drawn = preview(
-        shown,
-        output,
-        size=as_size(size),
-        views=(view[0] if len(view) == 1 else view) if view else None,
-        camera=camera,
-        up=up,
-        front=front,
-        light=light.value,
-        background=background,
-        transparent=transparent,
-        wireframe=wireframe,
-        image=image,
-        frames=frames,
-        fps=fps,
-        backend=backend.value,
-        device=device,
-    )
+    with step_times(verbose) as done:
+        drawn = preview(
+            shown,
+            output,
+            size=as_size(size),
+            views=(view[0] if len(view) == 1 else view) if view else None,
+            camera=camera,
+            up=up,
+            front=front,
+            light=light.value,
+            background=background,
+            transparent=transparent,
+            wireframe=wireframe,
+            image=image,
+            frames=frames,
+            fps=fps,
+            backend=backend.value,
+            device=device,
+        )
+        done("draw")
     first, count = (drawn[0], len(drawn)) if isinstance(drawn, list) else (drawn, 1)
     facts = {"output": str(output), "width": first.width, "height": first.height, "frames": count}
     facts |= {"bytes": output.stat().st_size}

@@ -75,8 +75,6 @@ def resample_map(
 
     Both spheres are taken in the position they are in: see 'omtwarp align'. Conservative resampling keeps integrals,
     bounds and signs. Without --data the surface is written with the target's triangles: the same mesh for all subjects.
-
-    Example: omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o thickness.shape.gii
     \f
     One function, as most of its lines are options and where they are passed on.
     """

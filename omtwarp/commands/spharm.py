@@ -62,7 +62,7 @@ def spharm(
     """Expand a surface in spherical harmonics over its map to the sphere (SPHARM).
 
     Harmonics are real and orthonormal, without the Condon-Shortley phase; a .coef file has SPHARM-PDM's own order and
-    signs. Example: omtwarp spharm hippocampus.npz -o hippocampus.coef --degree 15 --reconstruction smooth.ply
+    signs.
     """
     import numpy as np
 

@@ -28,7 +28,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._painted import painted_map
 from omtwarp.commands._streams import say
-from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
+from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device, with_files
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement, TextureFormat
@@ -191,6 +191,7 @@ def texture_mesh(
             detail,
             bool(repair),
             quiet,
+            verbose,
             as_json,
             mapping,
             image=image,
@@ -256,7 +257,7 @@ def _texture(
     facts |= {"vertices": len(result.vertices), "faces": len(result.faces)}
     facts |= {"pictures": [{"what": "colour", "width": width, "height": height}]}
     line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured, "
-    line += f"{width} x {height} texels{blurred}{_with_files(files)}"
+    line += f"{width} x {height} texels{blurred}{with_files(files)}"
     return facts, line
 
 
@@ -270,11 +271,6 @@ def _require_one(mesh: Path | None, finished: Path | None) -> None:
         raise OmtwarpError(
             "a mesh beside --map is for --uv own or --keep-materials: add one of them, or leave the mesh out"
         )
-
-
-def _with_files(files: list[Path]) -> str:
-    """Return the requested file, as the last one, after its companions."""
-    return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
 def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tuple[int, str]:
@@ -326,6 +322,7 @@ def _paint(
     detail: Path | None,
     repair: bool,
     quiet: bool,
+    verbose: bool,
     as_json: bool,
     mapping: MapChoices,
     *,
@@ -349,12 +346,14 @@ def _paint(
     if options["uv"] == "own" or options["keep"] is not None:
         if mesh is None or mesh.suffix.lower() == ".npz":
             raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
-        painted, result = painted_map(mesh, finished, repair=repair, quiet=quiet, device=device, **mapping)
+        painted, result = painted_map(
+            mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose, **mapping
+        )
         if options["uv"] == "own":
             painted.require_uv(str(mesh))
     else:
         _require_one(mesh, finished)
-        result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, **mapping)
+        result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose, **mapping)
         require_bijective(result, finished)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
@@ -367,7 +366,7 @@ def _paint(
     facts |= {"faces": len(result.faces), "pictures": pictures}
     sizes = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
     looks = ", ".join(dict.fromkeys(sizes)) or "no picture"
-    line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {looks}{_with_files(files)}"
+    line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {looks}{with_files(files)}"
     show_facts(facts, line, as_json=as_json, quiet=quiet)
 
 

@@ -10,7 +10,7 @@ import typer
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption, output_option
 from omtwarp.commands._painted import painted_map
 from omtwarp.commands._streams import input_file
-from omtwarp.commands._work import show_facts
+from omtwarp.commands._work import show_facts, with_files
 from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions
@@ -18,17 +18,21 @@ from omtwarp.options import MapOptions
 
 def transfer(
     source: Annotated[
-        Path, typer.Argument(metavar="FROM", callback=input_file, help="A mesh with a texture or colours.")
+        Path, typer.Argument(metavar="FROM", callback=input_file, help="A mesh with a texture or colours, or -.")
     ],
-    target: Annotated[Path, typer.Argument(metavar="TO", callback=input_file, help="The mesh that gets the texture.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="TO", callback=input_file, help="The mesh that gets the texture, or -.")
+    ],
     output: Annotated[
         Path,
         output_option(".glb or .obj.", ".glb"),
     ],
     map_of_source: Annotated[
-        Path | None, typer.Option("--map-from", metavar="NPZ", help="A finished map of FROM.")
+        Path | None, typer.Option("--map-from", metavar="NPZ", callback=input_file, help="A finished map of FROM.")
     ] = None,
-    map_of_target: Annotated[Path | None, typer.Option("--map-to", metavar="NPZ", help="A finished map of TO.")] = None,
+    map_of_target: Annotated[
+        Path | None, typer.Option("--map-to", metavar="NPZ", callback=input_file, help="A finished map of TO.")
+    ] = None,
     aligned: Annotated[
         bool, typer.Option("--aligned", help="The maps are aligned already; do not rotate them.")
     ] = False,
@@ -67,4 +71,5 @@ def transfer(
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
     line = f"{output}: {len(other.vertices)} vertices, {len(other.faces)} faces, with the texture of {source}"
+    line += with_files(files)
     show_facts(facts, line, as_json=as_json, quiet=quiet)

@@ -18,7 +18,7 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
-from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device
+from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device, with_files
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
 
@@ -54,5 +54,5 @@ def unwrap_mesh(
     files = made.export(output, keep=(mesh, finished))
     facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(made.vertices)}
     facts |= {"faces": len(made.faces), "charts": 6}
-    line = f"{output}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts"
+    line = f"{output}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts{with_files(files)}"
     show_facts(facts, line, as_json=as_json, quiet=quiet)

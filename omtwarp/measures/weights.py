@@ -11,6 +11,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import array_of, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import real_numbers
+from omtwarp.mesh.data import from_text
 from omtwarp.mesh.surface import Surface
 
 
@@ -89,22 +90,11 @@ def read_numbers(path: Path) -> NDArray[np.float64]:
             raise OmtwarpError(f"{path}: {error}") from None
     else:
         try:
-            lines = [line.strip().rstrip(",") for line in data.decode("utf-8-sig").splitlines()]
-            lines = [line for line in lines if line and not line.startswith("#")]
-            if lines and not _is_number(lines[0]):
-                del lines[0]
-            values = np.array([float(line) for line in lines])
-        except ValueError as error:
-            detail = " ".join(str(error).split())[:120]
-            raise OmtwarpError(f"{path}: no list of numbers: {detail}") from None
+            values = from_text(data.decode("utf-8-sig")).values
+        except (OmtwarpError, UnicodeDecodeError) as error:
+            detail = str(error) if isinstance(error, OmtwarpError) else "no list of numbers: no text"
+            raise OmtwarpError(f"{path}: {detail}") from None
+        values = values[:, 0] if values.shape[1] == 1 else values
     if values.ndim != 1 or values.dtype.kind not in "uifb":
         raise OmtwarpError(f"{path}: an array of shape {list(values.shape)}, not one number a vertex or face")
     return values.astype(np.float64)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -2,6 +2,7 @@
 
 =================================================  ==================================================================
 ``.npy``                                           an array [V] or [V, K]
+``.csv``, ``.txt``                                 a line for every vertex, below a line of names if there is one
 ``.shape.gii``, ``.func.gii``, ``.label.gii``      GIFTI; labels with their table of names and colours
 ``.annot``                                         FreeSurfer's labels with their table
 ``.curv``, ``.sulc``, ``.thickness``, ``.area``,   FreeSurfer's curv format
@@ -13,6 +14,7 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,7 +31,8 @@ from omtwarp.mesh.neuro import gifti_image, nibabel_module, structure_of
 from omtwarp.mesh.write import ply_bytes
 
 CURV_SUFFIXES = (".curv", ".sulc", ".thickness", ".area", ".volume")
-DATA_SUFFIXES = (".npy", ".gii", ".annot", *CURV_SUFFIXES, ".ply")
+TEXT_SUFFIXES = (".csv", ".txt")
+DATA_SUFFIXES = (".npy", *TEXT_SUFFIXES, ".gii", ".annot", *CURV_SUFFIXES, ".ply")
 
 Color = tuple[float, float, float, float]
 
@@ -76,6 +79,8 @@ def read_data(path: Path) -> VertexData:
             warnings.simplefilter("ignore")
             if name.endswith(".npy"):
                 found = from_npy(io.BytesIO(data), path.stem)
+            elif name.endswith(TEXT_SUFFIXES):
+                found = from_text(data.decode("utf-8-sig"), path.stem)
             elif name.endswith((".gii", ".gii.gz")):
                 found = _read_gifti(path)
             elif name.endswith(".annot"):
@@ -105,8 +110,46 @@ def from_npy(stream: BinaryIO, name: str = "data") -> VertexData:
     if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
         raise OmtwarpError("not an array of numbers of shape [V] or [V, K]")
     columns = array.reshape(len(array), -1)
-    names = (name,) if columns.shape[1] == 1 else tuple(f"{name} {k + 1}" for k in range(columns.shape[1]))
-    return VertexData(columns.astype(np.float64 if array.dtype.kind == "f" else np.int64), names)
+    return VertexData(columns.astype(np.float64 if array.dtype.kind == "f" else np.int64), _numbered(name, columns))
+
+
+def _numbered(name: str, columns: NDArray[np.generic]) -> tuple[str, ...]:
+    """Name columns after the file, with a number each if they are several."""
+    count = columns.shape[1]
+    return (name,) if count == 1 else tuple(f"{name} {k + 1}" for k in range(count))
+
+
+def from_text(text: str, name: str = "data") -> VertexData:
+    """Read a line of numbers for every vertex, divided by commas, semicolons, tabs or spaces.
+
+    Empty lines and lines that begin with ``#`` are skipped; a first line that is no numbers names the columns.
+
+    Args:
+        text: what the file holds.
+        name: of the data, where no line names the columns.
+
+    Raises:
+        OmtwarpError: a line without numbers, or of another length than the first.
+    """
+    rows = [line.strip().rstrip(",;") for line in text.splitlines()]
+    rows = [row for row in rows if row and not row.startswith("#")]
+    words = [re.split(r"\s*[,;\t]\s*|\s+", row) for row in rows]
+    names = words.pop(0) if words and not any(map(_is_number, words[0])) else []
+    try:
+        columns = np.array([[float(word) for word in row] for row in words])
+    except ValueError as error:
+        raise OmtwarpError(f"no list of numbers: {' '.join(str(error).split())[:120]}") from None
+    if columns.ndim != 2:
+        raise OmtwarpError("no list of numbers: it is empty")
+    return VertexData(columns, tuple(names) if len(names) == columns.shape[1] else _numbered(name, columns))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _read_gifti(path: Path) -> VertexData:
@@ -185,6 +228,9 @@ def write_data(
         if name.endswith(".npy"):
             with open(file, "wb") as stream:
                 to_npy(stream, data)
+        elif name.endswith(TEXT_SUFFIXES):
+            rows = [",".join(data.names), *(",".join(map(repr, row)) for row in data.values.tolist())]
+            file.write_text("\n".join(rows) + "\n", "utf-8")
         elif name.endswith((".gii", ".gii.gz")):
             _write_gifti(file, data, name)
         elif name.endswith(".annot"):
@@ -247,4 +293,4 @@ def _write_annot(file: Path, data: VertexData) -> None:
     nibabel_module().freesurfer.write_annot(file, places, colors, names, fill_ctab=True)
 
 
-__all__ = ["DATA_SUFFIXES", "VertexData", "from_npy", "read_data", "to_npy", "write_data"]
+__all__ = ["DATA_SUFFIXES", "VertexData", "from_npy", "from_text", "read_data", "to_npy", "write_data"]

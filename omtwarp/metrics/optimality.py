@@ -55,7 +55,7 @@ from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.optimality_dual import Bound, TransportDual
-from omtwarp.options import Progress
+from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 Array = NDArray[np.float64]
@@ -226,15 +226,20 @@ def _measure(
 ) -> Optimality:
     ascent_steps = whole_number(ascent_steps, "ascent_steps")
 
-    def notify(step: int, gap: float) -> None:
-        if progress is not None:
-            progress("optimality", step, max(ascent_steps, 1), {"gap": gap})
+    # The curl, the first potential and its bound are steps too, and so are the bounds of the whole sphere at the end.
+    steps_before = 3
+    total = steps_before + ascent_steps + 1
 
-    if progress is not None:
-        progress("optimality", 0, max(ascent_steps, 1), {})
+    def notify(step: int, details: Record) -> None:
+        if progress is not None:
+            progress("optimality", step, total, details)
+
+    notify(0, {})
     dual = TransportDual(surface, x, y, mass, device)
     curl, stream = _curl_part(surface, y, dual.log, device)
+    notify(1, {})
     fitted, swapped = dual.initial_potential()
+    notify(2, {})
     best = dual.bound(fitted)
     if potential is not None:
         given = real_numbers(potential, "potential", mass.shape)
@@ -245,7 +250,7 @@ def _measure(
     def near(found: Bound, done: int) -> bool:
         if _excess(cost, cost - 2.0 * found.excess) <= enough:
             return True
-        notify(done, 2.0 * found.excess / cost)
+        notify(steps_before + done, {"gap": 2.0 * found.excess / cost})
         return False
 
     best, steps = ascend(dual, best, ascent_steps, near)
@@ -254,7 +259,7 @@ def _measure(
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
     spread = dual.spread(transform)
     uniform = 2.0 * (spread.transform + dual.integral(best.potential))
-    notify(steps, _excess(cost, lower))
+    notify(total, {"gap": _excess(cost, lower)})
     return Optimality(
         relative_curl=curl,
         cost=cost,

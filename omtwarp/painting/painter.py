@@ -86,7 +86,8 @@ def paint(
         projection: of the image, as in :func:`omtwarp.texture`.
         atlas: which one, as in :func:`omtwarp.texture`.
         rotate: turns the pattern on the sphere, as in :func:`omtwarp.texture`.
-        size: width of the pictures in texels; by default that of the material's own picture, or 2048.
+        size: width of the pictures in texels; by default that of the material's own picture, times a whole number so
+            that a small one has up to 2048; or 2048.
         device: ``auto``, ``cpu`` or ``cuda:N``.
 
     Returns:
@@ -353,11 +354,17 @@ class _Job:
 
 
 def _extent(material: Material, size: int | None) -> tuple[int, int]:
-    """Choose the width and height of a material's new picture."""
+    """Choose the width and height of a material's new picture.
+
+    Without a size that is asked for, they are those of its own picture, times a whole number where that is small.
+    """
     if material.picture is None:
         return (size or SIZE, size or SIZE)
     height, width = material.picture.shape[:2]
-    return (width, height) if size is None else (size, max(round(size * height / width), 1))
+    if size is None:
+        times = max(SIZE // max(width, height), 1)
+        return (times * width, times * height)
+    return (size, max(round(size * height / width), 1))
 
 
 def _with_opacity(picture: NDArray[np.generic]) -> NDArray[np.float32]:

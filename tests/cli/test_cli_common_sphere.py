@@ -259,9 +259,3 @@ def test_maps_that_are_none_are_refused_by_every_command(desk, capsys, words):
         said = capsys.readouterr().err
         assert message in said and "'bad.npz' is not a map" in said and said.count("\n") == 1
     assert not list(desk.glob("x.*"))
-
-
-@pytest.mark.parametrize("command", ["align", "resample"])
-def test_help_has_an_example(command, capsys):
-    assert run(command, "--help") == 0
-    assert f"Example: omtwarp {command}" in " ".join(capsys.readouterr().out.split())

@@ -16,6 +16,7 @@ import trimesh
 import typer
 
 from omtwarp.cli import EXAMPLES, SUMMARIES, app, main
+from omtwarp.commands._command import heading_of
 from omtwarp.files import PREFIX
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import SUFFIXES, write_mesh
@@ -164,9 +165,82 @@ def test_completion_knows_the_commands():
     assert done.stdout.split() == ["texture"]
 
 
-@pytest.mark.parametrize("name", sorted(set(SUMMARIES) - {"benchmark", "check", "preview"}))
-def test_commands_that_map_or_compare_have_verbose(name):
-    assert any("--verbose" in option.opts for option in commands()[0][name].params)
+# What every command takes: the words that it needs with - as its input, the output that may be -, and whether it takes
+# several inputs.
+TABLE = {
+    "map": (["-", "-o", "x.npz"], "-o", True),
+    "texture": (["-", "-o", "x.glb"], "-o", False),
+    "transfer": (["-", "ball.ply", "-o", "x.glb"], "-o", False),
+    "unwrap": (["-", "-o", "x.glb"], "-o", False),
+    "preview": (["-", "-o", "x.png"], "-o", False),
+    "film": (["--map", "-", "-o", "x.gif"], "-o", False),
+    "report": (["--map", "-", "-o", "x.html"], "-o", False),
+    "align": (["-", "-o", "x.npz"], "-o", False),
+    "resample": (["-", "--to", "ico0", "-o", "x.ply"], "-o", False),
+    "check": (["-", "--repair", "-o", "x.ply"], "-o", True),
+    "cohort": (["-", "-o", "x"], None, False),  # a table or a pattern names them
+    "spharm": (["-", "-o", "x.csv"], "-o", False),
+    "distance": (["-", "map.npz"], None, False),
+    "group": (["-", "-o", "x"], None, True),
+    "demo": (None, None, False),
+    "benchmark": (["-", "--sizes", "none", "--json", "x.json"], "--json", True),
+}
+
+
+@pytest.mark.parametrize("name", SUMMARIES)
+def test_every_command_has_json_verbose_and_quiet(name):
+    options = [word for option in commands()[0][name].params for word in option.opts]
+    assert {"--json", "--verbose", "-v", "--quiet", "-q"} <= set(options)
+    assert "--output" in options or name == "distance"
+
+
+@pytest.mark.parametrize("name", [name for name in SUMMARIES if TABLE[name][0]])
+def test_commands_read_standard_input(folder, monkeypatch, capfdbinary, name):
+    status, out, err = run(monkeypatch, capfdbinary, [name, *TABLE[name][0]])
+    assert (status, out) == (1, b"") and err == "omtwarp: error: standard input is empty\n"
+
+
+class Terminal(Piped):
+    """A standard stream that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("name", [name for name in SUMMARIES if TABLE[name][1]])
+def test_commands_write_standard_output(folder, monkeypatch, capsys, name):
+    words, option, _ = TABLE[name]
+    monkeypatch.setattr(sys, "stdin", Piped(io.BytesIO((folder / "map.npz").read_bytes())))
+    monkeypatch.setattr(sys, "stdout", Terminal(io.BytesIO()))
+    with pytest.raises(SystemExit) as ended:
+        main([name, *words[: words.index(option) + 1], "-"])
+    err = capsys.readouterr().err
+    assert ended.value.code == 1 and err.startswith("omtwarp: error: standard output is a terminal")
+
+
+HEADINGS = {
+    "texture size": "Texture", "transfer size": "Texture", "preview size": "View", "resample method": "Method",
+    "map method": "Map", "group components": "Method", "map components": "Holes, handles, parts",
+    "preview projection": "View", "texture projection": "Texture",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SUMMARIES)
+def test_options_stand_under_headings_that_fit(name):
+    options = [one.name for one in commands()[0][name].params if one.param_type_name == "option"]
+    assert [option for option in options if heading_of(name, option) == "Other"] in ([], ["help"])
+    for option in options:
+        assert heading_of(name, option) == HEADINGS.get(f"{name} {option}", heading_of(name, option))
+
+
+@pytest.mark.parametrize("name", SUMMARIES)
+def test_commands_that_take_several_inputs(name):
+    several = any(one.param_type_name == "argument" and one.nargs == -1 for one in commands()[0][name].params)
+    assert several == TABLE[name][2]
+
+
+def test_no_example_is_shown_twice():
+    assert [name for name, command in commands()[0].items() if "Example" in (command.help or "")] == []
 
 
 def test_verbose_says_how_long_stages_took(folder, monkeypatch, capfdbinary):

@@ -88,18 +88,31 @@ def test_freesurfer_volume_geometry_is_kept(tmp_path):
         np.testing.assert_array_equal(found[key], value)
 
 
-@pytest.mark.parametrize("name", ["a.npy", "a.shape.gii", "a.func.gii", "lh.thickness", "lh.curv", "a.ply"])
+@pytest.mark.parametrize(
+    "name", ["a.npy", "a.csv", "a.txt", "a.shape.gii", "a.func.gii", "lh.thickness", "lh.curv", "a.ply"]
+)
 def test_numbers_come_back(tmp_path, name):
-    if not name.endswith(("npy", "ply")):
+    exact = name.endswith(("npy", "csv", "txt", "ply"))
+    if not exact:
         pytest.importorskip("nibabel")
     columns = 1 if name.startswith("lh") else 2
     values = np.random.default_rng(1).normal(size=(COUNT, columns))
     names = ("thickness", "sulc")[:columns]
     write_data(tmp_path / name, VertexData(values, names), (BALL.vertices, BALL.faces))
     found = read_data(tmp_path / name)
-    exact = name.endswith(("npy", "ply"))
     np.testing.assert_allclose(found.values, values, rtol=0 if exact else 1e-6, atol=0 if exact else 1e-7)
     assert name.startswith(("a.npy", "lh")) or found.names == names
+
+
+def test_text_is_read_with_any_separator_and_names(tmp_path):
+    (tmp_path / "a.txt").write_text("\ufeff# heights\nx; y\n1; 2.5\n\n-3e2;nan;\n", "utf-8")
+    found = read_data(tmp_path / "a.txt")
+    assert found.names == ("x", "y")
+    np.testing.assert_array_equal(found.values, [[1.0, 2.5], [-300.0, np.nan]])
+    (tmp_path / "b.csv").write_text("1\t2\n3 4\n")
+    found = read_data(tmp_path / "b.csv")
+    assert found.names == ("b 1", "b 2")
+    np.testing.assert_array_equal(found.values, [[1.0, 2.0], [3.0, 4.0]])
 
 
 @pytest.mark.parametrize("name", ["a.label.gii", "lh.a.annot"])
@@ -169,9 +182,15 @@ def test_what_a_format_cannot_hold_is_one_line(tmp_path):
         read_data(tmp_path / "bad.npy")
     with pytest.raises(OmtwarpError, match="no such file"):
         read_data(tmp_path / "none.npy")
-    (tmp_path / "a.csv").write_text("1")
-    with pytest.raises(OmtwarpError, match="unknown format"):
-        read_data(tmp_path / "a.csv")
+    for name, text, words in (
+        ("a.mat", "1", "unknown format"),
+        ("a.csv", "1,2\n3\n", r"a\.csv: no list of numbers"),
+        ("a.txt", "one\n1\ntwo\n", r"a\.txt: no list of numbers.*two"),
+        ("b.csv", "# nothing\n", "it is empty"),
+    ):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(OmtwarpError, match=words):
+            read_data(tmp_path / name)
     assert not list(tmp_path.glob("*.gii"))
 
 
