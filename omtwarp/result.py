@@ -48,6 +48,9 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 UNIT_LENGTH = 1e-5
 STAGES = ("sphere", "conformal", "moser", "transported")
 OF_A_TORUS = "wraps"  # an array that only maps to a torus have
+# Arrays that tell a map's file from a mesh's, even where one was lost, and a map to a torus from one to the sphere.
+OF_MAPS = ("sphere", OF_A_TORUS, "conformal", "coordinates", "lattice")
+OF_TORUS_MAPS = (OF_A_TORUS, "coordinates", "lattice")
 
 
 class StageReport(TypedDict, total=False):

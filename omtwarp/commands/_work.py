@@ -186,10 +186,10 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
         OmtwarpError: the file is missing or is no map, or is a map to a torus where the command takes none.
     """
     from omtwarp.inputs import holds_array
-    from omtwarp.result import OF_A_TORUS, MapResult
+    from omtwarp.result import OF_TORUS_MAPS, MapResult
     from omtwarp.surface_map import SurfaceMap
 
-    if path.is_file() and holds_array(path, OF_A_TORUS):
+    if path.is_file() and holds_array(path, *OF_TORUS_MAPS):
         from omtwarp.torus.torus_map import TorusMap
 
         if not torus:
@@ -378,9 +378,9 @@ def map_from(
     """
     if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
         from omtwarp.inputs import holds_array
-        from omtwarp.result import OF_A_TORUS
+        from omtwarp.result import OF_MAPS
 
-        if holds_array(mesh, "sphere", OF_A_TORUS):
+        if holds_array(mesh, *OF_MAPS):
             mesh, finished = None, mesh  # a map in place of a mesh
     if finished is not None:
         if mesh is not None:

@@ -92,10 +92,10 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
     elif isinstance(subject, (str, os.PathLike)):
         path = Path(subject)
         if path.suffix.lower() == ".npz":
-            from omtwarp.result import OF_A_TORUS, MapResult
+            from omtwarp.result import OF_TORUS_MAPS, MapResult
             from omtwarp.torus.torus_map import TorusMap
 
-            if holds_array(path, OF_A_TORUS):
+            if holds_array(path, *OF_TORUS_MAPS):
                 return torus_view(TorusMap.load(path), image)
             return map_view(MapResult.load(path), image)
         view = _file_view(path)

@@ -22,7 +22,7 @@ from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import Interpolation, choose
 from omtwarp.resampling import weights
-from omtwarp.result import OF_A_TORUS, MapResult
+from omtwarp.result import OF_MAPS, MapResult
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
 
 Floats = NDArray[np.float64]
@@ -75,7 +75,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
         return SpherePoints(named_grid(given))
     if isinstance(given, str | os.PathLike):
         path = Path(given)
-        if path.suffix.lower() == ".npz" and holds_array(path, "sphere", OF_A_TORUS):
+        if path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS):
             return as_points(MapResult.load(path), str(path))
         mesh = read_mesh(path)
         beside = _sphere_beside(path)

@@ -326,3 +326,36 @@ def test_a_map_of_another_mesh_does_not_carry_textures(place, capsys):
         status, line = ended(capsys, words)
         assert status == 1 and "other.npz" in line, line
         assert listing(place) == before
+
+
+@pytest.mark.parametrize("lost", ["sphere", "wraps"])
+def test_a_map_that_lost_its_points_is_not_taken_for_a_mesh(tmp_path, monkeypatch, capsys, lost):
+    """A map's file without its points, or a torus's without its wraps, is refused in one line; nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    ball = shapes.icosphere(4)
+    arrays = {"vertices": ball.vertices * [1.0, 1.2, 0.9], "faces": ball.faces}
+    kept = (
+        {"conformal": ball.vertices}
+        if lost == "sphere"
+        else {"coordinates": ball.vertices[:, :2], "lattice": np.eye(2)}
+    )
+    np.savez("lost.npz", **arrays, **kept)
+    np.savez("good.npz", **arrays, sphere=ball.vertices, conformal=ball.vertices, density=np.ones(len(ball.vertices)))
+    commands = (
+        "film lost.npz -o out.gif",
+        "texture lost.npz -o out.glb",
+        "texture --map lost.npz -o out.glb",
+        "preview lost.npz -o out.png",
+        "report lost.npz -o out.html",
+        "report --map lost.npz -o out.html",
+        "align lost.npz --to good.npz -o out.npz",
+        "align good.npz --to lost.npz -o out.npz",
+        "distance lost.npz good.npz",
+    )
+    for command in commands:
+        with pytest.raises(SystemExit) as end:
+            main(command.split())
+        lines = capsys.readouterr().err.splitlines()
+        assert end.value.code == 1 and len(lines) == 1, (command, lines)
+        assert "it has no '" in lines[0] or "is a map to a torus" in lines[0], (command, lines)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["good.npz", "lost.npz"]
