@@ -359,3 +359,35 @@ def test_a_map_that_lost_its_points_is_not_taken_for_a_mesh(tmp_path, monkeypatc
         assert end.value.code == 1 and len(lines) == 1, (command, lines)
         assert "it has no '" in lines[0] or "is a map to a torus" in lines[0], (command, lines)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["good.npz", "lost.npz"]
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("preview ball.ply -o out.png --size 9000x16", "8192"),
+        ("film map.npz -o out.gif --size 9000x16", "8192"),
+        ("film map.npz -o out.mp4 --seconds 1e6", "at most"),
+        ("film map.npz -o out.gif --fps 1e6", "240"),
+        ("texture --map map.npz -o out.glb --size 40000", "32768"),
+        ("demo --faces 100000000", "2000000"),
+        ("benchmark --repeats 100000", "1000"),
+    ],
+)
+def test_options_beyond_the_limits_are_refused_before_the_work(tmp_path, monkeypatch, capsys, command, words):
+    """Limits are said with their value, and no map is made, drawn or written."""
+    monkeypatch.chdir(tmp_path)
+    ball = shapes.icosphere(4)
+    write_mesh("ball.ply", ball.vertices, ball.faces)
+    np.savez(
+        "map.npz",
+        vertices=ball.vertices,
+        faces=ball.faces,
+        sphere=ball.vertices,
+        conformal=ball.vertices,
+        density=np.ones(len(ball.vertices)),
+    )
+    with pytest.raises(SystemExit) as end:
+        main(command.split())
+    assert end.value.code in (1, 2)
+    assert words in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.ply", "map.npz"]
