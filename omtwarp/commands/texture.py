@@ -135,7 +135,7 @@ def texture_mesh(
     ] = None,
     texture_format: Annotated[
         TextureFormat,
-        typer.Option(help="Encoding of the pictures of a .glb; webp has half the bytes, and fewer viewers read it."),
+        typer.Option(help="Encoding of the pictures of a .glb; webp is smaller, and fewer viewers read it."),
     ] = TextureFormat.PNG,
     method: MethodOption = MapOptions.method,
     until: UntilOption = MapOptions.until,

@@ -55,7 +55,7 @@ class PaintedMesh(PaintedArrays):
         Args:
             path: the file to write.
             keep: more files that must not be replaced.
-            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in half the bytes, for viewers that
+            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in fewer bytes, for viewers that
                 read the extension ``EXT_texture_webp``.
 
         Returns:

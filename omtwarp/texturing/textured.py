@@ -64,7 +64,7 @@ class TexturedSurface(TexturedMesh):
             path: the file to write. The files of an ``.obj`` take its name where that is free or taken by them already,
                 and another name (``NAME-texture.png``) where the package did not write the file of that name.
             keep: more files that must not be replaced, such as the mesh that the surface came from.
-            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in half the bytes, for viewers that
+            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in fewer bytes, for viewers that
                 read the extension ``EXT_texture_webp``.
 
         Returns:
