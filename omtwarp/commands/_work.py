@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, Unpack, overload, runtime_checkable
 
+from omtwarp.commands._facts import facts_of, quality
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._start import import_scipy
 from omtwarp.commands._streams import say
@@ -404,7 +405,6 @@ def say_made(result: MapResult | TorusMap, mesh: Path, *, quiet: bool, verbose: 
         quiet: whether to leave the line about the quality out.
         verbose: whether to print the stages.
     """
-    from omtwarp.commands._facts import facts_of, quality
 
     if verbose:
         say_stages(result)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Required, TypedDict
 import typer
 
 from omtwarp.commands._options import JsonOption, MeshArguments, QuietOption, VerboseOption, output_option
+from omtwarp.commands._progress import step_times
 from omtwarp.commands._work import each, outputs_of, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -97,7 +98,6 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
     Raises:
         OmtwarpError: the file cannot be read, or the repaired mesh cannot be written.
     """
-    from omtwarp.commands._progress import step_times
     from omtwarp.mesh.seams import read_joined_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import check
