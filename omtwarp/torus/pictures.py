@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.options import TextureFormat
 from omtwarp.texturing.atlas import check_size
 from omtwarp.texturing.export import export
 from omtwarp.texturing.mesh import with_material
@@ -73,20 +74,28 @@ class TexturedTorus:
         """How many vertices the input has: they are the first ones."""
         return len(self.original_vertices)
 
-    def export(self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) -> list[Path]:
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        keep: Iterable[Path | None] = (),
+        texture_format: str = TextureFormat.PNG,
+    ) -> list[Path]:
         """Write the surface as .glb, .obj (with .mtl and .png) or .ply (a colour per vertex).
 
         Args:
             path: the file to write.
             keep: more files that must not be replaced.
+            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in fewer bytes, for viewers that know
+                the extension ``EXT_texture_webp``.
 
         Returns:
             The files written, the named one last.
 
         Raises:
-            OmtwarpError: another suffix, or a place that cannot be written to.
+            OmtwarpError: another suffix, a format that the suffix does not take, or a place that cannot be written to.
         """
-        return export(self, path, keep=keep)
+        return export(self, path, keep=keep, texture_format=texture_format)
 
     def trimesh(self) -> trimesh.Trimesh:
         """Return the cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
