@@ -253,6 +253,9 @@ class _Newton:
         # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
         # rings.
         self.stiffness = (area_penalty if penalty is None else penalty) / energy.wanted.sum() / energy.wanted
+        # With a light penalty steps may lower cost at the expense of areas; the map at the end must not be worse than
+        # the one given by the usual penalty.
+        self.strictness = max(1.0, PENALTY / area_penalty) if self.constrained else 1.0
         self.multipliers = np.zeros(len(energy.wanted))
         self.max_rms, self.max_error = energy.area_tolerances
         self.curvature_share, self.damping = 1.0, LEAST_DAMPING
@@ -276,7 +279,7 @@ class _Newton:
             self.multipliers = multipliers
         elif self.constrained:  # estimated from a potential of zero
             self.multipliers = -energy.potential(terms, self.multipliers)
-        first = self._penalised_energy(terms)
+        first = self._penalised_energy(terms, self.strictness)
         history = [self._record(terms, 0.0, 0.0, False, 0)]
         ended, converged = "most steps taken", False
         renew, last = True, np.inf
@@ -325,7 +328,7 @@ class _Newton:
                 change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
                 self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
             renew = length < 1.0 or corrected > MAX_CORRECTED * self.surface.vertex_count or trust < RENEWED
-        if not self._penalised_energy(terms) <= first:
+        if not self._penalised_energy(terms, self.strictness) <= first:
             return OptimalMap(
                 sphere,
                 self.multipliers,
@@ -372,11 +375,11 @@ class _Newton:
         rms, largest = self.energy.ring_errors(terms)
         return enough and rms <= self.max_rms and largest <= self.max_error
 
-    def _penalised_energy(self, terms: MapTerms) -> float:
-        """Return cost plus shape plus penalty on area errors, which unlike the merit needs no multipliers."""
+    def _penalised_energy(self, terms: MapTerms, strictness: float = 1.0) -> float:
+        """Return cost plus shape plus penalty on area errors, times strictness; it needs no multipliers."""
         energy, missing = self.energy, self.energy.missing(terms)
         cost = energy.cost_weight * energy.cost(terms) / SPHERE_AREA
-        penalty = 0.5 * float(self.stiffness @ missing**2)
+        penalty = 0.5 * strictness * float(self.stiffness @ missing**2)
         return cost + energy.shape_weight * terms.shape.total(energy.area_weight) + penalty
 
     def _merit(self, terms: MapTerms) -> float:
