@@ -112,7 +112,7 @@ COARSE_VERTICES = 400
 # Where the conformal map shrinks more than this share of the triangles to points, most of the cost depends on whole
 # limbs alone, and under a heavy penalty on wrong areas steps shrink to a tenth: an octopus (58 %)
 # was 116 % above the bound after 40 of them, at an area distortion of 2.14. With a light penalty that grows, and less
-# and less of the shape term, it is optimal after 30, at 2.016. Scans with 9 and 27 % get near enough to the optimum
+# and less of the shape term, it is optimal, at 2.011. Scans with 9 and 27 % get near enough to the optimum
 # without; a cross of four thin arms with 21 % does not, and is done again in this way.
 MOSTLY_SHRUNKEN = 0.4
 # Rounds: weight of the shape term, of area in it, penalty on areas, most steps.
@@ -678,6 +678,7 @@ class _Run:
                 area_penalty=penalty,
                 multipliers=None if found is None else found.multipliers,
                 iterations=steps,
+                gain=SHRUNKEN_GAIN,
                 device=self.device,
                 progress=self.progress,
             )
