@@ -387,10 +387,11 @@ def markdown(
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for a in defaults:
+        gap = "none" if a["gap"] is None else f"{100 * a['gap']:.3f} %"
         lines.append(
             f"| {a['mesh']} | {a['faces']} | {a['start']} | {a['flips']} | {a['degree']} | {a['area']:.5f} "
             f"| {a['area_p95']:.4f} | {a['area_max']:.4g} | {a['angle']:.4f} | {a['ring']:.1e} | {a['jump']:.4f} "
-            f"| {100 * a['gap']:.3f} % | {a['relative_curl']:.4f} |"
+            f"| {gap} | {a['relative_curl']:.4f} |"
         )
     if rows:
         count, total = sum(row["won"] for row in rows), len(rows)
