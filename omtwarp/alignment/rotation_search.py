@@ -28,7 +28,8 @@ from omtwarp.mesh.arrays import ROUND_OFF, TINY
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# Newton starts from so many of the grid's local maxima, at least START_APART degrees from one another.
+# Newton starts from so many of the grid's local maxima, at least START_APART degrees from one another. With half and
+# twice of these and of DISTINCT a turned creature is turned back to round-off.
 STARTS = 8
 START_APART = 15.0
 STEPS = 40

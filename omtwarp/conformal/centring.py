@@ -25,6 +25,7 @@ from omtwarp.options import Progress, Record
 
 TOLERANCE = 1e-13  # on the length of the mean of the points: some hundred times the round-off of float64
 MAXIMUM_STEPS = 100  # at most; Newton's method needs few where there is a centre
+# With 0.5 and 0.9 the map of a creature has the same bits.
 MAX_CENTRE = 0.7  # of the ball's radius: Newton's centre can lie outside the ball, where there is no transformation
 MIN_CENTRE = 1e-16  # a step halved to less than this moves nothing in float64
 FULL_STEP_MEAN = 1e-10  # below this size of the mean the decrease is lost in round-off: full steps are taken

