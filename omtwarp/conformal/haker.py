@@ -18,14 +18,13 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry.axes import principal_axes
+from omtwarp.geometry.axes import OBLIQUE, principal_axes
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
-TIE_BREAKER = np.array([0.6180, 0.2361, 0.7503])  # chosen: any direction oblique to the axes will do
 PARTS = 4  # of the work in progress reports: half is the factorisation
 
 
@@ -127,7 +126,7 @@ def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> 
     squares = ((p1 - p0) ** 2).sum(1) + ((p2 - p1) ** 2).sum(1) + ((p0 - p2) ** 2).sum(1)
     regularity = triangle_areas(points, faces) / squares
     best = np.flatnonzero(regularity >= (1.0 - EQUAL_REGULARITY) * regularity.max())
-    return int(best[np.argmax((p0 + p1 + p2)[best] @ TIE_BREAKER)])
+    return int(best[np.argmax((p0 + p1 + p2)[best] @ OBLIQUE)])
 
 
 def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from omtwarp.mesh.surface import Surface
 # Where second moments, relative to the largest, differ by less than this, rounding decides the axes; where third
 # moments, relative to the cubed spread along the axis, are smaller, it decides the directions.
 SMALLEST_DIFFERENCE = 1e-6
+OBLIQUE = np.array([0.6180, 0.2361, 0.7503])  # chosen: any direction that is along none of the axes will do
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,15 @@ def rotation_onto_axes(
     return left @ right, bool(sizes[1] + sign * sizes[2] > SMALLEST_DIFFERENCE * sizes[0])
 
 
+def order_by_place(surface: Surface) -> NDArray[np.intp]:
+    """Sort the vertices by their places in the surface's own axes, so that their order depends on the shape alone.
+
+    Returns:
+        Numbers of the vertices, the farthest along a direction oblique to the axes last, shape [V].
+    """
+    return np.argsort(surface.scaled_vertices @ (OBLIQUE @ principal_axes(surface).frame), kind="stable")
+
+
 def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
     """Return a right-handed frame with an axis first or last; the coordinate axis farthest from it gives another."""
     towards = np.eye(3)[int(np.argmin(np.abs(axis)))]
@@ -112,4 +122,4 @@ def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
     return np.stack([axis, other, third] if first else [other, third, axis])
 
 
-__all__ = ["Axes", "principal_axes", "rotation_onto_axes"]
+__all__ = ["OBLIQUE", "Axes", "order_by_place", "principal_axes", "rotation_onto_axes"]

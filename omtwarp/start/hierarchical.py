@@ -18,6 +18,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
+from omtwarp.geometry.axes import order_by_place
 from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface
@@ -89,7 +90,9 @@ def hierarchical_embedding(
         True
     """
     area_weight = real_number(area_weight, "the weight of area", above=0.0)
-    surface = as_surface(surface)
+    given = as_surface(surface)
+    order = order_by_place(given)
+    surface = renumbered(given, order)
     where = resolve_device(device)
     history: list[dict[str, int]] = []
     hierarchy = simplify(surface, where)
@@ -103,11 +106,24 @@ def hierarchical_embedding(
         if progress is not None:
             progress("start", len(level.vertices), surface.vertex_count, {})
     embedding.sweep(_FINAL_SWEEPS)
-    sphere = embedding.sphere.numpy().copy()
-    flips = count_flips(sphere, surface.faces)
+    sphere = np.empty((surface.vertex_count, 3))
+    sphere[order] = embedding.sphere.numpy()
+    flips = count_flips(sphere, given.faces)
     if flips:
         raise OmtwarpError(f"the coarse-to-fine embedding has {flips} triangle(s) that float64 cannot keep positive")
     return HierarchicalEmbedding(sphere, history)
+
+
+def renumbered(surface: Surface, order: NDArray[np.intp]) -> Surface:
+    """Return the surface with its vertices in an order, given by their numbers, shape [V].
+
+    Of equally cheap collapses the simplification takes one by the number of its vertex. With the numbers of the input,
+    another order of the same vertices gave embeddings of a body with thin limbs that were up to 1.5 radians apart.
+    """
+    places = np.empty(len(order), dtype=np.int32)
+    places[order] = np.arange(len(order), dtype=np.int32)
+    areas = surface.face_areas if surface.weighted else None
+    return Surface(surface.vertices[order], places[surface.faces], areas)
 
 
 class _Embedding:

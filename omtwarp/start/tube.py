@@ -12,6 +12,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
+from omtwarp.geometry.axes import order_by_place
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.poisson import Factorization
 
@@ -55,7 +56,8 @@ def poles(surface: Surface) -> tuple[int, int]:
     lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     count = surface.vertex_count
     graph = sparse.csr_matrix((lengths, (edges[:, 0], edges[:, 1])), shape=(count, count))
-    south, north, best = 0, 0, -1.0
+    south = north = int(order_by_place(surface)[0])  # wherever vertex 0 is, the same
+    best = -1.0
     for _ in range(4):
         distance = dijkstra(graph, directed=False, indices=north)
         far = int(np.argmax(distance))
