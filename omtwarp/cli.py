@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import copy
 import gc
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator
 
 import typer
 
@@ -33,6 +29,7 @@ from omtwarp.commands.texture import texture_mesh
 from omtwarp.commands.transfer import transfer
 from omtwarp.commands.unwrap import unwrap_mesh
 from omtwarp.errors import INTERRUPTED, OmtwarpError, one_line
+from omtwarp.interruptions import LINE, ending_the_process
 from omtwarp.version import package_version
 
 EXAMPLES = {
@@ -141,7 +138,9 @@ def _common(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command and exit: with 0 if done, 1 if it failed (one line says why), 2 on wrong usage, 130 if interrupted.
+    """Run a command and exit: with 0 if done, 1 if it failed (one line says why), 2 on wrong usage.
+
+    An interruption ends the process by its signal after one line, see :mod:`omtwarp.interruptions`; shells report 130.
 
     Args:
         arguments: the command line without the program's name; ``sys.argv`` by default, where the process is taken to
@@ -151,7 +150,7 @@ def main(arguments: list[str] | None = None) -> None:
     # during the import and as much again at the end.
     gc.set_threshold(GARBAGE_THRESHOLD)
     atexit.register(gc.freeze)
-    with _interruptible(restore=arguments is not None):
+    with ending_the_process(restore=arguments is not None):
         try:
             with standard_streams():
                 try:
@@ -166,6 +165,7 @@ def main(arguments: list[str] | None = None) -> None:
         except MemoryError:
             _fail("out of memory: use a coarser mesh, or a machine with more")
         except KeyboardInterrupt:
+            print(LINE, file=sys.stderr)
             sys.exit(INTERRUPTED)
         except Exception as error:
             if os.environ.get("OMTWARP_TRACEBACK"):
@@ -190,28 +190,6 @@ def _app_for(arguments: list[str]) -> typer.Typer:
 def _fail(message: str) -> None:
     print(f"omtwarp: error: {one_line(message)}", file=sys.stderr)
     sys.exit(1)
-
-
-@contextlib.contextmanager
-def _interruptible(restore: bool) -> Iterator[None]:
-    """Let an interruption end the process at once, as it ends programs that do not handle it.
-
-    ``restore`` puts Python's handler back afterwards. A process that ends with the command leaves it: an interruption
-    while it ends would be an exception in whatever runs then.
-
-    Python's own handler waits until native code returns, which in a factorisation or a long kernel takes more than a
-    second. Nothing is lost: files are staged, and while there is anything to tidy up, the signal is handled by
-    :func:`omtwarp.files.staged`.
-    """
-    own = threading.current_thread() is threading.main_thread()
-    handled = own and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if handled:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        if handled and restore:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 if __name__ == "__main__":

@@ -11,16 +11,14 @@ import contextlib
 import errno
 import os
 import shutil
-import signal
 import stat
 import tempfile
-import threading
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from types import FrameType
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.interruptions import removed_at_the_end
 
 try:
     import fcntl
@@ -34,9 +32,6 @@ STALE_SECONDS = 3600.0  # age from which a staging directory that no process hol
 STALE_UNKNOWN_SECONDS = 86400.0  # the same where it is unknown whether a process holds it
 
 _places: dict[Path, Path] = {}  # staging directories of this process, and the files that they are for
-
-# That Python's own handler has to end the process, before a thread tidies up; felt as at once.
-SECONDS_FOR_HANDLER = 0.4
 
 
 def as_path(given: str | os.PathLike[str]) -> Path:
@@ -215,7 +210,7 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
         _sweep(target.parent)
         folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=target.parent))
         _places[folder] = target
-        with _held(folder), _tidy_when_interrupted(folder):
+        with _held(folder), removed_at_the_end(folder):
             yield folder / target.name
             _move(folder, target, given, tuple(keep))
     except BrokenPipeError:  # by standard output, not by a file
@@ -264,7 +259,7 @@ def scratch() -> Iterator[Path]:
     _sweep(parent)
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
     try:
-        with _held(folder), _tidy_when_interrupted(folder):
+        with _held(folder), removed_at_the_end(folder):
             yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -318,53 +313,3 @@ def _abandoned(folder: Path) -> bool:
         return age > STALE_UNKNOWN_SECONDS
     finally:
         os.close(descriptor)
-
-
-def _die_by(number: int) -> None:
-    """End as the signal would have ended the process, so that a shell's loop stops too."""
-    if os.name == "posix":
-        signal.signal(number, signal.SIG_DFL)
-        os.kill(os.getpid(), number)
-    os._exit(128 + number)
-
-
-@contextlib.contextmanager
-def _tidy_when_interrupted(folder: Path) -> Iterator[None]:
-    """On an interruption, remove what is staged before the process ends.
-
-    Outside of this, an interruption ends the process at once, also in the middle of a long computation in native code
-    (see :func:`omtwarp.cli.main`). Here Python's own handler has to run, which waits for native code to return; a
-    thread that the signal wakes does the tidying if that takes too long.
-    """
-    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is signal.SIG_DFL
-    if not ours:
-        yield  # another handler (of a test, a notebook) raises on interruptions, and the caller tidies up
-        return
-
-    def tidy(number: int, frame: FrameType | None = None) -> None:
-        shutil.rmtree(folder, ignore_errors=True)
-        _die_by(number)
-
-    def watch() -> None:
-        received = os.read(readable, 1)
-        if received and received[0]:
-            time.sleep(SECONDS_FOR_HANDLER)
-            shutil.rmtree(folder, ignore_errors=True)
-            os._exit(128 + received[0])
-
-    readable, writable = os.pipe()
-    os.set_blocking(writable, False)
-    previous = {number: signal.signal(number, tidy) for number in (signal.SIGINT, signal.SIGTERM)}
-    signal.set_wakeup_fd(writable, warn_on_full_buffer=False)
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        signal.set_wakeup_fd(-1)
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-        os.write(writable, b"\0")  # lets the thread end
-        watcher.join()
-        os.close(readable)
-        os.close(writable)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,6 +27,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._streams import input_table, say
 from omtwarp.errors import INTERRUPTED, OmtwarpError
+from omtwarp.interruptions import LINE, raised
 from omtwarp.options import MapOptions, Refinement
 
 if TYPE_CHECKING:
@@ -105,7 +104,7 @@ def cohort(
 
     part = parse_shard(shard)
     items = read_manifest(input_table(manifest))
-    with _raising_when_interrupted(), _reporting(quiet, verbose) as progress:
+    with _ended_when_interrupted(), _reporting(quiet, verbose) as progress:
         result = run_cohort(
             items,
             output,
@@ -141,24 +140,18 @@ def cohort(
 
 
 @contextmanager
-def _raising_when_interrupted() -> Iterator[None]:
+def _ended_when_interrupted() -> Iterator[None]:
     """Let an interruption end the items at work, and say what is done.
 
-    Other commands end at once, see :func:`omtwarp.cli.main`: they are in native code, which this one waits for in other
-    processes.
+    Other commands end at once, see :mod:`omtwarp.interruptions`: they are in native code, which this one waits for in
+    other processes.
     """
-    main = threading.current_thread() is threading.main_thread()
-    if not main or signal.getsignal(signal.SIGINT) is not signal.SIG_DFL:
-        yield
-        return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        yield
+        with raised():
+            yield
     except KeyboardInterrupt as stopped:
-        print(f"omtwarp: interrupted: {stopped or 'run again to continue'}", file=sys.stderr)
+        print(f"{LINE}: {stopped or 'run again to continue'}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @contextmanager
