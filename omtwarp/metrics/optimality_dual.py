@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, launch_parts
+from omtwarp.device.threads import Arguments, core_count, launch_parts
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
@@ -128,7 +128,13 @@ class TransportDual:
         self._launch(kernels.sample_triangles, faces, mesh, [places, values])
         node = (wp.vec3d, wp.vec3d, kernels.vec11d)
         tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
-        self._launch(kernels.build_nodes, nodes, [places, values, faces, self._leaves], tree)
+        # The work of a node is in proportion to its leaves: every part gets nodes of all sizes.
+        chosen = wp.array(_interleaved(nodes, core_count()), dtype=wp.int32, device=self.device)
+
+        def of_nodes(part: slice) -> Arguments:
+            return [places, values, faces, self._leaves, chosen[part]], tree
+
+        launch_parts(kernels.build_nodes, nodes, of_nodes, self.device)
         own = self.cost - potential
         seeds = wp.array(own, dtype=wp.float64, device=self.device)
         minimum = (wp.float64, wp.int32, wp.vec3d, wp.int32)
@@ -232,6 +238,11 @@ def space_order(points: Array) -> NDArray[np.int32]:
         )
         size //= 2
     return order.numpy()
+
+
+def _interleaved(count: int, parts: int) -> NDArray[np.int32]:
+    """Return the numbers below ``count``, first every ``parts``-th one, then those that follow them, and so on."""
+    return np.concatenate([np.arange(first, count, parts, dtype=np.int32) for first in range(parts)])
 
 
 def leaf_count(items: int) -> int:

@@ -303,6 +303,7 @@ def build_nodes(
     values: wp.array[wp.float64],
     face_count: int,
     leaf_count: int,
+    chosen: wp.array[wp.int32],
     # Data out:
     centre_out: wp.array[wp.vec3d],
     axis_out: wp.array[wp.vec3d],
@@ -315,7 +316,8 @@ def build_nodes(
     level is raised until the inequality holds at all samples, and between them to third order, as far as the residual
     of ψ is a quadratic in barycentric coordinates.
     """
-    node, _compiled_once = wp.tid()
+    place, _compiled_once = wp.tid()
+    node = chosen[place]
     model = vec11d()
     model[0] = -LARGE
     model_out[node] = model

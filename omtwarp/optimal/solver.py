@@ -66,7 +66,9 @@ STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 # damping grows after short steps and shrinks after full ones.
 MOST_DAMPING = 1.0
 DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
-MIN_CURVATURE_SHARE = 0.03  # see refine.kernels.triangle_hessian
+# The first share of the curvature, see refine.kernels.triangle_hessian, and the least later: with 1 as the first a scan
+# of 40,000 triangles takes 11 steps in place of 6, one of 70,000 takes 9 in place of 8.
+MIN_CURVATURE_SHARE = 0.03
 # Gain over decrement, which is 1/2 where the function is quadratic. Above the first, more of the matrix's negative
 # curvature is kept; below the second, less; below the third, the next step has a fresh matrix. Conventions of trust
 # regions: with 0.1 to 0.48, 0.05 to 0.35 and 0.1 to 0.45 scans took as many steps, a body with thin arms 38 to 41.
@@ -260,7 +262,7 @@ class _Newton:
         self.strictness = max(1.0, PENALTY / area_penalty) if self.constrained else 1.0
         self.multipliers = np.zeros(len(energy.wanted))
         self.max_rms, self.max_error = energy.area_tolerances
-        self.curvature_share, self.damping = 1.0, LEAST_DAMPING
+        self.curvature_share, self.damping = MIN_CURVATURE_SHARE, LEAST_DAMPING
         self.factorisations = 0
 
     def run(
