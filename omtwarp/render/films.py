@@ -200,19 +200,31 @@ def film(
         raise OmtwarpError(f"{fps} frames per second asked for: use {slowest:g} to {fastest:g}")
     if seconds is not None and not 0.0 < seconds * rate <= MOST_FRAMES:
         raise OmtwarpError(f"a film of {seconds:g} seconds: use more than 0 and at most {MOST_FRAMES / rate:g}")
+    if pictorial and seconds is not None:
+        _require_room(round(seconds * rate), width, height, target.suffix)
     choose(Backend, backend)
     backdrop(background, 1, 2)
     studio = _Studio(
         *_story_of(result, pattern, image, width, view, up, front, device), background, captions, backend, device, rate
     )
     times = studio.times(width / height, seconds, progress)
-    if pictorial and len(times) * width * height > MOST_FILM_PIXELS:
-        raise OmtwarpError(
-            f"a film of {len(times)} frames of {width} x {height} pixels is more than the "
-            f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels that {target.suffix} takes: make it smaller, or use .mp4"
-        )
+    if pictorial:
+        _require_room(len(times), width, height, target.suffix)
     output.save_film(studio.frames(times, (width, height), progress), target, rate)
     return target
+
+
+def _require_room(frames: int, width: int, height: int, suffix: str) -> None:
+    """Refuse a film whose frames, which are in memory at a time, are too large.
+
+    Raises:
+        OmtwarpError: more pixels than a film may have.
+    """
+    if frames * width * height > MOST_FILM_PIXELS:
+        raise OmtwarpError(
+            f"a film of {frames} frames of {width} x {height} pixels is more than the "
+            f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels that {suffix} takes: make it smaller, or use .mp4"
+        )
 
 
 def film_frames(

@@ -21,13 +21,14 @@ from PIL import Image
 from omtwarp import limits
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
+from omtwarp.materials.read import read_painted_mesh
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
 from omtwarp.mesh.write import write_mesh
-from omtwarp.render import preview
+from omtwarp.render import film, preview
 from omtwarp.result import MapResult
-from omtwarp.texturing import read_image
+from omtwarp.texturing import make_atlas, read_image
 
 BALL = shapes.icosphere(3)
 posix = pytest.mark.skipif(os.name != "posix", reason="of POSIX")
@@ -85,6 +86,70 @@ def test_limits_fit_real_work():
     assert 10 * arrays < limits.LARGEST_ARRAYS and triangles * 10 < limits.MOST_FACES
     assert 21600 * 10800 < limits.MOST_TEXELS and max(21600, 10800) < limits.LONGEST_SIDE
     assert 60 * 16 * 1920 * 1080 < limits.MOST_FILM_PIXELS
+
+
+def test_a_report_longer_than_its_limit_is_not_read(tmp_path, monkeypatch):
+    """LARGEST_REPORT: a map's text is refused by the length that its header names, and arrays of numbers are not."""
+    path = tmp_path / "map.npz"
+    result = MapResult(BALL.vertices, BALL.faces, BALL.vertices, BALL.vertices, np.ones(BALL.vertex_count))
+    result.report["warnings"] = [{"kind": "area-distortion", "where": -1, "text": "x" * 20_000}]
+    result.save(path)
+    assert MapResult.load(path).report["warnings"][0]["text"] == "x" * 20_000
+    monkeypatch.setattr("omtwarp.inputs.LARGEST_REPORT", 10_000)
+    read = []
+    monkeypatch.setattr("omtwarp.result.json.loads", read.append)
+    words = error_of(lambda: MapResult.load(path))
+    assert "map.npz" in words and "kB of text, and 10.0 kB is the most" in words and not read
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj", "off", "stl", "glb", "npz"])
+def test_a_mesh_of_more_triangles_than_its_limit_is_refused(tmp_path, monkeypatch, suffix):
+    """MOST_FACES: said with the number, before the mesh is checked, mapped or drawn; as many as the limit are taken."""
+    path = tmp_path / f"mesh.{suffix}"
+    if suffix == "npz":
+        np.savez(path, vertices=BALL.vertices, faces=BALL.faces)
+    else:
+        write_mesh(path, BALL.vertices, BALL.faces)
+    modules = ("omtwarp.mesh.read", "omtwarp.materials.read")
+    for most in (BALL.face_count, BALL.face_count - 1):
+        for module in modules:
+            monkeypatch.setattr(f"{module}.MOST_FACES", most)
+        for read in (read_mesh, read_painted_mesh):
+            if most == BALL.face_count:
+                assert len(read(path).faces) == most
+            else:
+                assert error_of(lambda read=read: read(path)) == f"{path}: 180 triangles, and 179 is the most"
+
+
+def test_pictures_of_more_texels_than_their_limit_are_refused(monkeypatch):
+    """MOST_TEXELS: of textures that are to be made before anything is allocated, of pictures before they are decoded."""
+    for name, size in (("equirectangular", (64, 64)), ("cube", 96), ("octahedral", 64)):
+        with monkeypatch.context() as limited:
+            limited.setattr("omtwarp.texturing.atlas.MOST_TEXELS", 64 * 96)
+            atlas = make_atlas(name, size)
+            limited.setattr("omtwarp.texturing.atlas.MOST_TEXELS", atlas.width * atlas.height - 1)
+            assert "is the most" in error_of(lambda name=name, size=size: make_atlas(name, size))
+    picture = Image.new("RGB", (40, 20))
+    monkeypatch.setattr("omtwarp.texturing.image.MOST_TEXELS", 800)
+    assert read_image(picture).shape[:2] == (20, 40)
+    monkeypatch.setattr("omtwarp.texturing.image.MOST_TEXELS", 799)
+    monkeypatch.setattr(Image.Image, "convert", None)  # would decode it
+    assert "may have 0 million at most" in error_of(lambda: read_image(picture))
+
+
+@pytest.mark.parametrize("suffix", ["gif", "webp"])
+def test_films_of_more_pixels_than_their_limit_are_refused_before_a_frame_is_drawn(tmp_path, monkeypatch, suffix):
+    """MOST_FILM_PIXELS: of films of maps and of turning views, with how many frames were asked for."""
+    result = MapResult(BALL.vertices, BALL.faces, BALL.vertices, BALL.vertices, np.ones(BALL.vertex_count))
+    monkeypatch.setattr("omtwarp.render.films.MOST_FILM_PIXELS", 16 * 16 * 20 - 1)
+    monkeypatch.setattr("omtwarp.render.films._Studio", None)  # would draw
+    target, size = tmp_path / f"film.{suffix}", (16, 16)
+    words = error_of(lambda: film(result, target, size=size, seconds=2.0, fps=10, backend="warp"))
+    assert words.startswith("a film of 20 frames of 16 x 16 pixels is more than the ")
+    monkeypatch.setattr("omtwarp.render.options.MOST_FILM_PIXELS", 16 * 16 * 20 - 1)
+    monkeypatch.setattr("omtwarp.render.pictures.render", None)
+    assert "in all is the most" in error_of(lambda: preview(result, target, size=size, frames=20, backend="warp"))
+    assert not list(tmp_path.iterdir())
 
 
 def bomb(path, content: dict[str, bytes]) -> None:
