@@ -82,7 +82,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     from omtwarp.mesh.validate import as_arrays, require_valid
 
     mesh = read_joined_mesh(path, triangulate=repair)
-    notes, origins, vertex_of_file = list(mesh.notes), {}, mesh.vertex_of_file
+    notes, origins, vertex_of_file = [*of_a_map(path), *mesh.notes], {}, mesh.vertex_of_file
     vertices, faces = mesh.vertices, mesh.faces
     sizes = len(mesh.file.vertices), len(faces)
     if vertex_of_file is not None:
@@ -109,6 +109,15 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     if origins:
         surface.names = InputNames(origins["vertex_origin"], origins["face_origin"])
     return Input(surface, sizes, notes, origins, vertex_of_file, mesh.file.faces)
+
+
+def of_a_map(path: Path) -> list[str]:
+    """Return a note where a file that is read as a mesh is that of a map, whole or not; otherwise none."""
+    from omtwarp.inputs import holds_array
+    from omtwarp.result import OF_MAPS
+
+    found = path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
+    return ["a map's file, of which only the mesh is read"] if found else []
 
 
 def composed(origin: NDArray | None, before: NDArray) -> NDArray:

@@ -9,7 +9,7 @@ import typer
 
 from omtwarp.commands._options import JsonOption, MeshArguments, QuietOption, VerboseOption, output_option
 from omtwarp.commands._progress import step_times
-from omtwarp.commands._work import each, outputs_of, report_text
+from omtwarp.commands._work import each, of_a_map, outputs_of, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
@@ -111,7 +111,8 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
         defects = before = check(vertices, faces)
         done("check")
         facts: MeshFacts = {
-            "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces), "notes": list(given.notes),
+            "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces),
+            "notes": [*of_a_map(mesh), *given.notes],
             "repairs": [],
         }  # fmt: skip
         if repair and defects:

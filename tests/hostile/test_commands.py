@@ -363,6 +363,28 @@ def test_a_map_that_lost_its_points_is_not_taken_for_a_mesh(tmp_path, monkeypatc
     assert sorted(path.name for path in tmp_path.iterdir()) == ["good.npz", "lost.npz"]
 
 
+@pytest.mark.parametrize("kept", [(), ("conformal",), ("sphere", "conformal", "density")])
+def test_maps_that_are_mapped_or_checked_are_taken_for_their_meshes_in_a_line(tmp_path, monkeypatch, capsys, kept):
+    """``map`` and ``check`` take meshes: of a map's file, whole or not, they take the mesh and say so."""
+    monkeypatch.chdir(tmp_path)
+    ball = shapes.icosphere(4)
+    arrays = {"sphere": ball.vertices, "conformal": ball.vertices, "density": np.ones(ball.vertex_count)}
+    np.savez(
+        "some.npz", vertices=ball.vertices * [1, 1.2, 0.9], faces=ball.faces, **{name: arrays[name] for name in kept}
+    )
+    said = "a map's file, of which only the mesh is read"
+    for command, shown in (
+        ("map some.npz -o out.npz --device cpu --quiet", "some.npz: "),
+        ("check some.npz", "note: "),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(command.split())
+        lines = "".join(capsys.readouterr()).splitlines()
+        assert not end.value.code
+        assert [line.endswith(shown + said) for line in lines].count(True) == (1 if kept else 0), lines
+    assert MapResult.load("out.npz").bijective
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [
