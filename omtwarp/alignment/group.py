@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.alignment.align import DEGREE
+from omtwarp.alignment.align import DEGREE, mirror_image
 from omtwarp.alignment.features import feature_coefficients, own_features
-from omtwarp.alignment.rotation_search import best_rotation, complex_coefficients, rotated
+from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_coefficients, rotated
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints, as_points, resample
@@ -22,6 +22,11 @@ Floats = NDArray[np.float64]
 ROUNDS = 20  # largest number of means that are computed; a mean that settles to TOLERANCE ends it earlier
 # Radians, or shares of the mean's size: invisible in pictures of a group.
 TOLERANCE = 1e-6
+# Shapes are taken for mirror images of one another where features of the mirrored one correlate so well, and by so much
+# better than its own. A scanned hippocampus and a caudate nucleus, with noise of 1 % or without, correlate by 0.0053 to
+# 0.0099 better with the right one of the two; made hippocampi that vary by 5 %, which have a plane of symmetry, by up
+# to 0.0004; shapes that have nothing in common, with either by 0.65 to 0.86.
+ALIKE, MIRRORED_MARGIN = 0.9, 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +41,8 @@ class GroupAlignment:
         faces: the same for all, int32, shape [F, 3].
         scales: what each surface was multiplied by, shape [N].
         rounds: rounds of the rotations of spheres, and of the pose of surfaces.
+        mirrored: whether each shape fits the first better as its mirror image, as a left side fits a right one, shape
+            [N]. Nothing is mirrored: only rotations are searched.
     """
 
     rotations: Floats
@@ -44,6 +51,7 @@ class GroupAlignment:
     faces: NDArray[np.int32]
     scales: Floats
     rounds: tuple[int, int]
+    mirrored: NDArray[np.bool_]
 
 
 def procrustes_mean(
@@ -82,10 +90,14 @@ def procrustes_mean(
     members = [as_points(one, f"map {k + 1}") for k, one in enumerate(maps)]
     own = [own_features(one) for one in members]
     names = [name for name in own[0] if all(name in each for each in own)]
-    coefficients = []
+    coefficients: list[Complex] = []
+    mirrored = np.zeros(len(members), dtype=bool)
     for k, (one, each) in enumerate(zip(members, own, strict=True)):
-        chosen = {name: each[name] for name in names}
-        coefficients.append(complex_coefficients(feature_coefficients(chosen, one, degree)))
+        coefficients.append(_coefficients(one, each, names, degree))
+        image = mirror_image(one)
+        other = best_rotation(_coefficients(image, own_features(image), names, degree), coefficients[0]).score
+        unchanged = best_rotation(coefficients[k], coefficients[0]).score
+        mirrored[k] = other >= ALIKE and other > unchanged + MIRRORED_MARGIN
         if progress is not None:
             progress("align", k + 1, len(members), {})
     rotations = np.tile(np.eye(3), (len(members), 1, 1))
@@ -103,7 +115,12 @@ def procrustes_mean(
         if progress is not None:
             progress("resample", k + 1, len(members), {})
     posed, average, scales, poses = superpose(np.stack(surfaces), common.grid.areas, scale)
-    return GroupAlignment(rotations, posed, average, common.grid.faces, scales, (rounds, poses))
+    return GroupAlignment(rotations, posed, average, common.grid.faces, scales, (rounds, poses), mirrored)
+
+
+def _coefficients(points: SpherePoints, features: Mapping[str, Floats], names: list[str], degree: int) -> Complex:
+    """Return the coefficients of the features that all shapes of a group have."""
+    return complex_coefficients(feature_coefficients({name: features[name] for name in names}, points, degree))
 
 
 def superpose(surfaces: Floats, weights: Floats, scale: bool = False) -> tuple[Floats, Floats, Floats, int]:

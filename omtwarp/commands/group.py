@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -9,9 +10,9 @@ import typer
 
 from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption, output_option
 from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._streams import STREAM, input_file, input_table
+from omtwarp.commands._streams import STREAM, input_file, input_table, say
 from omtwarp.commands._work import load_whole_map, report_text, start_device
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import check_folder
 
 
@@ -50,7 +51,7 @@ def group(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    from omtwarp.shape_analysis.group import study_group, two_groups
+    from omtwarp.shape_analysis.group import mirrored_words, study_group, two_groups
     from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report
 
     check_folder(output)
@@ -60,7 +61,8 @@ def group(
     if labels is not None:
         two_groups(labels, len(paths))
     start_device(device)
-    with progress_bar(quiet, verbose) as progress:
+    with progress_bar(quiet, verbose) as progress, warnings.catch_warnings():
+        warnings.simplefilter("ignore", OmtwarpWarning)  # said below, with the names
         found = study_group(
             [load_whole_map(path) for path in paths],
             labels,
@@ -75,6 +77,9 @@ def group(
             progress=progress,
         )
         files = write_group_report(found, output, names, labels)
+    mirrored = mirrored_words(found.alignment, names)
+    if mirrored:
+        say(f"warning: {mirrored}")
     smallest = None if found.difference is None else float(found.difference.p_values.min())
     if as_json:
         record = {
@@ -82,6 +87,7 @@ def group(
             "files": [file.name for file in files],
             "shapes": len(paths),
             "explained": found.components.explained,
+            "mirrored": [name for name, image in zip(names, found.alignment.mirrored, strict=True) if image],
             "smallest_p": smallest,
             "significant_points": None
             if found.difference is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.alignment import GroupAlignment, procrustes_mean
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Progress
 from omtwarp.resampling import as_points
@@ -142,6 +143,10 @@ def study_group(
     Raises:
         OmtwarpError: fewer than two maps, labels that do not fit, or too few vertices for the degree.
 
+    Warns:
+        OmtwarpWarning: some shapes fit the first better as mirror images, as left sides fit right ones. They are
+            compared as they are.
+
     Example:
         >>> import omtwarp
         >>> from omtwarp.shape_analysis import study_group
@@ -155,6 +160,8 @@ def study_group(
         raise OmtwarpError(f"{components} components, {permutations} permutations: give at least 1 of each")
     names = None if labels is None else two_groups(labels, len(maps))
     found = procrustes_mean(maps, grid=grid, scale=scale, degree=ALIGNING_DEGREE, device=device, progress=progress)
+    if found.mirrored.any():
+        warnings.warn(mirrored_words(found, [f"shape {k}" for k in range(len(maps))]), OmtwarpWarning, stacklevel=2)
     weights = as_points(grid, "the grid").grid.areas
     moved = found.surfaces - found.mean
     shares = weights / weights.sum()
@@ -170,6 +177,24 @@ def study_group(
         np.sqrt(np.einsum("v,nvd->n", shares, moved**2)),
         difference,
         transport_matrix(maps, device=device, progress=progress) if transport else None,
+    )
+
+
+def mirrored_words(alignment: GroupAlignment, names: Sequence[str]) -> str:
+    """Say which shapes of a group fit the first better as mirror images; empty where none does.
+
+    Args:
+        alignment: of the group.
+        names: of its shapes, the first named first.
+    """
+    found = [name for name, mirrored in zip(names, alignment.mirrored, strict=True) if mirrored]
+    if not found:
+        return ""
+    which = found[0] if len(found) == 1 else f"{len(found)} of {len(names)} shapes, first {found[0]},"
+    fits, images = ("fits", "mirror image") if len(found) == 1 else ("fit", "mirror images")
+    return (
+        f"{which} {fits} {names[0]} better as {images}, and the difference counts as one of shape: mirror "
+        "one side before, with 'omtwarp align MAP --to FIRST --mirror', to compare left and right"
     )
 
 
@@ -303,6 +328,7 @@ __all__ = [
     "PrincipalComponents",
     "group_difference",
     "hotelling",
+    "mirrored_words",
     "principal_components",
     "study_group",
     "two_groups",

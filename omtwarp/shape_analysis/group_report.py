@@ -17,7 +17,7 @@ from omtwarp.render import preview
 from omtwarp.render.scene import ScalarField
 from omtwarp.reporting.markup import Markup, element
 from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
-from omtwarp.shape_analysis.group import GroupStudy, vertex_normals
+from omtwarp.shape_analysis.group import GroupStudy, mirrored_words, vertex_normals
 
 SHOWN = 2.0  # standard deviations to either side of the mean
 SIGNIFICANT = 0.05  # level of the corrected p values, the customary one
@@ -75,7 +75,10 @@ def write_group_report(
             moved = study.along(k, sign * SHOWN)
             files.append(folder / f"component_{k + 1}_{word}.ply")
             write_mesh(files[-1], moved.vertices, moved.faces)
-    files.append(write_plain_page(folder / "report.html", "Group of shapes", _body(study, columns, rows)))
+    body = _body(study, columns, rows)
+    if study.alignment.mirrored.any():
+        body.insert(1, element("p", f"Warning: {mirrored_words(study.alignment, names)}."))
+    files.append(write_plain_page(folder / "report.html", "Group of shapes", body))
     return files
 
 

@@ -122,7 +122,7 @@ def test_a_mesh_of_more_triangles_than_its_limit_is_refused(tmp_path, monkeypatc
 
 
 def test_pictures_of_more_texels_than_their_limit_are_refused(monkeypatch):
-    """MOST_TEXELS: of textures that are to be made before anything is allocated, of pictures before they are decoded."""
+    """MOST_TEXELS: of textures before they are made, of pictures before they are decoded."""
     for name, size in (("equirectangular", (64, 64)), ("cube", 96), ("octahedral", 64)):
         with monkeypatch.context() as limited:
             limited.setattr("omtwarp.texturing.atlas.MOST_TEXELS", 64 * 96)
