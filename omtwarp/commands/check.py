@@ -137,7 +137,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
 
 def lines_about(facts: MeshFacts) -> list[str]:
     """Describe a mesh for readers, one fact on each line."""
-    from omtwarp.verdict import MAX_AREA_DISTORTION
+    from omtwarp.verdict import MAX_AREA_DISTORTION, NEEDLES
 
     lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]
     lines += [f"  note: {note}" for note in facts["notes"]]
@@ -152,8 +152,10 @@ def lines_about(facts: MeshFacts) -> list[str]:
         lines.append(f"{written['path']}: {written['vertices']} vertices, {written['faces']} faces")
     if facts["mappable"]:
         lines.append("  closed, manifold, oriented outward, one component, genus 0: it can be mapped")
-    may = f"  warning: the map may leave area distortion above {MAX_AREA_DISTORTION:g}"
-    lines += [f"{may}: {finding['text']}" for finding in facts["warnings"]]
+    for finding in facts["warnings"]:
+        areas = f"leave area distortion above {MAX_AREA_DISTORTION:g}"
+        may = "end before its optimum" if finding["kind"] == NEEDLES else areas
+        lines.append(f"  warning: the map may {may}: {finding['text']}")
     return lines
 
 
