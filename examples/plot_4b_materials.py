@@ -6,6 +6,9 @@ A mesh gets texture coordinates through its map, without a triangle being cut; p
 are baked into them; and a texture is carried over to another shape.
 """
 
+import tempfile
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -16,9 +19,7 @@ surface = omtwarp.shapes.blob(seed=3, sphere=2880)
 result = omtwarp.map_to_sphere(surface, until="moser")
 
 # %%
-# The six sides of a cube, each with the triangles whose centroids it contains. A mesh from a file has coordinates of
-# its own
-# instead: :func:`omtwarp.read_painted_mesh` reads them, with all of the mesh's materials.
+# The six sides of a cube, each with the triangles whose centroids it contains.
 
 mesh = omtwarp.unwrap_uv(result)
 figure, axis = plt.subplots(figsize=(5, 5), layout="constrained")
@@ -29,12 +30,15 @@ plt.show()
 
 # %%
 # Two materials, the upper half and the lower, and the puzzle over both of them: in the mesh's own coordinates, a
-# picture for each. Ambient occlusion goes to a slot of its own in the material, where viewers of glTF find it; here it
-# is shown as a colour.
+# picture for each. :func:`omtwarp.read_painted_mesh` reads such meshes from files of other programs. Ambient occlusion
+# goes to a slot of its own in the material, where viewers of glTF find it; here it is shown as a colour.
 
 halves = (surface.vertices[surface.faces].mean(axis=1)[:, 1] > 0).astype(np.int32)
 clay, jade = omtwarp.Material("clay", (0.75, 0.35, 0.25, 1.0)), omtwarp.Material("jade", (0.15, 0.5, 0.4, 1.0))
-two = omtwarp.PaintedMesh(mesh.vertices, mesh.faces, mesh.uv, (clay, jade), halves)
+with tempfile.TemporaryDirectory() as folder:
+    file = Path(folder) / "two.obj"
+    omtwarp.PaintedMesh(mesh.vertices, mesh.faces, mesh.uv, (clay, jade), halves).export(file)
+    two = omtwarp.read_painted_mesh(file)
 over = omtwarp.paint(result, two, pattern="puzzle", keep="over", opacity=0.35, size=512)
 baked = omtwarp.paint(result, mesh, bake=["ao"], size=256).materials[0].occlusion_picture
 shaded = omtwarp.PaintedMesh(mesh.vertices, mesh.faces, mesh.uv, (omtwarp.Material("occlusion", picture=baked),))
