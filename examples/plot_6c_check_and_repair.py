@@ -3,7 +3,7 @@ What is wrong with a mesh
 =========================
 
 A mesh as it may come from a scanner: a hole, triangles that face inwards, and a crumb beside it.
-:func:`omtwarp.check` lists what keeps it from being mapped, and :func:`omtwarp.repair` mends what needs no new shape.
+:func:`omtwarp.check` lists what keeps it from being mapped, and :func:`omtwarp.repair` repairs what needs no new shape.
 """
 
 import numpy as np
