@@ -41,6 +41,7 @@ EXAMPLES = {
     ),
     "texture": (
         "omtwarp texture bunny.ply -o bunny.glb --pattern circles\n"
+        "omtwarp texture left.ply right.ply -o textured --pattern globe\n"
         "omtwarp texture --map bunny.npz -o earth.obj --image earth.png\n"
         "omtwarp texture shoe.obj -o shoe.glb --uv own --keep-materials over --bake ao"
     ),

@@ -86,6 +86,12 @@ MeshArguments = Annotated[
         metavar="MESH", callback=input_file, help="Closed triangle meshes of any format; - is standard input."
     ),
 ]
+OptionalMeshes = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="MESH", callback=input_file, help="Closed triangle meshes of any format, or -; none with --map."
+    ),
+]
 OptionalMesh = Annotated[
     Path | None,
     typer.Argument(metavar="MESH", callback=input_file, help="A closed triangle mesh, or -; not needed with --map."),

@@ -164,6 +164,11 @@ def output_file(suffix: str) -> Callable[[object], object]:
     return chosen
 
 
+def is_standard_output(path: Path) -> bool:
+    """Return whether a path is the file that is sent to standard output."""
+    return _current is not None and path == _current.output
+
+
 def say(text: str) -> None:
     """Print one line about the work on standard error, apart from the output of a command."""
     print(f"omtwarp: {one_line(text)}", file=sys.stderr, flush=True)

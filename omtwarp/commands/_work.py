@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, Unpack, overload, runtime_c
 from omtwarp.commands._facts import facts_of, quality
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._start import import_scipy
-from omtwarp.commands._streams import say
+from omtwarp.commands._streams import is_standard_output, say
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, parse_device
 
@@ -134,10 +134,13 @@ def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list
     """Return the output path of every mesh: the named file for one mesh, files in the named directory for several.
 
     Raises:
-        OmtwarpError: the directory cannot be made, or two meshes of one name would write one file.
+        OmtwarpError: the directory cannot be made, two meshes of one name would write one file, or several files
+            would go to standard output.
     """
     if len(meshes) == 1 or output is None:
         return [output] * len(meshes)
+    if is_standard_output(output):
+        raise OmtwarpError(f"{len(meshes)} files cannot go to standard output: name a directory with -o")
     targets = [output / f"{mesh.stem}{suffix}" for mesh in meshes]
     twice = next((target for k, target in enumerate(targets) if target in targets[:k]), None)
     if twice is not None:
@@ -167,6 +170,58 @@ def each(meshes: Sequence[Path], targets: Sequence[Path | None], action: Callabl
             failed.append(str(mesh))
     if failed:
         raise OmtwarpError(f"{len(failed)} of {len(meshes)} meshes failed: {', '.join(failed)}")
+
+
+def targets_of(meshes: Sequence[Path], finished: Path | None, output: Path, suffix: str) -> list[Path]:
+    """Return the output path of every mesh, as :func:`outputs_of`, or that of a finished map in their place.
+
+    Raises:
+        OmtwarpError: as of :func:`outputs_of`, or one map is given for several meshes.
+    """
+    if len(meshes) < 2:
+        return [output]
+    if finished is not None:
+        raise OmtwarpError(f"one map '{finished}' cannot be that of {len(meshes)} meshes: give one mesh, or no map")
+    return [target for target in outputs_of(meshes, output, suffix) if target is not None]
+
+
+def show_each(
+    meshes: Sequence[Path],
+    targets: Sequence[Path],
+    action: Callable[[Path | None, Path], tuple[Mapping[str, object], str]],
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Process every mesh and print the outcomes; with several, one that fails does not stop the others.
+
+    Args:
+        meshes: the inputs; none where a finished map takes their place.
+        targets: what is written for each.
+        action: processes one mesh, or None for the map, and returns the facts about it and a line for readers.
+        as_json: print the facts as JSON, as a list for several meshes.
+        quiet: print no line.
+
+    Raises:
+        OmtwarpError: as of :func:`each`.
+    """
+    found: list[Mapping[str, object]] = []
+
+    def one(mesh: Path | None, target: Path | None) -> None:
+        assert target is not None
+        facts, line = action(mesh, target)
+        found.append(facts)
+        if not as_json and not quiet:
+            print(line)
+
+    try:
+        if meshes:
+            each(meshes, targets, one)
+        else:
+            one(None, targets[0])
+    finally:
+        if as_json and (found or len(meshes) > 1):
+            print(report_text(found if len(meshes) > 1 else found[0]), end="")
 
 
 def start_device(device: str) -> None:

@@ -24,7 +24,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import input_file
-from omtwarp.commands._work import show_facts
+from omtwarp.commands._work import show_each, targets_of
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend
@@ -47,12 +47,12 @@ class CameraProjection(StrEnum):
 def preview_mesh(
     output: Annotated[
         Path,
-        output_option(".png, .jpg, .webp, .tif; .gif or .mp4 for films.", ".png"),
+        output_option(".png, .jpg, .webp, .tif; .gif or .mp4 for films; a directory for several.", ".png"),
     ],
-    subject: Annotated[
-        Path | None,
+    subjects: Annotated[
+        list[Path] | None,
         typer.Argument(
-            metavar="MESH", callback=input_file, help="A mesh (textures and colours are shown) or a map (.npz), or -."
+            metavar="MESH", callback=input_file, help="Meshes (textures and colours are shown) or maps (.npz), or -."
         ),
     ] = None,
     finished: Annotated[
@@ -97,34 +97,42 @@ def preview_mesh(
     """
     from omtwarp.render import Camera, preview
 
-    check_output(output, PICTURES, subject, finished, image)
-    shown = finished if subject is None else subject
-    if shown is None or (subject is not None and finished is not None):
+    given = subjects or []
+    if (not given and finished is None) or (len(given) == 1 and finished is not None):
         raise OmtwarpError("give either a mesh or map to draw, or a map with --map")
-    if not shown.is_file():
-        raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
+    targets = targets_of(given, finished, output, ".png")
+    for target in targets:
+        check_output(target, PICTURES, *given, finished, image)
     camera = Camera(zoom=zoom, field_of_view=field_of_view, projection=projection.value)
-    with step_times(verbose) as done:
-        drawn = preview(
-            shown,
-            output,
-            size=as_size(size),
-            views=(view[0] if len(view) == 1 else view) if view else None,
-            camera=camera,
-            up=up,
-            front=front,
-            light=light.value,
-            background=background,
-            transparent=transparent,
-            wireframe=wireframe,
-            image=image,
-            frames=frames,
-            fps=fps,
-            backend=backend.value,
-            device=device,
-        )
-        done("draw")
-    first, count = (drawn[0], len(drawn)) if isinstance(drawn, list) else (drawn, 1)
-    facts = {"output": str(output), "width": first.width, "height": first.height, "frames": count}
-    facts |= {"bytes": output.stat().st_size}
-    show_facts(facts, f"{output}: drawn, {first.width} x {first.height} pixels", as_json=as_json, quiet=quiet)
+
+    def draw_one(subject: Path | None, target: Path) -> tuple[dict[str, object], str]:
+        shown = subject or finished
+        assert shown is not None
+        if not shown.is_file():
+            raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
+        with step_times(verbose) as done:
+            drawn = preview(
+                shown,
+                target,
+                size=as_size(size),
+                views=(view[0] if len(view) == 1 else view) if view else None,
+                camera=camera,
+                up=up,
+                front=front,
+                light=light.value,
+                background=background,
+                transparent=transparent,
+                wireframe=wireframe,
+                image=image,
+                frames=frames,
+                fps=fps,
+                backend=backend.value,
+                device=device,
+            )
+            done("draw")
+        first, count = (drawn[0], len(drawn)) if isinstance(drawn, list) else (drawn, 1)
+        facts: dict[str, object] = {"output": str(target), "width": first.width, "height": first.height}
+        facts |= {"frames": count, "bytes": target.stat().st_size}
+        return facts, f"{target}: drawn, {first.width} x {first.height} pixels"
+
+    show_each(given, targets, draw_one, as_json=as_json, quiet=quiet)

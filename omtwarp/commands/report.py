@@ -14,7 +14,7 @@ from omtwarp.commands._options import (
     JsonOption,
     MapOption,
     MethodOption,
-    OptionalMesh,
+    OptionalMeshes,
     QuietOption,
     RefineOption,
     RepairOption,
@@ -25,7 +25,7 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
-from omtwarp.commands._work import map_from, show_facts, start_device
+from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -35,9 +35,9 @@ from omtwarp.options import MapOptions, Refinement
 def report_on_map(
     output: Annotated[
         Path,
-        output_option("The page (.html), with everything in it.", ".html"),
+        output_option("The page (.html), with everything in it; a directory for several meshes.", ".html"),
     ],
-    mesh: OptionalMesh = None,
+    meshes: OptionalMeshes = None,
     finished: MapOption = None,
     image: ImageOption = None,
     pattern: PatternOption = None,
@@ -64,7 +64,10 @@ def report_on_map(
     from omtwarp.reporting import write_report
     from omtwarp.texturing import read_image
 
-    target = check_output(output, (".html", ".htm"), mesh, finished, image)
+    given = meshes or []
+    targets = targets_of(given, finished, output, ".html")
+    for target in targets:
+        check_output(target, (".html", ".htm"), *given, finished, image)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
     if up is not None:
@@ -72,32 +75,40 @@ def report_on_map(
     gl_client.prepare()  # its process starts while the map is read
     start_device(device)
     picture = read_image(image) if image is not None else None
-    result = map_from(
-        mesh,
-        finished,
-        repair=repair,
-        quiet=quiet,
-        device=device,
-        torus=True,
-        verbose=verbose,
-        method=method,
-        until=until,
-        cost=cost,
-        scheme=scheme,
-        refine=refine,
-        solver=solver,
-    )
-    source = mesh or finished
-    write_report(
-        result,
-        output,
-        title=title or (source.stem if source is not None else None),
-        image=picture,
-        pattern=pattern.value if pattern else "circles",
-        up=up,
-        device=device,
-    )
-    length = target.stat().st_size
-    facts = {"output": str(output), "bytes": length, "vertices": len(result.vertices), "faces": len(result.faces)}
-    line = f"{output}: a report of {length / 1e6:.1f} MB, to be opened in a browser"
-    show_facts(facts, line, as_json=as_json, quiet=quiet)
+
+    def report_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
+        result = map_from(
+            mesh,
+            finished,
+            repair=repair,
+            quiet=quiet,
+            device=device,
+            torus=True,
+            verbose=verbose,
+            method=method,
+            until=until,
+            cost=cost,
+            scheme=scheme,
+            refine=refine,
+            solver=solver,
+        )
+        source = mesh or finished
+        write_report(
+            result,
+            target,
+            title=title or (source.stem if source is not None else None),
+            image=picture,
+            pattern=pattern.value if pattern else "circles",
+            up=up,
+            device=device,
+        )
+        length = target.stat().st_size
+        facts: dict[str, object] = {
+            "output": str(target),
+            "bytes": length,
+            "vertices": len(result.vertices),
+            "faces": len(result.faces),
+        }
+        return facts, f"{target}: a report of {length / 1e6:.1f} MB, to be opened in a browser"
+
+    show_each(given, targets, report_one, as_json=as_json, quiet=quiet)

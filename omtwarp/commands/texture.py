@@ -16,7 +16,7 @@ from omtwarp.commands._options import (
     JsonOption,
     MapOption,
     MethodOption,
-    OptionalMesh,
+    OptionalMeshes,
     QuietOption,
     RefineOption,
     RepairOption,
@@ -27,8 +27,9 @@ from omtwarp.commands._options import (
     output_option,
 )
 from omtwarp.commands._painted import painted_map
+from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import say
-from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device, with_files
+from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement, TextureFormat
@@ -86,9 +87,9 @@ def texture_width(text: str | None) -> str | None:
 def texture_mesh(
     output: Annotated[
         Path,
-        output_option(".glb, .obj (with .mtl and .png) or .ply.", ".glb"),
+        output_option(".glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.", ".glb"),
     ],
-    mesh: OptionalMesh = None,
+    meshes: OptionalMeshes = None,
     finished: MapOption = None,
     image: ImageOption = None,
     pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead of a picture.")] = None,
@@ -158,8 +159,11 @@ def texture_mesh(
     from omtwarp.texturing import read_image
     from omtwarp.texturing.export import SUFFIXES, format_for
 
-    check_output(output, SUFFIXES, mesh, finished, image)
-    format_for(output.suffix.lower(), texture_format)
+    given = meshes or []
+    targets = targets_of(given, finished, output, ".glb")
+    for target in targets:
+        check_output(target, SUFFIXES, *given, finished, image)
+        format_for(target.suffix.lower(), texture_format)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
     width = None if size in (None, "auto") else int(str(size)[:9])
@@ -181,40 +185,52 @@ def texture_mesh(
     if uv is Coordinates.OWN or keep_materials is not None or bake:
         if size == "auto":
             raise OmtwarpError("--size auto is for an atlas only, without --uv own, --keep-materials and --bake")
-        check_output(output, (".glb", ".obj"), mesh, finished, image, detail)
+        for target in targets:
+            check_output(target, (".glb", ".obj"), *given, finished, image, detail)
         if seam != "180":
             raise OmtwarpError("--seam is for an equirectangular atlas only, without --keep-materials and --bake")
-        _paint(
-            mesh,
-            finished,
-            output,
-            detail,
-            bool(repair),
-            quiet,
-            verbose,
-            as_json,
-            mapping,
-            image=image,
-            uv=uv.value,
-            keep=keep_materials.value if keep_materials else None,
-            opacity=opacity,
-            bake=bake or (),
-            device=device,
-            texture_format=texture_format,
-            **looks,
-        )
+
+        def paint_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
+            return _paint(
+                mesh,
+                finished,
+                target,
+                detail,
+                bool(repair),
+                quiet,
+                verbose,
+                mapping,
+                image=image,
+                uv=uv.value,
+                keep=keep_materials.value if keep_materials else None,
+                opacity=opacity,
+                bake=bake or (),
+                device=device,
+                texture_format=texture_format,
+                **looks,
+            )
+
+        show_each(given, targets, paint_one, as_json=as_json, quiet=quiet)
         return
     if detail is not None:
         raise OmtwarpError("--detail is for --bake normal: add that")
     cut = seam if seam == "auto" else one_number(seam, "--seam")
     start_device(device)
     picture = read_image(image) if image is not None else None
-    _require_one(mesh, finished)
-    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping)
-    require_bijective(result, finished)
-    inputs = mesh, finished, image
-    facts, line = _texture(result, output, inputs, picture, looks, size, cut, texture_format, device)
-    show_facts(facts, line, as_json=as_json, quiet=quiet)
+
+    def texture_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
+        _require_one(mesh, finished)
+        result = map_from(
+            mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping
+        )
+        require_bijective(result, finished)
+        with step_times(verbose) as done:
+            inputs = mesh, finished, image
+            made = _texture(result, target, inputs, picture, looks.copy(), size, cut, texture_format, device)
+            done("texture")
+        return made
+
+    show_each(given, targets, texture_one, as_json=as_json, quiet=quiet)
 
 
 def _texture(
@@ -323,15 +339,18 @@ def _paint(
     repair: bool,
     quiet: bool,
     verbose: bool,
-    as_json: bool,
     mapping: MapChoices,
     *,
     image: Path | None,
     device: str,
     texture_format: TextureFormat,
     **options: Unpack[PaintKeywords],
-) -> None:
-    """Texture a mesh in its own coordinates, with its own materials, or with bakes."""
+) -> tuple[dict[str, object], str]:
+    """Texture a mesh in its own coordinates, with its own materials, or with bakes.
+
+    Returns:
+        The facts of what was written, and a line about them.
+    """
     from omtwarp.mesh.read import read_mesh
     from omtwarp.painting import paint
     from omtwarp.texturing import read_image
@@ -355,19 +374,20 @@ def _paint(
         _require_one(mesh, finished)
         result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose, **mapping)
         require_bijective(result, finished)
-    with warnings.catch_warnings(record=True) as caught:
+    with step_times(verbose) as done, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
         made = paint(result, painted, picture, detail=fine, device=device, **options)
+        done("paint")
     for warning in caught:
         say(f"warning: {warning.message}")
     files = made.export(output, keep=(mesh, finished, image, detail), texture_format=texture_format)
     pictures = _pictures(made)
-    facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(result.vertices)}
+    facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files]}
+    facts |= {"vertices": len(result.vertices)}
     facts |= {"faces": len(result.faces), "pictures": pictures}
     sizes = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
     looks = ", ".join(dict.fromkeys(sizes)) or "no picture"
-    line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {looks}{with_files(files)}"
-    show_facts(facts, line, as_json=as_json, quiet=quiet)
+    return facts, f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {looks}{with_files(files)}"
 
 
 def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:

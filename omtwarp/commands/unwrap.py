@@ -11,14 +11,14 @@ from omtwarp.commands._options import (
     DeviceOption,
     JsonOption,
     MapOption,
-    OptionalMesh,
+    OptionalMeshes,
     QuietOption,
     RefineOption,
     RepairOption,
     VerboseOption,
     output_option,
 )
-from omtwarp.commands._work import map_from, require_bijective, show_facts, start_device, with_files
+from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions, Refinement
 
@@ -26,9 +26,9 @@ from omtwarp.options import MapOptions, Refinement
 def unwrap_mesh(
     output: Annotated[
         Path,
-        output_option(".glb or .obj.", ".glb"),
+        output_option(".glb or .obj; a directory of .glb for several meshes.", ".glb"),
     ],
-    mesh: OptionalMesh = None,
+    meshes: OptionalMeshes = None,
     finished: MapOption = None,
     aspect: Annotated[
         float, typer.Option(min=0.1, max=10.0, help="Width of the picture over its height; 1.5 wastes no space.")
@@ -46,13 +46,19 @@ def unwrap_mesh(
     """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture."""
     from omtwarp.painting import unwrap_uv
 
-    check_output(output, (".glb", ".obj"), mesh, finished)
+    given = meshes or []
+    targets = targets_of(given, finished, output, ".glb")
+    for target in targets:
+        check_output(target, (".glb", ".obj"), *given, finished)
     start_device(device)
-    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, refine=refine, verbose=verbose)
-    require_bijective(result, finished)
-    made = unwrap_uv(result, aspect=aspect, margin=margin)
-    files = made.export(output, keep=(mesh, finished))
-    facts = {"output": str(output), "files": [str(file) for file in files], "vertices": len(made.vertices)}
-    facts |= {"faces": len(made.faces), "charts": 6}
-    line = f"{output}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts{with_files(files)}"
-    show_facts(facts, line, as_json=as_json, quiet=quiet)
+
+    def unwrap_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
+        result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, refine=refine, verbose=verbose)
+        require_bijective(result, finished)
+        made = unwrap_uv(result, aspect=aspect, margin=margin)
+        files = made.export(target, keep=(mesh, finished))
+        facts = {"output": str(target), "files": [str(file) for file in files], "vertices": len(made.vertices)}
+        facts |= {"faces": len(made.faces), "charts": 6}
+        return facts, f"{target}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts{with_files(files)}"
+
+    show_each(given, targets, unwrap_one, as_json=as_json, quiet=quiet)

@@ -129,6 +129,29 @@ def test_torus_and_exact_maps_of_several_meshes(folder, monkeypatch, capfdbinary
     assert status == 0 and found["faces"] == 4 * len(BALL.faces) and found["largest_area_error"] < 1e-6
 
 
+SEVERAL = {
+    "texture": (".glb", ["--until", "conformal", "--size", "64"]),
+    "unwrap": (".glb", []),
+    "preview": (".png", ["--size", "48", "--backend", "warp"]),
+    "report": (".html", ["--until", "conformal"]),
+}
+
+
+@pytest.mark.parametrize("name", SEVERAL)
+def test_several_meshes_go_to_a_directory(folder, monkeypatch, capfdbinary, name):
+    suffix, options = SEVERAL[name]
+    (folder / "other.off").write_bytes((folder / "ball.off").read_bytes())
+    words = [name, "ball.ply", "none.ply", "other.off", *options, "--device", "cpu", "--quiet", "--json", "-o"]
+    status, out, err = run(monkeypatch, capfdbinary, [*words, "made"])
+    assert status == 1 and err.splitlines()[-1] == "omtwarp: error: 1 of 3 meshes failed: none.ply"
+    assert [facts["output"] for facts in json.loads(out)] == [f"made/ball{suffix}", f"made/other{suffix}"]
+    assert sorted(path.name for path in (folder / "made").iterdir()) == [f"ball{suffix}", f"other{suffix}"]
+    status, out, err = run(monkeypatch, capfdbinary, [*words, "-"])
+    assert (status, out) == (1, b"") and "3 files cannot go to standard output: name a directory" in err
+    status, out, err = run(monkeypatch, capfdbinary, [*words, "made", "--map", "map.npz"])
+    assert (status, out) == (1, b"") and "one map 'map.npz' cannot be that of 3 meshes" in err
+
+
 def commands():
     group = typer.main.get_command(app)
     context = group.make_context("omtwarp", [], resilient_parsing=True)
@@ -169,12 +192,12 @@ def test_completion_knows_the_commands():
 # several inputs.
 TABLE = {
     "map": (["-", "-o", "x.npz"], "-o", True),
-    "texture": (["-", "-o", "x.glb"], "-o", False),
+    "texture": (["-", "-o", "x.glb"], "-o", True),
     "transfer": (["-", "ball.ply", "-o", "x.glb"], "-o", False),
-    "unwrap": (["-", "-o", "x.glb"], "-o", False),
-    "preview": (["-", "-o", "x.png"], "-o", False),
+    "unwrap": (["-", "-o", "x.glb"], "-o", True),
+    "preview": (["-", "-o", "x.png"], "-o", True),
     "film": (["--map", "-", "-o", "x.gif"], "-o", False),
-    "report": (["--map", "-", "-o", "x.html"], "-o", False),
+    "report": (["--map", "-", "-o", "x.html"], "-o", True),
     "align": (["-", "-o", "x.npz"], "-o", False),
     "resample": (["-", "--to", "ico0", "-o", "x.ply"], "-o", False),
     "check": (["-", "--repair", "-o", "x.ply"], "-o", True),
