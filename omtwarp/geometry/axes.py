@@ -45,11 +45,12 @@ def principal_axes(surface: Surface) -> Axes:
     """
     corners = surface.scaled_vertices[surface.faces]
     areas = surface.own_areas / surface.own_areas.sum()
-    centre = areas @ corners.mean(axis=1)
+    centre = areas @ (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
     corners = corners - centre
-    sums = corners.sum(axis=1)
+    sums = corners[:, 0] + corners[:, 1] + corners[:, 2]
     # Integral of x x' over a triangle: area / 12 (sum of p p' + s s'), with s the sum of the corners p.
-    second = np.einsum("f,fki,fkj->ij", areas, corners, corners) + np.einsum("f,fi,fj->ij", areas, sums, sums)
+    second = (corners * areas[:, None, None]).reshape(-1, 3).T @ corners.reshape(-1, 3)
+    second += (sums * areas[:, None]).T @ sums
     sizes, vectors = np.linalg.eigh(second / 12.0)
     sizes, frame = sizes[::-1], vectors[:, ::-1].T.copy()
     apart = -np.diff(sizes) > SMALLEST_DIFFERENCE * sizes[0]
@@ -60,10 +61,10 @@ def principal_axes(surface: Surface) -> Axes:
         lone = frame[2 if apart[1] else 0]
         frame = _around(lone, first=not apart[1])
         note = "the shape has one axis of its own: around it, the axes of the coordinates decide"
-    x = np.einsum("fki,ai->afk", corners, frame)
+    a, b, c = (np.ascontiguousarray((corners[:, k] @ frame.T).T) for k in range(3))
     # Integral of x³ over a triangle: area / 10 times the sum of all products of three of its corners' values.
-    one, two, three = x.sum(axis=2), (x**2).sum(axis=2), (x**3).sum(axis=2)
-    third = ((one**3 + 3.0 * one * two + 2.0 * three) / 60.0) @ areas
+    one, two, three = a + b + c, a * a + b * b + c * c, a * a * a + b * b * b + c * c * c
+    third = ((one * (one * one + 3.0 * two) + 2.0 * three) / 60.0) @ areas
     spread = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", frame, second / 12.0, frame), 0.0))
     lopsided = np.abs(third) > SMALLEST_DIFFERENCE * np.maximum(spread, np.finfo(float).tiny) ** 3
     if note:

@@ -360,10 +360,10 @@ def of_unknowns(
     upward[passed] = np.searchsorted(keys, above * total + rows[passed]) - starts[above]
     place = np.empty(total, dtype=np.int64)
     place[order] = np.arange(total)
-    ends = place[couplings]
-    low, high = ends.min(axis=1), ends.max(axis=1)
+    one, other = place[couplings[:, 0]], place[couplings[:, 1]]
+    low, high = np.minimum(one, other), np.maximum(one, other)
     edge_front = np.repeat(np.arange(fronts), owned)[low]
-    entering = np.argsort(edge_front, kind="stable")
+    entering = np.argsort(edge_front.astype(np.min_scalar_type(fronts)), kind="stable")  # by digits where they are few
     edge_front, low, high = edge_front[entering], low[entering], high[entering]
     return Dissection(
         order=order,
