@@ -107,8 +107,8 @@ LARGEST_AREA, AREA_ROUNDS, MOST_AREA_WEIGHT = 2.0095, 3, 400.0
 AREA_POWER, AREA_MARGIN = 1.3, 1.15
 # On coarse meshes the triangles around a vertex differ more in area although their sum is kept: area distortion counts
 # more by one plus this number over that of the vertices. On a creature of 2,000 vertices the mean area distortion of
-# triangles is 2.0245 in place of 2.026, at 0.2 % more angle distortion.
-COARSE_VERTICES = 400
+# triangles is 2.0249 in place of 2.0263, at 0.3 % more angle distortion.
+COARSE_VERTICES = 450
 # Where the conformal map shrinks more than this share of the triangles to points, most of the cost depends on whole
 # limbs alone, and under a heavy penalty on wrong areas steps shrink to a tenth: an octopus (58 %)
 # was 116 % above the bound after 40 of them, at an area distortion of 2.14. With a light penalty that grows, and less
