@@ -85,8 +85,8 @@ SHAPE_BY_DISTANCE = 0.036
 # .020 on a bucket, whose default map has .015, and by .015 in place of .020 on a bust, at gaps of 0.04 and 0.06 %.
 EXACT_SHARE = 2.0
 MAX_GAP, MAX_CURL = 9e-4, 0.025
-# Where the conformal map shrinks limbs to points, the mesh's own error in the cost is larger: 0.11 and 0.55 % are left
-# on two scans of that kind, 0.06 and 0.37 % with exact areas. With a third of the shape term the second of these moves
+# Where the conformal map shrinks limbs to points, the mesh's own error in the cost is larger: 0.07 and 0.29 % are left
+# on two scans of that kind, 0.04 and 0.18 % with exact areas. With a third of the shape term the second of these moves
 # parts of triangles by up to a tenth of their area, which the cost at vertices does not see.
 MAX_GAP_SHRUNKEN = 9e-3
 SHAPE_DECAY = (0.1, 0.4)

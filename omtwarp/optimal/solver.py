@@ -31,7 +31,7 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.energy import AREA_WEIGHT, MIN_CURVATURE_SHARE, MapTerms, TransportEnergy
 from omtwarp.optimal.local import LEAST_DAMPING, LocalSteps, freed_vertices
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.cholesky import NotPositiveDefinite
@@ -66,9 +66,6 @@ STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 # damping grows after short steps and shrinks after full ones.
 MOST_DAMPING = 1.0
 DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
-# The first share of the curvature, see refine.kernels.triangle_hessian, and the least later: with 1 as the first a scan
-# of 40,000 triangles takes 11 steps in place of 6, one of 70,000 takes 9 in place of 8.
-MIN_CURVATURE_SHARE = 0.03
 # Gain over decrement, which is 1/2 where the function is quadratic. Above the first, more of the matrix's negative
 # curvature is kept; below the second, less; below the third, the next step has a fresh matrix. Conventions of trust
 # regions: with 0.1 to 0.48, 0.05 to 0.35 and 0.1 to 0.45 scans took as many steps, a body with thin arms 38 to 41.
@@ -264,7 +261,7 @@ class _Newton:
         self.strictness = max(1.0, PENALTY / area_penalty) if self.constrained else 1.0
         self.multipliers = np.zeros(len(energy.wanted))
         self.max_rms, self.max_error = energy.area_tolerances
-        self.curvature_share, self.damping = MIN_CURVATURE_SHARE, LEAST_DAMPING
+        self.curvature_share, self.damping = energy.first_curvature_share, LEAST_DAMPING
         self.factorisations = 0
 
     def run(
