@@ -32,6 +32,9 @@ _CHEAPER_PART = 0.6
 _ONE_AT_A_TIME = 8
 # Share of a star's mass that is divided evenly over its fan, independent of areas in space.
 _EVEN_SHARE = 0.2
+# The same where vertices are removed by distance: large triangles lose it to every small one beside them. Areas of a
+# drawn box's coarse levels differ by at most 1 % of the whole from the surface's with this, by up to 31 % with 0.2.
+_EVEN_SHARE_BY_DISTANCE = 1e-6
 # Least mass of a face, relative to the mean: the mass of a sliver would be no barrier against its flip.
 _MASS_FLOOR = 1e-3
 
@@ -86,12 +89,15 @@ def integers(values: NDArray, device: wp.Device) -> wp.array:
     return wp.array(values, dtype=wp.int32, device=device)
 
 
-def simplify(surface: Surface, device: wp.Device) -> Hierarchy:
+def simplify(surface: Surface, device: wp.Device, *, by_distance: bool = False) -> Hierarchy:
     """Remove vertices until four are left.
 
     Args:
         surface: Closed, oriented manifold of genus 0.
         device: Where the rounds' kernels run.
+        by_distance: remove the vertices that are nearest to others first, in place of those with the smallest triangles
+            around them. Where triangles differ in area by orders of magnitude, needles beside a large triangle would
+            stay until last.
 
     Raises:
         OmtwarpError: the mesh is not closed, oriented, manifold, connected or not of genus 0.
@@ -103,6 +109,7 @@ def simplify(surface: Surface, device: wp.Device) -> Hierarchy:
     masses *= 4.0 * np.pi / masses.sum()
     points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
     alive = np.arange(count, dtype=np.int32)
+    even_share = _EVEN_SHARE_BY_DISTANCE if by_distance else _EVEN_SHARE
     levels: list[Level] = []
     removals: list[Removal] = []
     while True:
@@ -114,10 +121,10 @@ def simplify(surface: Surface, device: wp.Device) -> Hierarchy:
         adjacency = [integers(x, device) for x in (offsets, heads, thirds, half_edge_faces)]
         device_masses: wp.array = wp.array(masses, dtype=wp.float64, device=device)
         device_alive = integers(alive, device)
-        cost, target = _propose(device_alive, adjacency, device_masses, points, device)
+        cost, target = _propose(device_alive, adjacency, device_masses, points, by_distance, device)
         chosen = _select(cost, alive, count, len(removals), device_alive, adjacency, device)
         valences = np.diff(offsets)[alive[chosen]]
-        rings, fan_masses = _rings(alive[chosen], target[chosen], adjacency, device_masses, points, device)
+        rings, fan_masses = _rings(alive[chosen], target[chosen], adjacency, device_masses, points, even_share, device)
         keep = _without_repeated_diagonals(rings, valences, count)
         chosen, rings, valences, fan_masses = chosen[keep], rings[keep], valences[keep], fan_masses[keep]
         removal = Removal(alive[chosen], rings, valences)
@@ -151,14 +158,19 @@ def _half_edges(faces: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32]
 
 
 def _propose(
-    alive: wp.array, adjacency: list[wp.array], masses: wp.array, points: wp.array, device: wp.Device
+    alive: wp.array,
+    adjacency: list[wp.array],
+    masses: wp.array,
+    points: wp.array,
+    by_distance: bool,
+    device: wp.Device,
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     cost: wp.array = wp.empty(len(alive), dtype=wp.float64, device=device)
     target: wp.array = wp.empty(len(alive), dtype=wp.int32, device=device)
     wp.launch(
         propose_collapses,
         dim=len(alive),
-        inputs=[alive, *adjacency, masses, points],
+        inputs=[alive, *adjacency, masses, points, by_distance],
         outputs=[cost, target],
         device=device,
     )
@@ -213,6 +225,7 @@ def _rings(
     adjacency: list[wp.array],
     masses: wp.array,
     points: wp.array,
+    even_share: float,
     device: wp.Device,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     rings: wp.array = wp.zeros((len(removed), MAX_VALENCE), dtype=wp.int32, device=device)
@@ -226,7 +239,7 @@ def _rings(
             *adjacency,
             masses,
             points,
-            _EVEN_SHARE,
+            even_share,
         ],
         outputs=[rings, fan_masses],
         device=device,

@@ -107,13 +107,15 @@ def propose_collapses(
     half_edge_faces: wp.array[wp.int32],
     face_masses: wp.array[wp.float64],
     points: wp.array[wp.vec3d],
+    by_distance: wp.bool,
     # Data out:
     cost: wp.array[wp.float64],
     target: wp.array[wp.int32],
 ):
     """Find the cheapest legal half-edge collapse of every vertex.
 
-    The outputs are its cost, and the half-edge towards the vertex kept.
+    The outputs are its cost, and the half-edge towards the vertex kept. Cost grows with the mass of the star, or with
+    the squared distance to the vertex kept.
     """
     i, _compiled_once = wp.tid()
     v = alive[i]
@@ -140,7 +142,10 @@ def propose_collapses(
                         shape += shape_penalty(points[w], q, r, star_normal)
                     # Valences stay low, so that rings fit the arrays of fixed size and their kernels stay large.
                     crowd = wp.float64(wp.max(0, offsets[w + 1] - offsets[w] + valence - 4 - _MAX_FREE_VALENCE))
-                    total = mass * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
+                    size = mass
+                    if by_distance:
+                        size = wp.length_sq(points[w] - points[v])
+                    total = size * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
                     if total < best:
                         best = total
                         best_target = row_find(heads, begin, end, w)

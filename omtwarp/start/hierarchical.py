@@ -38,6 +38,8 @@ _SMALL_LEVEL = 1000
 _SMALL_SWEEPS = 30
 _SWEEPS = 8
 _FINAL_SWEEPS = 20
+# Of vertices that were removed by distance: there needles slow the moves down.
+_SWEEPS_BY_DISTANCE = (60, 20, 100)
 # A determinant below this after an insertion is not safely positive in float64.
 _LEAST_DETERMINANT = 1e-15
 _INSERTION_ATTEMPTS = 8
@@ -63,6 +65,7 @@ def hierarchical_embedding(
     surface: MeshLike,
     *,
     area_weight: float = 10.0,
+    by_distance: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> HierarchicalEmbedding:
@@ -72,6 +75,9 @@ def hierarchical_embedding(
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
         area_weight: Weight of area distortion (D + 1/D) against angle distortion in the energy of every level. 2 keeps
             shapes, 100 areas; at 10 the smallest triangle of a limbed shape is two to five times larger than at 2.
+        by_distance: simplify by removing the vertices nearest to others first, and keep the areas of coarse triangles:
+            for drawn parts, whose triangles differ in area by orders of magnitude. By default those with the smallest
+            triangles around them go first.
         device: ``auto``, ``cpu`` or ``cuda:N``.
         progress: called as ``progress("start", placed, vertices, {})`` after every level.
 
@@ -95,17 +101,18 @@ def hierarchical_embedding(
     surface = renumbered(given, order)
     where = resolve_device(device)
     history: list[dict[str, int]] = []
-    hierarchy = simplify(surface, where)
+    hierarchy = simplify(surface, where, by_distance=by_distance)
+    small, usual, final = _SWEEPS_BY_DISTANCE if by_distance else (_SMALL_SWEEPS, _SWEEPS, _FINAL_SWEEPS)
     embedding = _Embedding(surface, hierarchy.levels[-1], hierarchy.tetrahedron, area_weight, where)
     for level, removal in zip(hierarchy.levels[-2::-1], hierarchy.removals[::-1], strict=True):
         embedding.insert(removal)
         embedding.enter(level)
         embedding.relax(removal.vertices)
-        embedding.sweep(_SMALL_SWEEPS if len(level.vertices) < _SMALL_LEVEL else _SWEEPS)
+        embedding.sweep(small if len(level.vertices) < _SMALL_LEVEL else usual)
         history.append({"iteration": len(history), "vertices": len(level.vertices)})
         if progress is not None:
             progress("start", len(level.vertices), surface.vertex_count, {})
-    embedding.sweep(_FINAL_SWEEPS)
+    embedding.sweep(final)
     sphere = np.empty((surface.vertex_count, 3))
     sphere[order] = embedding.sphere.numpy()
     flips = count_flips(sphere, given.faces)
