@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,24 +109,40 @@ def bijective_start(
     sphere = tube_map(surface)
     if is_bijective(sphere, mesh.faces, device=device) and area(sphere) < TUBE_AREA:
         return Start(sphere, "tube", reason, conformal, 0, budget.exhausted)
-    from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
-
-    sphere = hierarchical_embedding(surface, device=device, progress=progress).sphere
-    if not is_bijective(sphere, mesh.faces, device=device):
-        raise OmtwarpError("no start was found: the coarse-to-fine embedding covers the sphere more than once")
-    coarse_area = area(sphere)
-    if uneven:
-        other = hierarchical_embedding(
-            surface, area_weight=UNEVEN_AREA_WEIGHT, by_distance=True, device=device, progress=progress
-        ).sphere
-        other_area = area(other)
-        if other_area < coarse_area and is_bijective(other, mesh.faces, device=device):
-            sphere, coarse_area = other, other_area
+    sphere, coarse_area = _coarse_to_fine(surface, uneven, area, device, progress)
     if conformal is not None and many and coarse_area > COARSE_AREA:
         repaired = untangle(surface, conformal.sphere, device=device)
         if repaired.bijective and area(repaired.sphere) < coarse_area:
             return Start(repaired.sphere, "conformal, repaired", "", conformal, many)
     return Start(sphere, "hierarchical", reason, conformal, 0, budget.exhausted)
+
+
+def _coarse_to_fine(
+    surface: Surface,
+    uneven: bool,
+    area: Callable[[NDArray[np.float64]], float],
+    device: str | None,
+    progress: Progress | None,
+) -> tuple[NDArray[np.float64], float]:
+    """Return a coarse-to-fine map and its area distortion: on uneven surfaces the better one of two."""
+    from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
+
+    sphere = hierarchical_embedding(surface, device=device, progress=progress).sphere
+    if not is_bijective(sphere, surface.faces, device=device):
+        raise OmtwarpError("no start was found: the coarse-to-fine embedding covers the sphere more than once")
+    least = area(sphere)
+    if not uneven:
+        return sphere, least
+    try:
+        other = hierarchical_embedding(
+            surface, area_weight=UNEVEN_AREA_WEIGHT, by_distance=True, device=device, progress=progress
+        ).sphere
+    except OmtwarpError:
+        return sphere, least  # only the second could not be made
+    other_area = area(other)
+    if other_area < least and is_bijective(other, surface.faces, device=device):
+        return other, other_area
+    return sphere, least
 
 
 def shrunken_triangles(surface: Surface, sphere: NDArray[np.float64]) -> int:
