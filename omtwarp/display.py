@@ -29,6 +29,7 @@ class Shown:
 
         Args:
             pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``; left out where ``scalar`` or ``image`` is given.
+                On a torus ``circles`` or ``checker``.
             size: width and height in pixels.
             options: those of :func:`omtwarp.preview`, such as ``views="six"`` or ``image="earth.png"``.
 

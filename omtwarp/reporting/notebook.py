@@ -9,7 +9,7 @@ import numpy as np
 from omtwarp.errors import OmtwarpError
 from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.options import PreviewOptions
-from omtwarp.render.subject import map_view
+from omtwarp.render.subject import map_view, torus_view
 from omtwarp.reporting.markup import asset, data_block, fill_page, html, script, source_hash
 from omtwarp.reporting.page import viewer_section
 from omtwarp.reporting.scene import data_uri, make_scene
@@ -83,11 +83,11 @@ def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
 def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:
     """Draw a map; see :meth:`omtwarp.display.Shown.plot`."""
     options.setdefault("size", SIZE)
-    if not isinstance(result, MapResult):
-        return cast("Image", preview((result.vertices, result.faces), **options))
     image = options.pop("image", None)
     if options.get("scalar") is not None:
         return cast("Image", preview(SurfaceView(result.vertices, result.faces), **options))
+    if not isinstance(result, MapResult):
+        return cast("Image", preview(torus_view(result, image, pattern=pattern), **options))
     shown = map_view(result, rasterize(pattern, PICTURE_WIDTH) if image is None else image)
     return cast("Image", preview(shown, **options))
 

@@ -85,9 +85,11 @@ def test_khronos_validator_finds_neither_errors_nor_warnings(files):
     for name, path in files.items():
         found = validated(path)
         assert found["numErrors"] == found["numWarnings"] == 0, (name, found["messages"][:5])
-        # Coordinates without a texture are meant to be there; sides that are no powers of two are, too.
+        # A mesh keeps its own coordinates where a material has no picture; pictures of cube atlases have sides of 3 : 2.
         hints = {message["code"] for message in found["messages"]}
-        assert hints <= {"UNUSED_OBJECT", "IMAGE_NPOT_DIMENSIONS"}, (name, found["messages"][:5])
+        of_atlases = name in ("atlas", "curvature", "textured webp")
+        meant = {"IMAGE_NPOT_DIMENSIONS"} if of_atlases else {"UNUSED_OBJECT", "IMAGE_NPOT_DIMENSIONS"}
+        assert hints <= meant, (name, found["messages"][:5])
 
 
 @pytest.mark.skipif(VALIDATOR is None, reason=WITHOUT_VALIDATOR)

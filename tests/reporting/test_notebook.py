@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from omtwarp.any_surface import map_surface
 from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
@@ -128,11 +129,15 @@ def test_plot_is_a_picture(result):
 
 def test_a_map_to_a_torus_shows_a_picture():
     ring = shapes.rings(1, cell=0.35)
-    count, faces = len(ring.vertices), len(ring.faces)
-    flat = np.zeros((count, 2))
-    made = TorusMap(ring.vertices, ring.faces, flat, np.zeros((faces, 3, 2), np.int64), np.eye(2), flat)
+    made = map_surface(ring, domain="torus", device="cpu")
+    assert isinstance(made, TorusMap)
     view = made._repr_html_()
     assert "<iframe" not in view and 'src="data:image/webp' in view and "TorusMap(" in view
+    drawn = {"size": (96, 72), "backend": "warp", "device": "cpu"}
+    circles, field = made.plot(**drawn), made.plot(scalar=ring.vertices[:, 2], **drawn)
+    saturation = np.ptp(np.asarray(circles.convert("RGB"), dtype=int), axis=2)
+    assert (saturation > 60).mean() > 0.05  # the pattern's colours, where a surface without one is grey
+    assert not np.array_equal(np.asarray(field), np.asarray(circles))
 
 
 def test_pyvista_gets_the_map(result):
