@@ -85,7 +85,7 @@ def test_khronos_validator_finds_neither_errors_nor_warnings(files):
     for name, path in files.items():
         found = validated(path)
         assert found["numErrors"] == found["numWarnings"] == 0, (name, found["messages"][:5])
-        # A mesh keeps its own coordinates where a material has no picture; pictures of cube atlases have sides of 3 : 2.
+        # Own coordinates are kept where a material has no picture; pictures of cube atlases have sides of 3 : 2.
         hints = {message["code"] for message in found["messages"]}
         of_atlases = name in ("atlas", "curvature", "textured webp")
         meant = {"IMAGE_NPOT_DIMENSIONS"} if of_atlases else {"UNUSED_OBJECT", "IMAGE_NPOT_DIMENSIONS"}
