@@ -441,6 +441,17 @@ def test_stages_and_methods(options, names, made):
     np.testing.assert_array_equal(result.sphere, last)
 
 
+def test_a_report_of_the_geodesic_cost_has_that_cost_and_no_bound():
+    surface = blob(seed=2, amplitude=0.2, degree=3, sphere=320)
+    plain = mapped(surface, cost="geodesic", optimality=True)
+    refined = mapped(surface, cost="geodesic", optimality=True, until="refine", refine="angle")
+    cost = omtwarp.transport_cost(surface, plain.sphere, start=plain.conformal, cost="geodesic", device="cpu")
+    found, after = plain.report["optimality"], refined.report["optimality"]
+    assert set(found) == {"relative_curl", "cost"}
+    assert found["cost"] == pytest.approx(cost, rel=1e-12) and 0.0 < found["relative_curl"] < 0.3
+    assert after["added_by_refinement"] == pytest.approx(after["cost"] / found["cost"] - 1.0, rel=1e-9)
+
+
 def test_progress_names_the_stages_in_order():
     told = []
     result = mapped(blob(seed=2, sphere=320), progress=lambda *arguments: told.append(arguments))

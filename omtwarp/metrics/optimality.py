@@ -50,12 +50,12 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators
-from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
+from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.optimality_dual import Bound, TransportDual
-from omtwarp.options import Progress, Record
+from omtwarp.options import Cost, Progress, Record, choose
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 Array = NDArray[np.float64]
@@ -344,22 +344,29 @@ def relative_curl(
     sphere: ArrayLike | wp.array,
     *,
     start: ArrayLike | wp.array,
+    cost: str = Cost.SQUARED,
     device: str | None = "auto",
 ) -> float:
     """Measure ||J∇H|| / ||log_y(x)|| on the image mesh: the part of the displacement that is no gradient.
+
+    With the cost d the optimal map's direction of displacement, log_y(x) / d, is a gradient, and its curl is measured.
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
         sphere: the y_i, unit vectors, shape [V, 3]; or a Warp array of vec3d.
         start: the x_i, in the same way.
+        cost: ``squared`` or ``geodesic`` distance.
         device: where kernels run.
 
     Raises:
-        OmtwarpError: the mesh or a map cannot be used.
+        OmtwarpError: the mesh, a map or the cost cannot be used.
     """
-    surface = as_surface(surface)
+    surface, cost = as_surface(surface), choose(Cost, cost)
     x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
-    return _curl_part(surface, y, _log_maps(y, x, device), device)[0]
+    log = _log_maps(y, x, device)
+    if cost == Cost.GEODESIC:
+        log /= np.maximum(np.linalg.norm(log, axis=1, keepdims=True), TINY)
+    return _curl_part(surface, y, log, device)[0]
 
 
 def exact_transport(

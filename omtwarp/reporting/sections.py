@@ -166,7 +166,8 @@ def _transport_facts(
     if weight not in (None, ""):
         facts.append(("Refinement", f"{weight} (weight of area against angle)"))
     if "relative_curl" in optimality:
-        facts.append(("Curl left over", f"{optimality['relative_curl']:.2%} of the displacement; 0 for an optimal map"))
+        of = "the displacement's direction" if report.get("cost") == "geodesic" else "the displacement"
+        facts.append(("Curl left over", f"{optimality['relative_curl']:.2%} of {of}; 0 for an optimal map"))
     if optimality.get("lower_bound"):
         facts.append(("Lower bound", html("{} (Kantorovich's dual)", _number(optimality["lower_bound"]))))
     if optimality.get("gap") is not None:

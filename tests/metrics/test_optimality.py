@@ -115,6 +115,17 @@ def test_a_twist_shows_as_curl_and_its_cost_as_the_gap():
     assert report.gap > 0.06
 
 
+def test_the_direction_of_a_move_along_meridians_is_a_gradient():
+    """It is the gradient of latitude, however far points move; that of a twisted map is not."""
+
+    def curl(rings, twist=0.0):
+        x, y, _, faces = latitude_map(rings, twist=twist)
+        return relative_curl((y, faces), y, start=x, cost="geodesic", device="cpu")
+
+    assert curl(16) < curl(8) / 2 < 0.02
+    assert curl(12, twist=0.1) > 0.2
+
+
 @pytest.mark.parametrize("twist", [0.02, 0.2])
 def test_curl_grows_with_the_twist(twist):
     """relative_curl alone agrees with the report, and is proportional to a small twist."""
