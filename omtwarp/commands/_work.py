@@ -250,6 +250,7 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
     Raises:
         OmtwarpError: the file is missing or is no map, or is a map to a torus where the command takes none.
     """
+    import_scipy()
     from omtwarp.inputs import holds_array
     from omtwarp.result import OF_TORUS_MAPS, MapResult
     from omtwarp.surface_map import SurfaceMap

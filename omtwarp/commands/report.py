@@ -25,6 +25,7 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
+from omtwarp.commands._start import import_scipy
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
@@ -59,6 +60,7 @@ def report_on_map(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
+    import_scipy(spatial=True)
     from omtwarp.render import gl_client
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report

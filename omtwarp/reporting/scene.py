@@ -51,6 +51,7 @@ AREA_COLOURS, ANGLE_COLOURS = "coolwarm", "magma_r"
 ANGLE_PART = 0.78  # the remainder of that colour map is too dark to show the surface's form
 # Above this many faces the view, and only the view, shows a simplified mesh: a page has to stay light.
 MOST_FACES = 150_000
+PACKING = 3  # level of zlib: on the bunny 1 % more bytes than at 9, in a fifth of the time
 FACE_TEXELS = 512  # of the texture along each face of the cube
 # Degrees above the horizon from which the view starts.
 ELEVATION = 18.0
@@ -146,7 +147,7 @@ def make_scene(
         "angle": {"range": ANGLE_RANGE, "colours": colour_ramp(ANGLE_COLOURS, ANGLE_PART)},
         "picture": cube_faces(texture, texels, device=device),
     }
-    packed = base64.b64encode(zlib.compress(bytes(blob), 9)).decode()
+    packed = base64.b64encode(zlib.compress(bytes(blob), PACKING)).decode()
     return Scene(json.dumps(header, separators=(",", ":")), packed, len(triangles))
 
 

@@ -15,7 +15,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from omtwarp.texturing.atlas import Atlas
-from omtwarp.texturing.cutting import CutMesh, normalised
+from omtwarp.texturing.cutting import CutMesh, lengths, normalised
 from omtwarp.texturing.openness import face_openness
 
 Floats = NDArray[np.float64]
@@ -109,15 +109,15 @@ def _refine(mesh: CutMesh, atlas: Atlas, tolerance: float) -> None:
         for k, bary in enumerate(PROBES):
             got = atlas.uv_directions(np.einsum("k,fkj->fj", bary, uv), chart)
             want = normalised(np.einsum("k,fkj->fj", bary, points))
-            error[:, k] = np.linalg.norm(got - want, axis=1)
+            error[:, k] = lengths(got - want)
         bad = error > tolerance
         edges = bad[:, :3]
         directions = normalised(points)
-        edges |= np.linalg.norm(directions - np.roll(directions, -1, axis=1), axis=2) > LONGEST_EDGE
+        edges |= lengths(directions - np.roll(directions, -1, axis=1)) > LONGEST_EDGE
         # Only the middle is wrong: the longest edge is divided.
-        lengths = np.linalg.norm(points - np.roll(points, -1, axis=1), axis=2)
+        long = lengths(points - np.roll(points, -1, axis=1))
         alone = bad[:, 3] & ~edges.any(axis=1)
-        edges[alone, np.argmax(lengths[alone], axis=1)] = True
+        edges[alone, np.argmax(long[alone], axis=1)] = True
         face, corner = np.nonzero(edges)
         if len(face) == 0 or len(mesh.faces) > limit:
             return
@@ -128,7 +128,14 @@ def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats,
     """Make one vertex per pair of vertex and texture coordinates; the first copy of every vertex keeps its number."""
     vertex = mesh.faces.ravel()
     flat = corner_uv.reshape(-1, 2)
-    order = np.lexsort((flat[:, 1], flat[:, 0], vertex))
+    total = len(mesh.points)
+    out_uv = np.zeros((total, 2))
+    out_uv[vertex] = flat
+    # Only vertices on borders have several: their corners are sorted, all others' are as they should be.
+    several = np.zeros(total, dtype=bool)
+    several[vertex[(flat != out_uv[vertex]) @ np.ones(2, dtype=np.int8) > 0]] = True
+    some = np.flatnonzero(several[vertex])
+    order = some[np.lexsort((flat[some, 1], flat[some, 0], vertex[some]))]
     v, uv = vertex[order], flat[order]
     new = np.ones(len(v), dtype=bool)
     new[1:] = (v[1:] != v[:-1]) | np.any(uv[1:] != uv[:-1], axis=1)
@@ -136,15 +143,14 @@ def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats,
     owner, owner_uv = v[new], uv[new]
     main = np.ones(len(owner), dtype=bool)
     main[1:] = owner[1:] != owner[:-1]
-    # Main copies take the numbers of their vertices (every vertex has a face); the rest follow.
+    # Main copies keep the numbers of their vertices; the rest follow.
     number = np.empty(len(owner), dtype=np.int64)
     number[main] = owner[main]
-    total = len(mesh.points)
     number[~main] = total + np.arange(np.count_nonzero(~main))
-    faces = np.empty(len(vertex), dtype=np.int32)
+    faces = vertex.astype(np.int32)
     faces[order] = number[group]
     welded = np.empty(total + np.count_nonzero(~main), dtype=np.int32)
-    out_uv = np.zeros((len(welded), 2))
+    out_uv = np.concatenate([out_uv, np.zeros((len(welded) - total, 2))])
     welded[:total] = np.arange(total)  # also covers an unused vertex, should there be one
     welded[number] = owner
     out_uv[number] = owner_uv
