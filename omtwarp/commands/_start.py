@@ -69,7 +69,7 @@ def import_scipy(spatial: bool = False) -> None:
             np.__dir__ = lambda: [name for name in listed() if name not in UNUSED]  # type: ignore[method-assign, assignment]
             with _without_notes():
                 import scipy.linalg
-                import scipy.sparse  # noqa: F401
+                import scipy.sparse
                 if spatial:
                     import scipy.spatial  # noqa: F401
         finally:
