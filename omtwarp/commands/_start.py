@@ -70,6 +70,7 @@ def import_scipy(spatial: bool = False) -> None:
             with _without_notes():
                 import scipy.linalg
                 import scipy.sparse
+
                 if spatial:
                     import scipy.spatial  # noqa: F401
         finally:
