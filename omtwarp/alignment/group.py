@@ -18,6 +18,7 @@ from omtwarp.resampling.resample import PointsLike
 from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 ROUNDS = 20  # largest number of means that are computed; a mean that settles to TOLERANCE ends it earlier
 # Radians, or shares of the mean's size: invisible in pictures of a group.
@@ -51,7 +52,7 @@ class GroupAlignment:
     faces: NDArray[np.int32]
     scales: Floats
     rounds: tuple[int, int]
-    mirrored: NDArray[np.bool_]
+    mirrored: Bools
 
 
 def procrustes_mean(
