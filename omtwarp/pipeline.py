@@ -486,11 +486,15 @@ class _Run:
         if self.options.scheme is Scheme.PAPER:
             self.transport_as_published()
             return
-        newton = self.options.scheme is Scheme.DEFAULT and self.options.cost is Cost.SQUARED
-        if newton and self.target is None:
-            self.transport_by_newton()
-            return
         initial = self.sphere
+        if self.options.scheme is Scheme.DEFAULT and self.target is None:
+            found, weight = self.transport_by_newton()
+            if self.options.cost is Cost.SQUARED:
+                self.finish_optimal(found, weight)
+                return
+            # The optimum of the squared distance has even areas, and less of either cost than Moser's map.
+            initial, _ = self.untangle(initial, found.sphere)
+            self.measured = None
         # The kernels of the flow are read where they are used: they are a third of all that a map would import.
         from omtwarp.transport.flow import optimal_transport
         from omtwarp.transport.polish import MAX_ROUNDS, polish_transport
@@ -527,23 +531,20 @@ class _Run:
         ended: dict[str, str | float | None] = {"converged": last.converged, "ended": last.ended}
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **ended)
 
-    def transport_by_newton(self) -> None:
-        """Compute the discrete optimal map: areas around vertices kept, cost at its minimum."""
+    def transport_by_newton(self) -> tuple[OptimalMap, float]:
+        """Return the discrete optimal map, areas around vertices kept and cost at its minimum, and its shape weight."""
         surface, initial = self.surface, self.sphere
         assert self.source is not None
         if self.mirror is None and self.shrunken > MOSTLY_SHRUNKEN * surface.face_count:
             give_back()
-            found, weight = self.by_continuation(initial, CONTINUATION)
-            self.finish_optimal(found, weight)
-            return
+            return self.by_continuation(initial, CONTINUATION)
         sphere = self.smoothed(initial)
         give_back()  # the largest matrices follow
         if self.mirror is None and self.rough:
             found, weight = self.by_continuation(sphere, ROUGH_ROUNDS)
             if self.options.optimality:  # far above any bound, which ascent would take long to improve
                 self.measured = self.bounded(found.sphere, improve=False)
-            self.finish_optimal(found, weight)
-            return
+            return found, weight
         weight = self.first_shape_weight(sphere)
         sphere = self.symmetric(sphere, repair=True)
         if self.mirror is not None and not is_symmetric(self.mirror, sphere):
@@ -553,7 +554,7 @@ class _Run:
         found, weight = self.lowering_shape_weight(self.optimal, sphere, weight)
         if self.mirror is None and self.shrunken and not found.converged:
             found, weight = self.nearer_to_optimal(found, weight)
-        self.finish_optimal(found, weight)
+        return found, weight
 
     def smoothed(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a map without its slivers, turned onto the map given.

@@ -177,8 +177,8 @@ def optimal_transport(
     tolerance = real_number(tolerance, "tolerance", least=0.0)
     ended = flow.run(flow.iterations(), most, tolerance, progress)
     converged = ended in SETTLED_ENDINGS
-    if converged and cost is Cost.SQUARED:
-        left = relative_curl(surface, flow.points, start=maps[0], device=str(flow.device))
+    if converged:
+        left = relative_curl(surface, flow.points, start=maps[0], cost=cost, device=str(flow.device))
         converged = left <= OPTIMAL_CURL
         if not converged:
             ended += f", and {left:.3f} of the displacement is curl that it cannot remove"
