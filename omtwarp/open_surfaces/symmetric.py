@@ -19,7 +19,7 @@ from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import CELL_GAIN, ITERATIONS, CellEnergy, minimise_cells
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
-from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, OptimalMap, minimise
+from omtwarp.optimal.solver import GAIN, PENALTY, SHAPE_WEIGHT, OptimalMap, minimise
 from omtwarp.options import Progress
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor, saddle_factor_of_cells
 from omtwarp.topology.doubling import Double
@@ -61,6 +61,7 @@ def symmetric_optimal_map(
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
     area_weight: float = AREA_WEIGHT,
+    area_penalty: float = PENALTY,
     multipliers: ArrayLike | None = None,
     iterations: int = 40,
     gain: float = GAIN,
@@ -74,7 +75,8 @@ def symmetric_optimal_map(
         surface: the double as a surface, with the areas that are to be kept.
         sphere: a symmetric map without flips to begin with (see :func:`folded_map`), shape [W, 3].
         start: the points x that are transported, symmetric, shape [W, 3].
-        shape_weight, area_weight, multipliers, iterations, gain, device, progress: as of :func:`omtwarp.optimal_map`.
+        shape_weight, area_weight, area_penalty, multipliers: as of :func:`omtwarp.optimal_map`.
+        iterations, gain, device, progress: as of :func:`omtwarp.optimal_map`.
 
     Returns:
         The map, symmetric to the last bit.
@@ -85,7 +87,15 @@ def symmetric_optimal_map(
     where = resolve_device(device)
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
     energy = SymmetricEnergy(double, surface, vectors(x, where), where, shape_weight, area_weight=area_weight)
-    return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
+    return minimise(
+        energy,
+        given,
+        area_penalty=area_penalty,
+        multipliers=multipliers,
+        gain=gain,
+        iterations=iterations,
+        progress=progress,
+    )
 
 
 @blas_threads(1)
@@ -130,6 +140,7 @@ class _OnHalf(TransportEnergy):
     _double: Double
     _mirror: MirrorFactor
     local_steps = False  # those would move one half alone
+    first_curvature_share = 1.0  # without local steps the half of a doll then takes 10 steps in place of 40
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Solve on the half the systems of the double that :meth:`blocks` gives."""
