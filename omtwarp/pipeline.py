@@ -652,8 +652,10 @@ class _Run:
         if self.area_weight is None:
             self.area_weight = SHRUNKEN_AREA_WEIGHT if self.shrunken else AREA_WEIGHT * coarse
         solve = partial(solve, area_weight=self.area_weight)
-        # Without light penalties, the part of a human body above its middle ends short of the optimum.
-        for penalty, steps in LIGHT_PENALTIES if symmetric and self.shrunken and multipliers is None else ():
+        # Without light penalties, the part of a human body above its middle ends short of the optimum. Where areas are
+        # nearly right they only turn the map away from it.
+        far = symmetric and self.shrunken and multipliers is None and self.records[-1].area["surface"] > ROUGH_AREA
+        for penalty, steps in LIGHT_PENALTIES if far else ():
             found = solve(sphere, area_penalty=penalty, multipliers=multipliers, iterations=steps)
             self.remember(found.history)
             sphere, multipliers = found.sphere, found.multipliers
