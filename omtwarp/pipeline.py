@@ -500,7 +500,7 @@ class _Run:
             self.measured = None
         # The kernels of the flow are read where they are used: they are a third of all that a map would import.
         from omtwarp.transport.flow import optimal_transport
-        from omtwarp.transport.polish import MAX_ROUNDS, polish_transport
+        from omtwarp.transport.polish import polish_transport
 
         moved = optimal_transport(
             self.surface,
@@ -517,13 +517,12 @@ class _Run:
         self.history = moved.history
         if self.options.scheme is Scheme.DEFAULT and self.options.cost is Cost.SQUARED:
             # With a target the prescribed areas depend on where triangles are: few rounds at a time, then new areas.
-            passes, rounds = (1, MAX_ROUNDS) if self.target is None else (TARGET_POLISHES, 2)
-            for _ in range(passes):
+            for _ in range(TARGET_POLISHES):
                 polished = polish_transport(
                     self.goal(sphere),
                     self.points(sphere),
                     start=self.start,
-                    rounds=rounds,
+                    rounds=2,
                     device=self.device,
                     progress=self.progress,
                 )
@@ -888,9 +887,10 @@ class _Run:
         assert self.source is not None
         measure = partial(transport_cost, self.surface, start=self.source, cost=Cost.GEODESIC, device=self.device)
         curl = relative_curl(self.surface, self.sphere, start=self.source, cost=Cost.GEODESIC, device=self.device)
-        found: dict[str, float | int | None] = {"relative_curl": curl, "cost": measure(self.sphere)}
+        cost = measure(self.sphere)
+        found: dict[str, float | int | None] = {"relative_curl": curl, "cost": cost}
         if self.record_of(Stage.OMT) is not None and self.sphere is not self.maps[Stage.OMT]:
-            found["added_by_refinement"] = measure(self.sphere) / max(measure(self.maps[Stage.OMT]), TINY) - 1.0
+            found["added_by_refinement"] = cost / max(measure(self.maps[Stage.OMT]), TINY) - 1.0
         return found
 
     def timed_optimality(self, found: dict[str, float | int | None], steps: int) -> dict[str, float | int | None]:

@@ -118,11 +118,11 @@ def foretell(surface: Surface) -> list[Finding]:
         )
         found.append(Finding("long-triangles", number, text, "remesh the long triangles into even ones"))
         break
-    return found + _coarse_findings(surface)
+    return found + _coarse_findings(surface, long)
 
 
-def _coarse_findings(surface: Surface) -> list[Finding]:
-    """Find triangles that are large for how the surface bends, and for how thick it is."""
+def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Finding]:
+    """Find triangles that are large for how the surface bends or how thick it is; ``long`` is their elongation."""
     found = []
     share = surface.own_areas / SPHERE_AREA
     corners = surface.scaled_vertices[surface.faces]
@@ -138,7 +138,6 @@ def _coarse_findings(surface: Surface) -> list[Finding]:
             f"the area, the largest is {name} {_place_of_face(surface, worst)}"
         )
         found.append(Finding("folded-triangles", number, text, "remesh with more triangles where the surface bends"))
-    long = elongation(surface)
     if surface.face_count <= FEW_FACES and long.max() > NEEDLE:
         worst = int(np.argmax(long))
         number, name = named_face(surface.names, worst)

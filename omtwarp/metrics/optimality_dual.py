@@ -90,6 +90,8 @@ class TransportDual:
         self._launch(kernels.edge_bulges, faces, [self._y, self._faces, displaced], [self._edge])
         self._corners = y[surface.faces[self.order]]
         self._leaves = leaf_count(faces)
+        # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
+        self._nodes = wp.array(_interleaved(2 * self._leaves, core_count()), dtype=wp.int32, device=self.device)
         self._solver: EdgeLaplacianSolver | None = None
 
     @property
@@ -128,11 +130,9 @@ class TransportDual:
         self._launch(kernels.sample_triangles, faces, mesh, [places, values])
         node = (wp.vec3d, wp.vec3d, kernels.vec11d)
         tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
-        # The work of a node is in proportion to its leaves: every part gets nodes of all sizes.
-        chosen = wp.array(_interleaved(nodes, core_count()), dtype=wp.int32, device=self.device)
 
         def of_nodes(part: slice) -> Arguments:
-            return [places, values, faces, self._leaves, chosen[part]], tree
+            return [places, values, faces, self._leaves, self._nodes[part]], tree
 
         launch_parts(kernels.build_nodes, nodes, of_nodes, self.device)
         own = self.cost - potential

@@ -98,7 +98,7 @@ def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
         import pyvista
     except ImportError:
         raise OmtwarpError("PyVista is not installed: pip install 'omtwarp[viewers]'") from None
-    mesh = pyvista.PolyData.from_regular_faces(np.asarray(result.vertices), np.asarray(result.faces).astype(int))
+    mesh = pyvista.PolyData.from_regular_faces(np.asarray(result.vertices), np.asarray(result.faces))
     for name, values in _maps(result).items():
         mesh.point_data[name] = values
     for name, values in _distortions(result).items():
