@@ -97,7 +97,7 @@ MIN_GAIN_POWER = 0.14
 # is 2.039 and 2.040, with 40 it is 2.031 and 2.022 at 3 % more angle distortion and a gap of up to 0.6 %.
 SHRUNKEN_AREA_WEIGHT = 20.0
 # There a step that would gain this share of the cost or less is the last: cost and shape have long flat valleys.
-SHRUNKEN_GAIN = 5.0 * GAIN
+SHRUNKEN_GAIN = 2.0 * GAIN
 # On hemispheres the weight is raised until the mean area distortion of triangles is below this, at most so many times
 # and to at most so much. Its part above 2 falls with the power -0.77 of the weight: the part of a gargoyle above a
 # plane through its middle is at 2.0109, 2.0064, 2.0038 and 2.0022 with 10, 20, 40 and 80, a caudate nucleus cut at a
