@@ -32,18 +32,19 @@ _writable = -1  # where the system writes the number of every signal; -1 unless 
 
 
 @contextlib.contextmanager
-def ending_the_process(*, restore: bool) -> Iterator[None]:
+def ending_the_process(*, restore: bool, instead_of: Handler = signal.default_int_handler) -> Iterator[None]:
     """Let an interruption end the process at once in a block, with a line, as it ends programs that do not handle it.
 
-    Nothing is changed outside of the main thread, or where another handler than Python's own is installed.
+    Nothing is changed outside of the main thread, or where another handler than the one given is installed.
 
     Args:
         restore: put Python's handler back afterwards. Without it, an interruption after the block ends the process
             without a line: it would be an exception in whatever runs while the process ends.
+        instead_of: the handler that is replaced: Python's own.
     """
     global _writable
     ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    if not ours or signal.getsignal(signal.SIGINT) is not instead_of:
         yield
         return
     watcher, readable = None, -1

@@ -239,6 +239,31 @@ def test_an_interruption_ends_native_code_and_leaves_no_partial_file(tmp_path, b
     assert [path.name for path in tmp_path.iterdir()] == ["blob.ply"]
 
 
+# The import of a module is where the signal comes: what has read none of its lines yet cannot have installed a handler.
+EARLY = """
+import importlib.abc, os, runpy, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class Interrupting(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(60)
+sys.meta_path.insert(0, Interrupting())
+runpy.run_module("omtwarp", run_name="__main__")
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
+@pytest.mark.parametrize("module", ["omtwarp.interruptions", "omtwarp.cli", "omtwarp.commands.map", "typer"])
+def test_an_interruption_while_the_command_is_read_gives_one_line(module):
+    """Control-C before the command line has been read ends the process with one line too."""
+    done = subprocess.run(
+        [sys.executable, "-c", EARLY, module], check=False, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode in (-signal.SIGINT, 130)
+    assert done.stderr == "omtwarp: interrupted\n"
+
+
 def test_no_progress_where_nobody_looks(capsys):
     from omtwarp.commands._progress import progress_bar
 
