@@ -43,7 +43,7 @@ from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, continued
 from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapReport, MapResult, StageRecord
-from omtwarp.start.choice import bijective_start, shrunken_triangles
+from omtwarp.start.choice import bijective_start, mostly_shrunken, shrunken_triangles
 from omtwarp.texturing.density import TargetLike, as_target
 from omtwarp.topology.doubling import Double, quartered_double
 from omtwarp.transport.area import AreaMonitor
@@ -112,12 +112,14 @@ AREA_POWER, AREA_MARGIN = 1.3, 1.15
 # triangles is 2.0249 in place of 2.0263, at 0.3 % more angle distortion. The gain that ends the minimisation is larger
 # by the same factor, as is the mesh's own error in the cost.
 COARSE_VERTICES = 450
-# Where the conformal map shrinks more than this share of the triangles to points, most of the cost depends on whole
-# limbs alone, and under a heavy penalty on wrong areas steps shrink to a tenth: an octopus (58 %)
-# was 116 % above the bound after 40 of them, at an area distortion of 2.14. With a light penalty that grows, and less
-# and less of the shape term, it is optimal, at 2.011. Scans with 9 and 27 % get near enough to the optimum
-# without; a cross of four thin arms with 21 % does not, and is done again in this way.
-MOSTLY_SHRUNKEN = 0.4
+# Meshes of fewer vertices may take so many steps in place of the usual 40, as they are fast there: where the cost is
+# a property of the few triangles alone, as on a sphere of 80, its valleys are flat, and 41 to 60 steps are needed.
+FEW_VERTICES, STEPS_OF_FEW = 200, 100
+# Where the conformal map shrinks most triangles to points, most of the cost depends on whole limbs alone, and under a
+# heavy penalty on wrong areas steps shrink to a tenth: an octopus (58 %) was 116 % above the bound after 40 of them, at
+# an area distortion of 2.14. With a light penalty that grows, and less and less of the shape term, it is at 2.025.
+# Scans with 9 and 27 % get near enough to the optimum without; a cross of four thin arms with 21 % does not, and is
+# done again in this way.
 # Rounds: weight of the shape term, of area in it, penalty on areas, most steps.
 CONTINUATION = ((1e-4, 1e3, 3.0, 15), (3e-5, 3e3, 10.0, 12), (1e-5, 1e4, 30.0, 25))
 # Where Moser's flow could not be repaired and the start is above this area distortion, as on plates of long triangles
@@ -537,7 +539,7 @@ class _Run:
         """Return the discrete optimal map, areas around vertices kept and cost at its minimum, and its shape weight."""
         surface, initial = self.surface, self.sphere
         assert self.source is not None
-        if self.mirror is None and self.shrunken > MOSTLY_SHRUNKEN * surface.face_count:
+        if self.mirror is None and mostly_shrunken(surface, self.source):
             give_back()
             return self.by_continuation(initial, CONTINUATION)
         sphere = self.smoothed(initial)
@@ -648,6 +650,8 @@ class _Run:
             device=self.device,
             progress=self.progress,
         )
+        if self.surface.vertex_count < FEW_VERTICES:
+            solve = partial(solve, iterations=STEPS_OF_FEW)
         if self.area_weight is None:
             self.area_weight = SHRUNKEN_AREA_WEIGHT if self.shrunken else AREA_WEIGHT * coarse
         solve = partial(solve, area_weight=self.area_weight)

@@ -359,12 +359,12 @@ class SymmetricSteps(FlipFreeSteps):
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
         return vectors(self._admitted(super()._moved(points, direction, share, length).numpy()), self._device)
 
-    def _trouble(self, moved: wp.array, volume: wp.array) -> NDArray[np.bool_] | None:
-        trouble = super()._trouble(moved, volume)
-        if trouble is None:
+    def _marked(self, moved: wp.array, volume: wp.array) -> wp.array | None:
+        marks = super()._marked(moved, volume)
+        if marks is None:
             return None
-        own = self._counted(trouble)
-        return own if own.any() else None
+        own = self._counted(marks.numpy() > 0)
+        return wp.array(own.astype(np.int32), dtype=wp.int32, device=self._device) if own.any() else None
 
 
 __all__ = [

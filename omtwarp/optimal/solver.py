@@ -47,6 +47,8 @@ MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this whe
 # MIN_GAIN_SHARE, and with MAX_CORRECTED from 0.0005 to 0.01.
 REACH = 0.5  # radians: the farthest that a vertex moves in one step
 MAX_HALVINGS = 20  # of a step with a fresh matrix, down to a millionth
+# After a shortened step the next is at most so many times as long: longer ones were tried just before, in vain.
+LENGTH_GROWTH = 4.0
 MAX_HALVINGS_OLD = 1  # of a step with an older one: beyond that a fresh matrix gains more
 UNTANGLED = 3  # lengths tried with flipped triangles untangled, the longest first; others only hold vertices back
 # So many of the lengths tried are corrected to second order where they do not gain enough. With two, a body with thin
@@ -263,6 +265,7 @@ class _Newton:
         self.max_rms, self.max_error = energy.area_tolerances
         self.curvature_share, self.damping = energy.first_curvature_share, LEAST_DAMPING
         self.factorisations = 0
+        self.longest = 1.0  # of the next step
 
     def run(
         self,
@@ -311,6 +314,7 @@ class _Newton:
                 renew = True
                 continue
             length, corrected = step.length, step.corrected
+            self.longest = min(1.0, LENGTH_GROWTH * length)
             trust = (self._merit(terms) - step.merit) / (length * decrement)
             self.multipliers = step.multipliers
             points, terms, settled = step.points, step.terms, step.settled
@@ -444,7 +448,7 @@ class _Newton:
         """Halve a step until it lowers the merit without flipping a triangle; return None where none does."""
         before = self._merit(terms)
         reach = float(np.sqrt((direction.numpy() ** 2).sum(axis=1).max()))
-        length = min(1.0, REACH / max(reach, TINY))
+        length = min(self.longest, REACH / max(reach, TINY))
         correctable = SECOND_ORDER if self.energy.ring_errors(terms)[0] <= MAX_SECOND_ORDER_RMS else 0
         for attempt in range(halvings + 1):
             enough = before - SUFFICIENT_DECREASE * length * decrement

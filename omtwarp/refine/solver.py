@@ -25,6 +25,8 @@ from omtwarp.untangling.steps import FlipFreeSteps
 from omtwarp.untangling.untangle import RepairBudget
 
 MAX_HALVINGS = 25  # of the whole step, in a line search
+# After a shortened step the next is at most so many times as long: longer ones were tried just before, in vain.
+LENGTH_GROWTH = 4.0
 MAX_HALVINGS_CORRECTED = 2  # of a step with an older matrix: after that a new matrix gains more
 MAX_REPAIR_TRIALS = 3  # step lengths that are tried with repair of the triangles they flip
 MIN_CURVATURE_SHARE = 0.03  # of the curvature of D, see omtwarp.refine.kernels.triangle_hessian
@@ -161,7 +163,7 @@ class Refiner:
         self._steps.assemble(now.points, now.terms, weight, matrix.curvature_share)
         now, relaxed = self._relaxed(now, weight, matrix.curvature_share, now.terms.total(weight), tolerance)
         assembled = relaxed == 0
-        ended = False
+        ended, longest = False, 1.0
         for step in range(iterations):
             if matrix.renew:
                 if not assembled:
@@ -171,12 +173,13 @@ class Refiner:
                 matrix.factorisations += 1
             direction = self._steps.direction(now.points, now.gradient)
             decrement = -direction.slope
-            found = self._search(now, direction, weight, matrix.halvings) if decrement > 0.0 else None
+            found = self._search(now, direction, weight, matrix.halvings, longest) if decrement > 0.0 else None
             if found is None:
                 if matrix.is_exhausted():
                     break
                 continue
             before, fresh = now, matrix.renew
+            longest = min(1.0, LENGTH_GROWTH * found.length)
             now = self._at(found.points, found.terms, weight)
             gain = before.terms.total(weight) - now.terms.total(weight)
             self._steps.update(before.points, before.gradient, now.points, now.gradient)
@@ -212,10 +215,12 @@ class Refiner:
                 return self._at(points, terms, weight), count
         return now, 0
 
-    def _search(self, now: _Iterate, direction: Direction, weight: float, halvings: int) -> _Step | None:
+    def _search(
+        self, now: _Iterate, direction: Direction, weight: float, halvings: int, longest: float
+    ) -> _Step | None:
         """Search along the direction for a step that lowers the energy and flips nothing; None where there is none."""
         points, d_volume, before = now.points, now.terms.d_volume, now.terms.total(weight)
-        length = 1.0 / max(1.0, 2.0 * direction.reach)  # no vertex may swing farther than half a radian
+        length = min(longest, 1.0 / max(1.0, 2.0 * direction.reach))  # no vertex may swing farther than half a radian
         for attempt in range(halvings):
             if attempt < MAX_REPAIR_TRIALS:
                 untangled = self._flip_free.untangled(points, direction.vectors, d_volume, length, weight)

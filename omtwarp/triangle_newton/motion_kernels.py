@@ -10,6 +10,9 @@ wp.set_module_options(KERNEL_OPTIONS)
 MIN_VOLUME_SHARE = wp.constant(wp.float64(0.1))
 # Volumes below this have no certain sign in floating point: none may shrink to it.
 ROUND_OFF = wp.constant(wp.float64(1e-14))
+# Vertices whose share of a step would be smaller stay where they are: the volumes of needles change by rounding with
+# the smallest of moves. A box with such needles is at an area distortion of 2.0169 with this, 2.0185 with a tenth.
+LEAST_SHARE = wp.constant(wp.float64(0.01))
 
 
 @wp.kernel
@@ -21,9 +24,12 @@ def retract_to_sphere(
     # Data out:
     moved: wp.array[wp.vec3d],
 ):
-    """Move every vertex by its share of a step, and project it to the sphere."""
+    """Move every vertex by its share of a step, and project it to the sphere; with no share its bits stay."""
     i = wp.tid()
-    moved[i] = wp.normalize(sphere[i] + length * share[i] * direction[i])
+    if share[i] == wp.float64(0.0):
+        moved[i] = sphere[i]
+    else:
+        moved[i] = wp.normalize(sphere[i] + length * share[i] * direction[i])
 
 
 @wp.kernel
@@ -56,13 +62,15 @@ def hold_back(
     # Data out:
     held: wp.array[wp.float64],
 ):
-    """Halve the share of every vertex of a triangle in trouble."""
+    """Halve the share of every vertex of a triangle in trouble; small shares become zero."""
     i = wp.tid()
     any_trouble = int(0)
     for k in range(offsets[i], offsets[i + 1]):
         any_trouble = wp.max(any_trouble, trouble[corners[k] // 3])
     if any_trouble > 0:
         held[i] = HALF * share[i]
+        if held[i] < LEAST_SHARE:
+            held[i] = wp.float64(0.0)
     else:
         held[i] = share[i]
 

@@ -70,8 +70,9 @@ SMALLEST_EPSILON = 1e-4  # of the area ratio D: with an ε this small the energy
 # A Newton step of few vertices takes as long as one over this many more: its fixed cost.
 STEP_WORK = 1000
 # Repairs of thirteen scans and made shapes took up to 16 steps over all vertices; long caps, sharp boxes and tangled
-# limbs took 60 to 1,900, up to a minute for a thousand triangles, for areas better by 0.25 at most.
-WORK_PER_VERTEX = 120.0
+# limbs took 60 to 1,900, up to a minute for a thousand triangles, for areas better by 0.25 at most. So much takes about
+# twice as long as a whole map of an ordinary shape.
+WORK_PER_VERTEX = 40.0
 # Of the sphere: a patch whose triangles cover nothing in sum is not mistaken for one that covers everything.
 SHARE_ROUND_OFF = 1e-9
 # Relative growth of the diagonal of the semidefinite Hessian. With 1e-9, steps along directions of little curvature

@@ -37,7 +37,7 @@ def test_two_routes_end_in_the_same_map(name, monkeypatch):
 def test_continuation_ends_in_the_same_map(monkeypatch):
     mesh = MADE["blob"]()
     usual = omtwarp.map_to_sphere(mesh, device="cpu")
-    monkeypatch.setattr(pipeline, "MOSTLY_SHRUNKEN", -1.0)
+    monkeypatch.setattr(choice, "MOSTLY_SHRUNKEN", -1.0)
     other = omtwarp.map_to_sphere(mesh, device="cpu")
     record = next(stage for stage in other.report["stages"] if stage["name"] == "omt")
     assert record["converged"] and record["shape_weight"] == pipeline.CONTINUATION[-1][0]
