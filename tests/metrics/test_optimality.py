@@ -189,6 +189,34 @@ def test_the_minimum_is_found_over_the_whole_sphere(roughness):
     assert conceded.min() >= -1e-12 and conceded.max() <= loose.tolerance + 1e-12
 
 
+@pytest.mark.parametrize("apart", [0.0, 1e-9, 1e-7])
+def test_points_of_a_shrunken_limb_share_their_transform(apart):
+    """The points of a limb, nearly one on the conformal sphere, get the bound of an exhaustive search."""
+    x, y, masses, faces = latitude_map(8)
+    limb = x[:, 2] > 0.5
+    rng = np.random.default_rng(3)
+    x[limb] = [0.0, 0.0, 1.0] + apart * rng.normal(size=(limb.sum(), 3))
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
+    potential = dual.initial_potential()[0] + 1e-3 * rng.normal(size=len(y))
+    found = dual.bound(potential)
+    terms = dual.edge_terms[np.argsort(dual.order)]
+    transform = dual.cost - potential - found.vertex_gap
+    assert (transform <= lattice_minimum(x, y, faces, potential, terms, 2) + 1e-12).all()
+    # What is conceded: the search's tolerance, and as much again between the points that share it.
+    face, w = np.maximum(found.face, 0), found.weights
+    point = np.einsum("vk,vkd->vd", w, y[faces[face]])
+    value = (w * potential[faces[face]]).sum(axis=1)
+    value += sum(w[:, k] * w[:, (k + 1) % 3] * terms[face, k] for k in range(3))
+    with np.errstate(invalid="ignore"):
+        point /= np.linalg.norm(point, axis=1)[:, None]
+        attained = 0.5 * geodesic(x, point) ** 2 - value
+    attained = np.where(found.face >= 0, attained, dual.cost - potential)
+    assert np.abs(attained - transform).max() <= 2.0 * dual.tolerance
+    assert (found.visited[limb] == 0).mean() > 0.5
+    assert (found.visited[~limb] > 0).all()
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 70))
 def test_halves_of_the_order_in_space_are_apart(seed, count):
