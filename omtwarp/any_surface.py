@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import TypedDict, TypeVar, Unpack, cast
 
 import numpy as np
@@ -35,7 +36,7 @@ from omtwarp.options import (
     parse_refinement,
 )
 from omtwarp.pipeline import map_double, map_to_sphere
-from omtwarp.result import MapResult, MeshReport, SurfaceReport
+from omtwarp.result import MapResult, MeshReport, StageReport, SurfaceReport
 from omtwarp.surface_map import SurfaceMap
 from omtwarp.texturing.density import TargetLike
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops, loop_length
@@ -180,7 +181,9 @@ def _check_domain(domain: Domain, part_count: int, components: bool, together: b
         OmtwarpError: the parts cannot be mapped to the domain, or not with these options.
     """
     if together and (domain != Domain.AUTO or exact):
-        raise OmtwarpError("parts side by side lie on caps: leave domain and exact out")
+        raise OmtwarpError(
+            "parts side by side go to caps, without exact areas: ask for no other domain, and leave exact out"
+        )
     if domain == Domain.TORUS:
         raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
     if part_count > 1 and not components:
@@ -616,6 +619,7 @@ def _on_hemisphere(
 
 def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
     """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips."""
+    begun = perf_counter()
     whole, faces = _whole(result)
     share = 0.5
     if domain == "cap":
@@ -632,7 +636,9 @@ def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
             )
         result = replace(result, disk=disk[: len(result.vertices)])
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
-    return replace(result, report=result.report | {"surface": about})
+    measured = result.distortion("disk" if domain == "disk" else "sphere").to_dict()
+    projected: StageReport = {"name": domain, "seconds": perf_counter() - begun, "iterations": 0, **measured}
+    return replace(result, report=result.report | {"surface": about, "stages": [*result.report["stages"], projected]})
 
 
 def _on_cap(result: SurfaceMap, share: float) -> SurfaceMap:

@@ -59,8 +59,8 @@ EXAMPLES = {
     ),
     "resample": (
         "omtwarp resample left.npz --to right.npz -o resampled.ply\n"
-        "omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o lh.thickness.shape.gii\n"
-        "omtwarp map lh.ply -o - | omtwarp align - -o - | omtwarp resample - --to ico5 -o lh_ico5.ply"
+        "omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o lh.shape.gii\n"
+        "omtwarp align lh.npz -o - | omtwarp resample - --to ico5 -o lh_ico5.ply"
     ),
     "check": ("omtwarp check bunny.ply\nomtwarp check *.ply --json\nomtwarp check broken.ply --repair -o repaired.ply"),
     "cohort": (
@@ -79,7 +79,7 @@ EXAMPLES = {
 """What help shows of every command, a command line a line."""
 
 SUMMARIES = {
-    "map": "Map closed meshes to the sphere, with their areas preserved.",
+    "map": "Map surfaces to the sphere, with their areas preserved.",
     "texture": "Texture a surface with a picture or pattern through its map.",
     "transfer": "Transfer the texture of one mesh to another.",
     "unwrap": "Give a mesh texture coordinates, without a texture.",
@@ -99,7 +99,8 @@ SUMMARIES = {
 """One line about every command, short enough for a terminal of 80 columns."""
 
 app = typer.Typer(
-    help="Area-preserving maps from closed genus-0 surfaces to the sphere, and textures through them.",
+    help="Area-preserving maps of surfaces to the sphere, and textures through them.",
+    epilog="Begin with: omtwarp demo -o out. Options and examples of a command: omtwarp COMMAND --help.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,

@@ -171,7 +171,9 @@ def mesh_grid(points: ArrayLike, faces: ArrayLike, name: str = "the sphere") -> 
     if round(cover) == -1 and abs(cover + 1.0) < WHOLE_COVER:
         raise OmtwarpError(f"{name}: the triangles are clockwise seen from outside; reverse them")
     if abs(cover - 1.0) > WHOLE_COVER:
-        raise OmtwarpError(f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times")
+        raise OmtwarpError(
+            f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times; maps of closed surfaces do"
+        )
     return SphereGrid(name, unit, corners, (len(unit),))
 
 

@@ -17,7 +17,7 @@ from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, whole_numbers
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
-from omtwarp.metrics.distortion import Distortion, measure_triangles
+from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
 from omtwarp.options import Domain
 from omtwarp.result import MapResult, require_unit_length
 from omtwarp.topology.boundary import boundary_half_edges
@@ -97,14 +97,17 @@ class SurfaceMap(MapResult):
         return f"SurfaceMap({self.domain}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
 
     def distortion(self, stage: str = "sphere") -> Distortion:
-        """Measure the distortion of the map, or of a stage: ``conformal``, ``moser`` or ``transported``.
+        """Measure the distortion of the map, or of a stage: ``conformal``, ``moser``, ``transported`` or ``disk``.
 
-        Areas are compared within each part, every part scaled to the area of its image, and all parts count alike;
-        where parts lie side by side on one sphere, areas of all are compared.
+        The stage ``disk`` is the map to the unit disk, where ``sphere`` is the one to the hemisphere. Areas are
+        compared within each part, every part scaled to the area of its image, and all parts count alike; where parts
+        lie side by side on one sphere, areas of all are compared.
 
         Raises:
             OmtwarpError: the stage was not run.
         """
+        if isinstance(stage, str) and stage == "disk" and self.disk is not None:
+            return measure_in_plane(self.vertices, self.faces, self.disk)
         if self.part is None or self.cap_centres is not None:
             return super().distortion(stage)
         points = getattr(self, stage, None) if stage in ("sphere", "conformal", "moser", "transported") else None

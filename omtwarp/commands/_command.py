@@ -77,6 +77,19 @@ class Command(typer.core.TyperCommand):
                 with formatter.section(heading):
                     formatter.write_dl(rows[heading])
 
+    def parse_args(self, ctx: object, args: list[str]) -> list[str]:
+        """Read the arguments; an error says what is wrong, without the name of a Python exception."""
+        try:
+            return super().parse_args(cast(typer.Context, ctx), args)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+    def collect_usage_pieces(self, ctx: object) -> list[str]:
+        """Return the words of the usage line; names of arguments that are needed stand without braces."""
+        pieces = super().collect_usage_pieces(cast(typer.Context, ctx))
+        return [re.sub(r"^\{(.*)\}(\.*)$", r"\1\2", piece) for piece in pieces]
+
     def format_epilog(self, ctx: object, formatter: Formatter) -> None:
         """Write the examples."""
         if self.epilog:

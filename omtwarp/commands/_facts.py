@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, TypedDict, cast
 
 if TYPE_CHECKING:
-    from omtwarp.result import MapResult
+    from omtwarp.result import MapReport, MapResult
     from omtwarp.torus.torus_map import TorusMap
 
 
@@ -31,7 +31,13 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
     """Sum up a finished map and where it was written, ready for JSON."""
     stages, certificate = result.report["stages"], result.certificate
     last = stages[-1]
-    exact = next((stage for stage in stages if "largest_area_error" in stage), None)
+    # Of parts mapped each by itself, the figure of the part that has the largest is told.
+    whole = cast("MapReport", result.report)
+    reports = [whole, *whole.get("parts", [])]
+    errors = [
+        stage["largest_area_error"] for each in reports for stage in each["stages"] if "largest_area_error" in stage
+    ]
+    gaps = [each["optimality"]["gap"] for each in reports if each.get("optimality")]
     return {
         "output": str(output),
         "report": None if report is None else str(report),
@@ -42,8 +48,8 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
         "degree": last["degree"],
         "area": last["area"]["surface"],
         "angle": last["angle"]["surface"],
-        "largest_area_error": None if exact is None else exact["largest_area_error"],
-        "gap": (result.report.get("optimality") or {}).get("gap"),
+        "largest_area_error": max(errors, default=None),
+        "gap": max((gap for gap in gaps if gap is not None), default=None),
         "seconds": result.report["seconds"],
     }
 
@@ -57,7 +63,8 @@ def summary(facts: MapFacts) -> str:
 def quality(facts: MapFacts) -> str:
     """Return the figures of a map's quality: flips, degree, area, angle, and the gap where it was computed."""
     line = f"flips {facts['flips']}, degree {facts['degree']:.6f}"
-    line += f", area {facts['area']:.4f}, angle {facts['angle']:.4f}"
+    of_parts = "" if facts["largest_area_error"] is None else " (of the quarters)"
+    line += f", area {facts['area']:.4f}{of_parts}, angle {facts['angle']:.4f}"
     if facts["largest_area_error"] is not None:
         line += f", areas of all triangles right to {facts['largest_area_error']:.1e}"
     if facts["gap"] is not None:

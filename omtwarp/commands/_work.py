@@ -279,7 +279,7 @@ def require_whole(result: MapResult, name: object) -> MapResult:
     if isinstance(result, SurfaceMap) and (result.domain != "sphere" or result.part is not None):
         where = "several domains" if result.part is not None else f"a {result.domain}"
         raise OmtwarpError(
-            f"'{name}' is a map to {where}: this command takes maps that cover the sphere, of closed or filled surfaces"
+            f"'{name}' is a map to {where}: this command takes maps of closed surfaces, which cover the sphere"
         )
     return result
 

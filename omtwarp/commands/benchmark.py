@@ -45,7 +45,7 @@ def benchmark(
     meshes: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[MESH]...",
+            metavar="MESH",
             callback=input_file,
             help="Mesh files to measure in addition to generated shapes; - is standard input.",
         ),

@@ -69,7 +69,7 @@ def map_mesh(
     output: Annotated[
         Path,
         output_option(
-            ".npz for the whole map, or a mesh suffix for the sphere; a directory for several meshes.", ".npz"
+            ".npz for the whole map, or a mesh suffix for the sphere; - for .npz; a directory for several.", ".npz"
         ),
     ],
     method: MethodOption = MapOptions.method,
@@ -122,7 +122,7 @@ def map_mesh(
     verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Map a closed genus-0 mesh to the unit sphere, with its area preserved.
+    """Map a surface to the unit sphere, with its area preserved.
 
     OUTPUT.npz holds vertices, faces, sphere, conformal and density (float64, in the input's order). A mesh suffix
     (.ply, .obj, .off, .stl, .glb, .vtk, GIFTI's .surf.gii, FreeSurfer's lh.sphere) holds the sphere with the input's

@@ -109,7 +109,7 @@ def texture_mesh(
         Keep | None, typer.Option(help="Lay the pattern over the mesh's materials, or under them.")
     ] = None,
     opacity: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Opacity of the upper layer with --keep-materials, times its own.")
+        float, typer.Option(min=0.0, max=1.0, help="Opacity of the upper layer, times its own, with --keep-materials.")
     ] = 0.5,
     bake: Annotated[
         list[str] | None,
@@ -159,6 +159,7 @@ def texture_mesh(
     """
     import_scipy(spatial=True)
     from omtwarp.texturing import read_image
+    from omtwarp.texturing.atlas import check_size
     from omtwarp.texturing.export import SUFFIXES, format_for
 
     given = meshes or []
@@ -169,6 +170,8 @@ def texture_mesh(
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
     width = None if size in (None, "auto") else int(str(size)[:9])
+    if width is not None:
+        check_size(width)
     mapping: MapChoices = {
         "method": method,
         "until": until,

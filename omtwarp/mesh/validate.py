@@ -262,7 +262,8 @@ def _open_boundary(points: NDArray[np.float64], topology: Topology) -> Defect | 
     if copies:
         remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
     else:
-        remedy = f"fill small holes with {REPAIR}, or map it with --hemisphere or --fill-area (map_surface in Python)"
+        remedy = f"fill small holes with {REPAIR}, or use 'omtwarp map' with --hemisphere or --fill-area "
+        remedy += "(map_surface in Python)"
     return Defect("open-boundary", int(lone.sum()), vertex, text, remedy)
 
 
@@ -300,7 +301,7 @@ def _several_components(topology: Topology) -> Defect | None:
         f"{pieces} components, the largest with {sizes[largest]} of {len(labels)} faces, "
         f"first face of another is {first}"
     )
-    remedy = f"map each with --components (map_surface in Python), or keep the largest with {REPAIR}"
+    remedy = f"use 'omtwarp map' with --components (map_surface in Python), or keep the largest with {REPAIR}"
     return Defect("several-components", pieces, first, text, remedy)
 
 
@@ -312,8 +313,8 @@ def _handles(topology: Topology) -> Defect | None:
     a, b = (int(end) for end in topology.handle_edge)
     handles = number(genus, "handle")
     text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
-    torus = ", or map genus 1 with --torus" if genus == 1 else ""
-    remedy = f"only genus 0 maps to the sphere: cut the handles with --cut{torus}"
+    torus = ", or map to a torus with --torus" if genus == 1 else ""
+    remedy = f"only genus 0 maps to the sphere: cut the handles, by 'omtwarp map' with --cut{torus}"
     return Defect("genus", genus, a, text, remedy)
 
 

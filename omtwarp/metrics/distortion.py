@@ -141,6 +141,37 @@ def measure_triangles(
     return summarize(surface_area, sphere_area, determinant, angle, triple, solid, finite)
 
 
+def measure_in_plane(vertices: ArrayLike, faces: ArrayLike, plane: ArrayLike) -> Distortion:
+    """Measure a map to the plane as :func:`distortion` measures one to the sphere; areas are scaled to the same total.
+
+    Args:
+        vertices: the surface, shape [V, 3], any unit.
+        faces: vertex indices, shape [F, 3], counter-clockwise seen from outside.
+        plane: the images of the vertices, shape [V, 2]; faces are counter-clockwise there too.
+
+    Returns:
+        The distortion; its degree is the signed area in the plane over the unsigned one.
+
+    Raises:
+        OmtwarpError: the arrays are not of numbers, do not fit together, or a corner is not among the vertices.
+    """
+    points = in_range(real_numbers(vertices, "vertices", (None, 3)))
+    images = real_numbers(plane, "the map", (len(points), 2), finite=False)
+    corners = as_faces(faces, len(points))
+    one, other = (points[corners[:, k]] - points[corners[:, 0]] for k in (1, 2))
+    right, up = (images[corners[:, k]] - images[corners[:, 0]] for k in (1, 2))
+    area = 0.5 * np.linalg.norm(np.cross(one, other), axis=1)
+    flat = 0.5 * (right[:, 0] * up[:, 1] - right[:, 1] * up[:, 0])
+    # The sum of squares of the singular values over their product, from scalar products of edges (Pinkall and
+    # Polthier, Computing discrete minimal surfaces and their conjugates, 1993, equation 7).
+    stretch = (right**2).sum(axis=1) * (other**2).sum(axis=1) + (up**2).sum(axis=1) * (one**2).sum(axis=1)
+    stretch -= 2.0 * (right * up).sum(axis=1) * (one * other).sum(axis=1)
+    with np.errstate(all="ignore"):
+        angle = stretch / (4.0 * area * flat)
+        solid = 4.0 * np.pi * flat / np.abs(flat).sum()
+        return summarize(area, np.abs(flat), flat / area, angle, flat, solid, bool(np.isfinite(images).all()))
+
+
 def measure(
     vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike | wp.array, *, device: str | None
 ) -> Aggregates:

@@ -24,7 +24,7 @@ from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
 from omtwarp.texturing.patterns import PATTERNS, Pattern
 from omtwarp.texturing.projection import rotation_matrix
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
-from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, texture, vertex_normals
+from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, require_one_picture, texture, vertex_normals
 
 SIZE = 2048
 """Texels of a side of a picture for own coordinates where the material has none whose size could be taken."""
@@ -116,6 +116,8 @@ def paint(
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     if mesh is None and (uv == "own" or keep is not None):
         raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
+    if uv == "atlas" and (bake or keep is not None):
+        require_one_picture(result)
     vertices, faces, sphere = as_map(result)
     wanted = _Wanted.of(bake, detail, image is not None or pattern is not None or keep is not None)
     own = None if mesh is None else mesh.on(vertices, faces)

@@ -10,7 +10,7 @@ from omtwarp.materials.base import Floats, Material
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.mesh.arrays import TINY
 from omtwarp.texturing.atlas import CUBE_FRAMES
-from omtwarp.texturing.textured import SphereMap, as_map
+from omtwarp.texturing.textured import SphereMap, as_map, require_one_picture
 
 MARGIN = 1.0 / 128.0
 """Free space around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
@@ -55,6 +55,7 @@ def unwrap_uv(
         >>> mesh.uv.shape == (len(surface.faces), 3, 2), bool(0 < mesh.uv.min() and mesh.uv.max() < 1)
         (True, True)
     """
+    require_one_picture(result)
     vertices, faces, sphere = as_map(result)
     if not ASPECTS[0] <= aspect <= ASPECTS[1] or not 0.0 <= margin <= MOST_MARGIN:
         raise OmtwarpError(f"aspect {aspect}, margin {margin}: give 0.1 to 10, and 0 to 0.1")

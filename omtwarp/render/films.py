@@ -275,8 +275,11 @@ def _story_of(
     if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal")):
         raise OmtwarpError(f"cannot film a {type(result).__name__}: give a map to the sphere")
     part = getattr(result, "part", None)
-    if part is not None and len(np.unique(part)) > 1:
-        raise OmtwarpError("cannot film a map of several parts, each of which has a sphere of its own: map one of them")
+    if part is not None and len(np.unique(part)) > 1 and getattr(result, "cap_centres", None) is None:
+        raise OmtwarpError(
+            "cannot film a map of several parts, each of which has a sphere of its own: map one of them, or all to one "
+            "sphere with --together"
+        )
     if image is None:
         least, most = PICTURE_WIDTHS
         image = rasterize(pattern, int(np.clip(2 ** math.ceil(math.log2(2 * width)), least, most)), device=device)

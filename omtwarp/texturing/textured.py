@@ -327,6 +327,20 @@ def _seam(given: float | str, vertices: Floats, faces: Ints, sphere: Floats, rot
     return np.pi if degrees in (-180.0, 180.0) else float(np.deg2rad(degrees))
 
 
+def require_one_picture(result: object) -> None:
+    """Make sure that every point of a picture of the sphere belongs to one place of the surface only.
+
+    Raises:
+        OmtwarpError: the map is of several parts, each with a sphere of its own.
+    """
+    part = getattr(result, "part", None)
+    if part is not None and getattr(result, "cap_centres", None) is None and len(np.unique(part)) > 1:
+        raise OmtwarpError(
+            "every part of this map has a sphere of its own, and their texture coordinates would lie on each other: "
+            "map all parts to one sphere with --together (together=True in Python)"
+        )
+
+
 def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
     """Return the size of a texture whose texels are about as large as those of the image."""
     height, width = picture.shape[:2]

@@ -167,6 +167,8 @@ def test_help_has_examples_groups_and_a_whole_summary(name):
     assert "Output:\n" in text and "Options:\n" not in text
     assert not re.search(r"<(?!=)", text.partition("Examples:")[0])  # no names of Python's types
     assert text.partition("Other:\n")[2].partition("\n\n")[0].strip().startswith("-h, --help")
+    assert "{" not in text and not re.search(r"(?<= )--?[a-z-]+-\n", text)  # no braces, no option cut in two
+    assert max(len(line) for line in text.splitlines()) <= 80
     assert SUMMARIES[name] in parent.command.get_help(parent)
     for line in EXAMPLES[name].splitlines():
         for part in line.split("|"):

@@ -70,8 +70,15 @@ def test_parts(capsys, tmp_path):
     status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--components", "--quiet")
     assert status == 0, err
     assert np.bincount(omtwarp.SurfaceMap.load(tmp_path / "m.npz").part).tolist() == [320, 320]
+    status, _, err = run(capsys, "texture", tmp_path / "m.npz", "-o", tmp_path / "m.glb", "--pattern", "dots")
+    assert status == 2 and "'dots' is not one of 'circles'" in err and "Value error" not in err
+    for words in (["unwrap"], ["texture", "--bake", "ao"]):  # charts of two spheres would lie on each other
+        status, _, err = run(capsys, *words, "--map", tmp_path / "m.npz", "-o", tmp_path / "m.glb")
+        assert status == 1 and "--together" in err and len(err.splitlines()) == 1
     status, out, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together")
     assert status == 0 and "flips 0, degree 0.97" in out, err
+    status, _, err = run(capsys, "unwrap", "--map", tmp_path / "m.npz", "-o", tmp_path / "m.glb", "--quiet")
+    assert status == 0, err
     status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together", "--disk")
     assert status == 1 and "both --together and --disk" in err
 
