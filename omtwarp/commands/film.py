@@ -18,7 +18,7 @@ from omtwarp.commands._options import (
     JsonOption,
     MapOption,
     MethodOption,
-    OptionalMesh,
+    OptionalMeshes,
     QuietOption,
     RefineOption,
     RepairOption,
@@ -31,7 +31,7 @@ from omtwarp.commands._options import (
     picture_size,
 )
 from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._work import map_from, show_facts, start_device
+from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -48,9 +48,9 @@ def film_size(text: str | None) -> str | None:
 def film_map(
     output: Annotated[
         Path,
-        output_option(".mp4 (needs ffmpeg), .gif or .webp.", ".gif"),
+        output_option(".mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.", ".gif"),
     ],
-    mesh: OptionalMesh = None,
+    meshes: OptionalMeshes = None,
     finished: MapOption = None,
     image: ImageOption = None,
     pattern: PatternOption = None,
@@ -93,54 +93,60 @@ def film_map(
     from omtwarp.render.output import check_target
     from omtwarp.texturing import read_image
 
-    check_output(output, FILMS, mesh, finished, image)
-    check_target(output, film=True, transparent=False)
+    given = meshes or []
+    targets = targets_of(given, finished, output, ".gif")
+    for target in targets:
+        check_output(target, FILMS, *given, finished, image)
+        check_target(target, film=True, transparent=False)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
     start_device(device)
     picture = read_image(image) if image is not None else None
-    result = map_from(
-        mesh,
-        finished,
-        repair=repair,
-        quiet=quiet,
-        device=device,
-        verbose=verbose,
-        method=method,
-        cost=cost,
-        scheme=scheme,
-        refine=refine,
-        solver=solver,
-    )
-    begun = time.perf_counter()
-    frames = 0
-    with progress_bar(quiet) as progress:
 
-        def notify(stage: str, done: int, total: int, facts: dict) -> None:
-            nonlocal frames
-            frames = total if stage == "film" else frames
-            if progress is not None:
-                progress(stage, done, total, facts)
-
-        film(
-            result,
-            output,
-            pattern=pattern.value if pattern else "circles",
-            image=picture,
-            size=None if size is None else as_size(size),
-            fps=fps,
-            seconds=seconds,
-            view=view,
-            up=up,
-            front=front,
-            background=background,
-            captions=captions,
-            backend=backend.value,
+    def film_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
+        result = map_from(
+            mesh,
+            finished,
+            repair=repair,
+            quiet=quiet,
             device=device,
-            progress=notify,
+            verbose=verbose,
+            method=method,
+            cost=cost,
+            scheme=scheme,
+            refine=refine,
+            solver=solver,
         )
-    length = output.stat().st_size
-    facts = {"output": str(output), "frames": frames, "bytes": length}
-    seconds_drawn = time.perf_counter() - begun
-    line = f"{output}: a film of {frames} frames, {length / 1e6:.1f} MB, drawn in {seconds_drawn:.1f} s"
-    show_facts(facts, line, as_json=as_json, quiet=quiet)
+        begun = time.perf_counter()
+        frames = 0
+        with progress_bar(quiet) as progress:
+
+            def notify(stage: str, done: int, total: int, facts: dict) -> None:
+                nonlocal frames
+                frames = total if stage == "film" else frames
+                if progress is not None:
+                    progress(stage, done, total, facts)
+
+            film(
+                result,
+                target,
+                pattern=pattern.value if pattern else "circles",
+                image=picture,
+                size=None if size is None else as_size(size),
+                fps=fps,
+                seconds=seconds,
+                view=view,
+                up=up,
+                front=front,
+                background=background,
+                captions=captions,
+                backend=backend.value,
+                device=device,
+                progress=notify,
+            )
+        length = target.stat().st_size
+        drawn = time.perf_counter() - begun
+        facts: dict[str, object] = {"output": str(target), "frames": frames, "bytes": length}
+        return facts, f"{target}: a film of {frames} frames, {length / 1e6:.1f} MB, drawn in {drawn:.1f} s"
+
+    show_each(given, targets, film_one, as_json=as_json, quiet=quiet)

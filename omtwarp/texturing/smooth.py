@@ -10,7 +10,8 @@ A map that keeps the area around every vertex may oscillate from one vertex to t
 vertices around them. A low-pass filter removes waves of two or three edges by moving the images of the vertices by a
 fraction of an edge [3]_. The map itself does not change, only the texture coordinates.
 
-Where a triangle of the grid would be flipped, the map is blended with the linear one as far as necessary.
+Where a triangle of the grid would be flipped, the map is blended with the linear one as far as necessary, by a share that
+changes linearly from vertex to vertex.
 
 .. [1] P. Alfeld, "A trivariate Clough-Tocher scheme for tetrahedral data", Comput. Aided Geom. Design 1 (1984), with
    the two-dimensional scheme in section 2.
@@ -234,10 +235,7 @@ def _divided(
     inside_curve = _inside(places, faces, sphere, ends, edge_of, towards, share[inner])
     lines = np.concatenate([edge_line.reshape(-1, 3), inside_line.reshape(-1, 3)])
     added = np.concatenate([edge_curve.reshape(-1, 3), inside_curve.reshape(-1, 3)]) - lines
-    owners = np.concatenate(
-        [np.repeat(np.arange(len(ends)), parts - 1), len(ends) + np.repeat(np.arange(len(faces)), len(inner))]
-    )
-    result = _without_flips(sphere, faces, lines, added, owners, edge_of, grid, parts)
+    result = _without_flips(sphere, faces, lines, added, grid, share, parts)
     return SmoothMap(parts, result, grid, partial(_weights, ends, faces, steps / parts, share[inner], count))
 
 
@@ -469,32 +467,41 @@ def _weights(ends: NDArray[np.int64], faces: Ints, steps: Floats, share: Floats,
 
 
 def _without_flips(
-    sphere: Floats,
-    faces: Ints,
-    lines: Floats,
-    added: Floats,
-    owners: NDArray[np.int64],
-    edge_of: NDArray[np.int64],
-    grid: Ints,
-    parts: int,
+    sphere: Floats, faces: Ints, lines: Floats, added: Floats, grid: Ints, share: Floats, parts: int
 ) -> Floats:
-    """Return the points of the grid with as much of the curve over every edge and in every face as flips nothing."""
-    edges = int(edge_of.max(initial=-1)) + 1
-    kept = np.ones(edges + len(faces))
+    """Return the points of the grid with as much of the curves as flips nothing.
+
+    How much is a number at every vertex and linear between them. If each edge and triangle had its own, a triangle with
+    less than its neighbours would flip these, and those the next: along a limb that the map stretches ten to one, the
+    map would be linear in every third triangle where one in forty needs it.
+
+    Args:
+        sphere: the map at the vertices, shape [V, 3].
+        faces: the triangles that are divided, shape [F, 3].
+        lines: the grid's other points on the linear map, shape [N, 3].
+        added: from these to the curves, shape [N, 3].
+        grid: the points of every triangle, shape [F, K].
+        share: their barycentric coordinates, shape [K, 3].
+        parts: into how many parts every edge is divided.
+    """
+    kept = np.ones(len(sphere))
     triangles = grid_triangles(parts)
-    around = np.concatenate([edge_of, edges + np.arange(len(faces))[:, None]], axis=1)
     points = np.concatenate([sphere, lines + added])
-    open_faces, rounds = np.arange(len(faces)), 0
+    sound = ~flipped_faces(sphere, faces)
+    open_faces, rounds = np.flatnonzero(sound), 0
     while len(open_faces):
         corners = grid[open_faces][:, triangles].reshape(-1, 3)
         flipped = flipped_faces(points, corners).reshape(len(open_faces), -1).any(axis=1)
-        touched = np.unique(around[open_faces[flipped]])
+        touched = np.unique(faces[open_faces[flipped]])
         touched = touched[kept[touched] > 0.0]
         kept[touched] = 0.5 * kept[touched] if rounds < HALVINGS else 0.0
-        points[len(sphere) :] = lines + kept[owners, None] * added
-        changed = np.zeros(len(kept), dtype=bool)
+        changed = np.zeros(len(sphere), dtype=bool)
         changed[touched] = True
-        open_faces = np.flatnonzero(changed[around].any(axis=1))
-        rounds += 1
+        around = np.flatnonzero(changed[faces].any(axis=1))
+        number = grid[around] - len(sphere)
+        new = number >= 0
+        number, scale = number[new], (kept[faces[around]] @ share.T)[new]
+        points[len(sphere) + number] = lines[number] + scale[:, None] * added[number]
+        open_faces, rounds = around[sound[around]], rounds + 1
     points[len(sphere) :] /= np.linalg.norm(points[len(sphere) :], axis=1, keepdims=True)
     return points

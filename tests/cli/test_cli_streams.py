@@ -134,6 +134,7 @@ SEVERAL = {
     "unwrap": (".glb", []),
     "preview": (".png", ["--size", "48", "--backend", "warp"]),
     "report": (".html", ["--until", "conformal"]),
+    "film": (".gif", ["--size", "64x48", "--seconds", "0.2", "--fps", "10", "--backend", "warp"]),
 }
 
 
@@ -198,7 +199,7 @@ TABLE = {
     "transfer": (["-", "ball.ply", "-o", "x.glb"], "-o", False),
     "unwrap": (["-", "-o", "x.glb"], "-o", True),
     "preview": (["-", "-o", "x.png"], "-o", True),
-    "film": (["--map", "-", "-o", "x.gif"], "-o", False),
+    "film": (["--map", "-", "-o", "x.gif"], "-o", True),
     "report": (["--map", "-", "-o", "x.html"], "-o", True),
     "align": (["-", "-o", "x.npz"], "-o", False),
     "resample": (["-", "--to", "ico0", "-o", "x.ply"], "-o", False),
