@@ -10,8 +10,8 @@ A map that keeps the area around every vertex may oscillate from one vertex to t
 vertices around them. A low-pass filter removes waves of two or three edges by moving the images of the vertices by a
 fraction of an edge [3]_. The map itself does not change, only the texture coordinates.
 
-Where a triangle of the grid would be flipped, the map is blended with the linear one as far as necessary, by a share that
-changes linearly from vertex to vertex.
+Where a triangle of the grid would be flipped, the map is blended with the linear one as far as necessary, by a share
+that changes linearly from vertex to vertex.
 
 .. [1] P. Alfeld, "A trivariate Clough-Tocher scheme for tetrahedral data", Comput. Aided Geom. Design 1 (1984), with
    the two-dimensional scheme in section 2.
