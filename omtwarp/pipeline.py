@@ -86,7 +86,7 @@ SHAPE_BY_DISTANCE = 0.036
 EXACT_SHARE = 2.0
 MAX_GAP, MAX_CURL = 9e-4, 0.025
 # Where the conformal map shrinks limbs to points, the mesh's own error in the cost is larger: 0.07 and 0.29 % are left
-# on two scans of that kind, 0.04 and 0.18 % with exact areas. With a third of the shape term the second of these moves
+# on two scans of that kind, 0.04 and 0.09 % with exact areas. With a third of the shape term the second of these moves
 # parts of triangles by up to a tenth of their area, which the cost at vertices does not see.
 MAX_GAP_SHRUNKEN = 9e-3
 SHAPE_DECAY = (0.1, 0.4)
@@ -136,7 +136,7 @@ ROUGH_ROUNDS = ((0.1, 300.0, 10.0, 15), (0.1, 400.0, 100.0, 30))
 GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES = (2, 12), 8_000
 WITHIN_REACH = 1.4
 # The same for exact maps of surfaces with shrunken limbs, of any size: a person's gap is 0.18 % after two steps, and
-# 0.097 % after ten, which take 30 CPU seconds more.
+# 0.093 % after six, which take 12 CPU seconds more.
 WITHIN_REACH_SHRUNKEN = 2.5
 UNIMPROVED = 1.1
 
