@@ -46,12 +46,30 @@ used, faces = np.unique(wrinkled.faces[~hole], return_inverse=True)
 cortex = omtwarp.map_surface((points[used], faces.reshape(-1, 3)), domain="sphere", fill_area="small")
 print(cortex)
 
-globe = rasterize("globe", 1024)
+# %%
+# The wall is drawn in grey on its patch of the sphere: texels that lie in one of the filling's triangles.
+
+globe = rasterize("globe", 2048)
+wall = cortex.filled_sphere[cortex.filled_faces[cortex.filled_loop >= 0]]  # corners of triangles, [K, 3, 3]
+east, up = np.meshgrid(
+    (np.arange(2048) + 0.5) / 2048 * 2.0 * np.pi - np.pi, np.pi / 2.0 - (np.arange(1024) + 0.5) / 1024 * np.pi
+)
+texels = np.stack([np.cos(up) * np.cos(east), np.cos(up) * np.sin(east), np.sin(up)], axis=-1)
+near = texels @ wall.mean(axis=(0, 1)) > 0.95
+sides = np.cross(wall, np.roll(wall, -1, axis=1))  # normals of the planes through the centre and a side
+sides /= np.linalg.norm(sides, axis=-1, keepdims=True)
+inside = ((texels[near] @ sides.reshape(-1, 3).T).reshape(-1, len(wall), 3) > -1e-3).all(axis=2).any(axis=1)
+walled = globe.copy()
+walled[near] = np.where(inside[:, None], 165, walled[near])
+
+face = SurfaceView(half.vertices, half.faces, image=globe, sphere=half.sphere, up="y", front="+z")
 sheet(
     [
-        SurfaceView(half.vertices, half.faces, image=globe, sphere=half.sphere, up="y", front="+z"),
+        omtwarp.preview(face, views=(-18, 6), size=(400, 380)),
         SurfaceView(half.sphere, half.faces, image=globe, sphere=half.sphere, up="z"),
-        SurfaceView(cortex.vertices, cortex.faces, image=globe, sphere=cortex.sphere, up="z", front="+x"),
+        SurfaceView(
+            cortex.filled_vertices, cortex.filled_faces, image=walled, sphere=cortex.filled_sphere, up="z", front="+x"
+        ),
         SurfaceView(cortex.vertices, cortex.faces, image=globe, sphere=cortex.sphere, up="z", front="-x"),
     ],
     captions=["a face", "its hemisphere", "the medial wall", "the cortex"],

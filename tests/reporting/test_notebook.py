@@ -78,6 +78,13 @@ def test_view_is_a_picture_with_a_frame_over_it(view):
     assert policy.startswith("default-src 'none'") and policy.count("'sha256-") == 2 and "unsafe-eval" not in policy
 
 
+# What VS Code allows in outputs of notebooks with notebook.experimental.enableCsp, its own addresses left out.
+EDITOR_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "img-src https: http: data:; font-src https:; connect-src https:; child-src https: data:;"
+)
+
+
 def drawn_over(framed: np.ndarray, still: np.ndarray) -> bool:
     """Whether the frame shows its controls, which stand at its bottom when the view draws, over the picture."""
     bottom = slice(-50, None)
@@ -86,9 +93,10 @@ def drawn_over(framed: np.ndarray, still: np.ndarray) -> bool:
 
 @pytest.mark.skipif(browser.PROGRAM is None, reason="no Chromium on this machine")
 def test_view_draws_in_a_browser_without_a_network(view, tmp_path):
-    """As in a notebook: a page with the view in a frame, in which the surface appears and turns into a ball."""
+    """As in a notebook of VS Code: the surface appears in a frame of a page with its policy, and turns into a ball."""
     file = tmp_path / "notebook.html"
-    file.write_text(f"<!doctype html><meta charset='utf-8'><body style='margin:0'>{view}</body>", "utf-8")
+    policy = f'<meta http-equiv="Content-Security-Policy" content="{EDITOR_POLICY}">'
+    file.write_text(f"<!doctype html><meta charset='utf-8'>{policy}<body style='margin:0'>{view}</body>", "utf-8")
     alone = tmp_path / "view.html"
     alone.write_text(page_of(view), "utf-8")
     page = browser.Browser(tmp_path / "profile")
