@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from omtwarp.commands._command import Command
+from omtwarp.commands._command import Command, Group
 from omtwarp.commands._streams import standard_streams
 from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
@@ -99,6 +99,7 @@ SUMMARIES = {
 """One line about every command, short enough for a terminal of 80 columns."""
 
 app = typer.Typer(
+    cls=Group,
     help="Area-preserving maps of surfaces to the sphere, and textures through them.",
     epilog="Begin with: omtwarp demo -o out. Options and examples of a command: omtwarp COMMAND --help.",
     no_args_is_help=True,

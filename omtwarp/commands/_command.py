@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from functools import partial
+from pathlib import Path
 from typing import Protocol, cast
 
 import typer
@@ -59,6 +61,28 @@ class Formatter(Protocol):
         """Write a text."""
 
 
+class Parameter(Protocol):
+    """An option or argument of a command, as newer versions of typer have them."""
+
+    default: object
+    required: bool
+    multiple: bool
+    nargs: int
+    callback: Callable[[object, Parameter, object], object] | None
+
+    def process_value(self, ctx: object, value: object) -> object:
+        """Convert a value, check it and call the parameter's callback."""
+
+
+class Group(typer.core.TyperGroup):
+    """The commands, whose common options are read as those of :class:`Command`."""
+
+    def parse_args(self, ctx: object, args: list[str]) -> list[str]:
+        """Read the arguments; return those of the command."""
+        _read_plainly(self.get_params(cast(typer.Context, ctx)))
+        return super().parse_args(cast(typer.Context, ctx), args)
+
+
 class Command(typer.core.TyperCommand):
     """A command whose help has groups of options, and whose epilog is examples, one a line."""
 
@@ -79,6 +103,7 @@ class Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: object, args: list[str]) -> list[str]:
         """Read the arguments; an error says what is wrong, without the name of a Python exception."""
+        _read_plainly(self.get_params(cast(typer.Context, ctx)))
         try:
             return super().parse_args(cast(typer.Context, ctx), args)
         except typer.BadParameter as error:
@@ -96,6 +121,40 @@ class Command(typer.core.TyperCommand):
             with formatter.section("Examples"):
                 for line in self.epilog.splitlines():
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+
+
+def _read_plainly(parameters: Sequence[object]) -> None:
+    """Read values that need no check without typer's checkers of types.
+
+    For these it imports pydantic and builds one for every option: a tenth of a second at the start of each command.
+    """
+    for parameter in cast(Sequence[Parameter], parameters):
+        if not isinstance(vars(parameter).get("process_value"), partial):
+            vars(parameter)["process_value"] = partial(_processed, parameter, parameter.process_value)
+
+
+def _processed(parameter: Parameter, usual: Callable[[object, object], object], ctx: object, value: object) -> object:
+    """Return a parameter's value: defaults as they are, paths and texts at once, and others as typer reads them."""
+    kind = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
+    options = getattr(getattr(parameter, "type_descriptor", None), "parameter_info", None)
+    known: object
+    if kind is None or parameter.required and value in (None, (), []) or getattr(options, "exists", True):
+        return usual(ctx, value)
+    if value is None:
+        known = () if parameter.multiple or parameter.nargs == -1 else None
+    elif value is parameter.default:
+        known = value
+    elif getattr(options, "parser", None) is not None:
+        return usual(ctx, value)
+    elif kind is Path and isinstance(value, str):
+        known = Path(value)
+    elif kind == list[Path] and isinstance(value, list | tuple):
+        known = [Path(str(one)) for one in value]
+    elif kind is str and isinstance(value, str):
+        known = value
+    else:
+        return usual(ctx, value)
+    return known if parameter.callback is None else parameter.callback(ctx, parameter, known)
 
 
 def heading_of(command: str, option: str) -> str:
