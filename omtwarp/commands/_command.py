@@ -46,6 +46,9 @@ GROUPS = {
 """Options by the heading that help shows them under; others are shown last."""
 
 
+_USUAL = object()  # in place of a value that typer is to read
+
+
 class Formatter(Protocol):
     """A writer of help: click's ``HelpFormatter``, of which typer has a copy of its own in some versions."""
 
@@ -137,22 +140,20 @@ def _processed(parameter: Parameter, usual: Callable[[object, object], object], 
     """Return a parameter's value: defaults as they are, paths and texts at once, and others as typer reads them."""
     kind = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
     options = getattr(getattr(parameter, "type_descriptor", None), "parameter_info", None)
-    known: object
-    if kind is None or parameter.required and value in (None, (), []) or getattr(options, "exists", True):
+    missing = parameter.required and value in (None, (), [])
+    if kind is None or missing or getattr(options, "exists", True):
         return usual(ctx, value)
-    if value is None:
-        known = () if parameter.multiple or parameter.nargs == -1 else None
-    elif value is parameter.default:
-        known = value
-    elif getattr(options, "parser", None) is not None:
-        return usual(ctx, value)
-    elif kind is Path and isinstance(value, str):
-        known = Path(value)
-    elif kind == list[Path] and isinstance(value, list | tuple):
-        known = [Path(str(one)) for one in value]
-    elif kind is str and isinstance(value, str):
-        known = value
-    else:
+    many, parser = parameter.multiple or parameter.nargs == -1, getattr(options, "parser", None)
+    readings: list[tuple[bool, Callable[[], object]]] = [
+        (value is None, lambda: () if many else None),
+        (value is parameter.default, lambda: value),
+        (parser is not None, lambda: _USUAL),
+        (kind is Path and isinstance(value, str), lambda: Path(str(value))),
+        (kind == list[Path] and many, lambda: [Path(str(one)) for one in cast(Sequence[str], value)]),
+        (kind is str and isinstance(value, str), lambda: value),
+    ]
+    known = next((read() for fits, read in readings if fits), _USUAL)
+    if known is _USUAL:
         return usual(ctx, value)
     return known if parameter.callback is None else parameter.callback(ctx, parameter, known)
 
