@@ -614,10 +614,10 @@ def _on_hemisphere(
         image = found
         closed = _turned(closed, frame)
     result = _restricted(part, opened, closed, image, domain)
-    return result if domain == "hemisphere" else _projected(part, result, domain)
+    return result if domain == "hemisphere" else _projected(part, half, result, domain)
 
 
-def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
+def _projected(part: Part, half: Surface, result: SurfaceMap, domain: str) -> SurfaceMap:
     """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips."""
     begun = perf_counter()
     whole, faces = _whole(result)
@@ -627,9 +627,9 @@ def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
         hole = fill_holes(part.vertices, part.faces, [longest])
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
-        result = _on_cap(result, share)
+        result = _on_cap(result, share, half)
     else:
-        disk, flips = untangle_in_plane(hemisphere_to_disk(whole), faces, _rim(faces, len(whole)))
+        disk, flips = untangle_in_plane(hemisphere_to_disk(whole), faces, _rim(faces, len(whole)), half)
         if flips:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
@@ -641,8 +641,13 @@ def _projected(part: Part, result: SurfaceMap, domain: str) -> SurfaceMap:
     return replace(result, report=result.report | {"surface": about, "stages": [*result.report["stages"], projected]})
 
 
-def _on_cap(result: SurfaceMap, share: float) -> SurfaceMap:
+def _on_cap(result: SurfaceMap, share: float, half: Surface | None = None) -> SurfaceMap:
     """Carry a map of the hemisphere to the cap with a share of the sphere around the north pole.
+
+    Args:
+        result: the map to the hemisphere.
+        share: the cap's.
+        half: the surface with its holes filled, for a better repair in the disk.
 
     Returns:
         The first that is one to one of: the map as it is projected, the same with flipped triangles untangled, on small
@@ -655,7 +660,7 @@ def _on_cap(result: SurfaceMap, share: float) -> SurfaceMap:
     ways: list[Callable[[], Floats]] = [
         lambda: cap,
         lambda: untangle_on_sphere(cap, faces, rim),
-        lambda: disk_to_cap(untangle_in_plane(laid, faces, rim)[0], share),
+        lambda: disk_to_cap(untangle_in_plane(laid, faces, rim, half)[0], share),
     ]
     if share < GNOMONIC_SHARE:
         ways.insert(1, lambda: from_gnomonic(untangle_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))

@@ -327,6 +327,12 @@ class SurfaceArrays:
         return self._array("edge_corners", wp.vec2i)
 
 
+def plane_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the signed areas of plane triangles, shape [F], from their corners [F, 3, 2]."""
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+
+
 def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return the area of every flat triangle, shape [F]."""
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))

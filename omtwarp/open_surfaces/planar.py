@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import linprog
 from scipy.sparse.linalg import splu
 
+from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
+from omtwarp.topology.boundary import boundary_loops
+from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, Schedule, untangle_patches
 
 Floats = NDArray[np.float64]
 # Repair on the sphere: sweeps over the corners of flipped triangles; one more ring of vertices is added after a number
 # of sweeps, while there are at most so many vertices to move. Surfaces of 250 to 9,700 faces took one or two.
 SWEEPS, SWEEPS_PER_RING, MOST_MOVED = 24, 4, 400
+LIFT = 0.25  # radius of the disk in the plane that touches the sphere where patches are untangled
+# Patches of maps to the plane: from few rings to the whole disk, and with areas that count much, since the disk is to
+# keep them: half of a caudate nucleus has area distortion 2.105 with the weight 10, 2.032 with 100 and 2.030 with 300.
+PATCHES = tuple(replace(schedule, weight=100.0) for schedule in SCHEDULES)
+# Once no triangle is flipped, patches around triangles whose area is wrong by this factor are minimised over, so many
+# times: the same has 2.0086 after one and 2.0063 after three, and less angle distortion too.
+UNEVEN, EVENINGS = 1.2, 3
+EVENED = Schedule(rings=9, factor=0.5, steps=10, thinnest=0.0, weight=100.0, largest=1e-3)
 LEAST_MARGIN = 1e-9  # from a flip, of an accepted position
 SOLVES = 3  # of the convex combinations: the first leaves no flips except by rounding
 
@@ -30,18 +44,22 @@ def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
     return flipped_faces(np.concatenate([points, np.ones((len(points), 1))], axis=1), faces)
 
 
-def untangle_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> tuple[Floats, int]:
+def untangle_in_plane(
+    points: Floats, faces: NDArray, held: NDArray[np.bool_], surface: Surface | None = None
+) -> tuple[Floats, int]:
     """Untangle flipped triangles of a map to the unit disk with the boundary fixed.
 
-    A disk is larger than the polygon of its boundary's vertices: points outside of the polygon are moved inside first.
-    If triangles are still flipped, every vertex becomes a convex combination of its neighbours with its mean value
-    coordinates, or with equal ones at flipped triangles. Then none is flipped, since the polygon is convex [1]_, and
-    vertices away from the flips hardly move.
+    A disk is larger than the polygon of its boundary's vertices: where triangles are flipped, points outside of the
+    polygon are moved inside first. If the surface is given, the patches around flipped triangles are untangled, and
+    areas that are far off are made even. Where that fails, every vertex becomes a convex combination of its neighbours
+    with its mean value coordinates, or with equal ones at flipped triangles. Then none is flipped, since the polygon
+    is convex [1]_, but areas are no longer right.
 
     Args:
         points: a map to the unit disk with few flips, shape [V, 2].
         faces: shape [F, 3].
         held: vertices of the boundary, which lie on the circle, shape [V].
+        surface: what is mapped, with the areas that those in the plane are to be in proportion to.
 
     Returns:
         The map, and the number of remaining flips, 0 except for rounding.
@@ -49,15 +67,50 @@ def untangle_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -
     .. [1] M. S. Floater, "Mean value coordinates", Computer Aided Geometric Design 20 (2003).
     """
     flipped = flipped_in_plane(points, faces)
-    if not flipped.any():
-        return points, 0
-    moved = _drawn_inside(points, held)
+    moved = _drawn_inside(points, held) if flipped.any() else points
+    if surface is not None:
+        moved = _untangled_patches(moved, held, surface)
     for _ in range(SOLVES):
         flipped = flipped_in_plane(moved, faces)
         if not flipped.any():
             break
         moved = _convex(moved, faces, held, flipped)
     return moved, int(flipped.sum())
+
+
+def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
+    """Untangle patches of a map to the disk with the boundary fixed, and then make areas even where they are not.
+
+    The plane touches the sphere: the gnomonic projection keeps straight sides and orientations, and a vertex opposite
+    to the disk closes the surface. Arguments are those of :func:`untangle_in_plane`, and so is the map returned, which
+    may have flips left.
+    """
+    apex, faces = len(points), surface.faces
+    lifted = np.concatenate([LIFT * points, np.ones((apex, 1))], axis=1)
+    lifted /= np.linalg.norm(lifted, axis=1)[:, None]
+    start = np.concatenate([lifted, [[0.0, 0.0, -1.0]]])
+    (rim,) = boundary_loops(faces, apex)
+    fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), apex)], axis=1)
+    wanted = surface.face_areas * (plane_areas(points[faces]).sum() / surface.face_areas.sum())
+    # An area in the plane is that on the sphere but for the cube of the height of its place.
+    on_sphere = wanted * LIFT**2 * lifted[faces].mean(axis=1)[:, 2] ** 3
+    rest = np.full(len(fan), (SPHERE_AREA - on_sphere.sum()) / len(fan))
+    vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
+    closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([on_sphere, rest]))
+    sphere, plane = start, points
+    fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
+    for schedule in (*PATCHES, *[EVENED] * EVENINGS):
+        flipped = flipped_in_plane(plane, faces)
+        if schedule is EVENED:
+            images = plane_areas(plane[faces])
+            flipped |= (images * UNEVEN < wanted) | (images > UNEVEN * wanted)
+        if not flipped.any():
+            continue
+        seeds = np.concatenate([flipped, np.zeros(len(fan), dtype=bool)])
+        sphere, _ = untangle_patches(closed, sphere, seeds, schedule, resolve_device("cpu"), budget, fixed)
+        moved = (sphere != start).any(axis=1)[:apex, None]
+        plane = np.where(moved, sphere[:apex, :2] / sphere[:apex, 2:] / LIFT, points)
+    return plane
 
 
 def untangle_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> Floats:

@@ -23,7 +23,7 @@ from scipy.sparse import csgraph
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.arrays import ROUND_OFF, TINY
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
 from omtwarp.topology.handles import cut_handles
@@ -63,12 +63,6 @@ class FlatTorus:
     def corners(self, faces: NDArray) -> Floats:
         """Return the corners of the triangles in multiples of the lattice's vectors, exactly, shape [F, 3, 2]."""
         return self.coordinates[faces] + self.wraps
-
-
-def plane_areas(corners: Floats) -> Floats:
-    """Return the signed areas of plane triangles, shape [F], from their corners [F, 3, 2]."""
-    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
 
 
 def conformal_torus(surface: Surface) -> FlatTorus:

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.mesh.arrays import TINY
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH, ascend
 from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, missing_mass, space_order
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
-from omtwarp.torus.harmonic import plane_areas
 from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec7d
 
 Floats = NDArray[np.float64]

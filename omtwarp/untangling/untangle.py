@@ -212,6 +212,7 @@ def untangle_patches(
     schedule: Schedule,
     device: wp.Device,
     budget: RepairBudget | None = None,
+    held: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.float64], int]:
     """Try once to untangle the patches around given triangles.
 
@@ -222,11 +223,12 @@ def untangle_patches(
         schedule: the parameters of the attempt.
         device: a Warp device.
         budget: the work that it may take; by default that of the surface.
+        held: vertices that stay where they are, shape [V]; at least one corner of the triangles to free is not.
 
     Returns:
         The map, shape [V, 3], and the number of vertices freed.
     """
-    untangling = _Untangling(surface, sphere, seeds, schedule, device)
+    untangling = _Untangling(surface, sphere, seeds, schedule, device, held)
     points, _ = untangling.solve(RepairBudget(surface) if budget is None else budget)
     return points, untangling.whole.free
 
@@ -247,7 +249,15 @@ def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], sche
 class _Untangling:
     """Minimises over the patches around flipped triangles."""
 
-    def __init__(self, surface: Surface, sphere, flipped: NDArray[np.bool_], schedule: Schedule, device):
+    def __init__(
+        self,
+        surface: Surface,
+        sphere: NDArray[np.float64],
+        flipped: NDArray[np.bool_],
+        schedule: Schedule,
+        device: wp.Device,
+        held: NDArray[np.bool_] | None = None,
+    ):
         self.device = device
         self.schedule = schedule
         self.surface = surface
@@ -255,7 +265,10 @@ class _Untangling:
         self.result = sphere.copy()
         seed = np.zeros(surface.vertex_count, dtype=bool)
         seed[surface.faces[flipped].ravel()] = True
-        self.whole = Patches.of_vertices(surface.faces, grow(surface.faces, seed, schedule.rings))
+        freed = grow(surface.faces, seed, schedule.rings)
+        if held is not None:
+            freed &= ~held
+        self.whole = Patches.of_vertices(surface.faces, freed)
         self.frames = triangle_frames(surface, schedule.thinnest, self.whole.triangles)
         self._take(self.whole)
         covered = self._covered(vectors(sphere[self.whole.vertices], device), self.whole)

@@ -9,11 +9,11 @@ from scipy.spatial import Delaunay
 import omtwarp
 from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh import shapes
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import cap_radius, pack_caps
 from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_sphere
-from omtwarp.topology.boundary import boundary_loops
+from omtwarp.topology.boundary import boundary_half_edges, boundary_loops
 from omtwarp.topology.kind import parts_of
 
 
@@ -259,6 +259,30 @@ def test_flipped_triangles_of_the_plane_are_untangled():
     assert flipped_in_plane(moved, faces).sum() > 0
     untangled, left = untangle_in_plane(moved, faces, held)
     assert left == 0 and not flipped_in_plane(untangled, faces).any() and np.array_equal(untangled[held], flat[held])
+
+
+@pytest.mark.parametrize("level", [-1.61, -0.98])
+def test_disks_of_few_boundary_vertices_keep_areas(level):
+    # The first has 13 vertices around it, and triangles that stay flipped where the disk is drawn into their polygon;
+    # the second has none of those, but areas at the rim that are cut off.
+    ball = shapes.limbs(np.array([[0.0, 0.0, -1.0]]), 1.2, 8.0, shapes.random_sphere(1500, 3, 0.3))
+    places, faces = without(ball, ball.vertices[:, 2] > level)
+    half = omtwarp.map_surface((places, faces), domain="hemisphere", optimality=False)
+    surface = Surface(half.vertices, half.faces)
+    held = np.zeros(len(half.vertices), dtype=bool)
+    held[boundary_half_edges(half.faces, len(held))] = True
+    laid = hemisphere_to_disk(half.sphere)
+    assert flipped_in_plane(laid, half.faces).any()
+    found, without_surface = (untangle_in_plane(laid, half.faces, held, given)[0] for given in (surface, None))
+
+    def area_distortion(disk: np.ndarray) -> float:
+        assert not flipped_in_plane(disk, half.faces).any()
+        image, own = plane_areas(disk[half.faces]), triangle_areas(half.vertices, half.faces)
+        ratio = image / image.sum() / (own / own.sum())
+        return float((own / own.sum() * (ratio + 1.0 / ratio)).sum())
+
+    assert area_distortion(found) < 2.01 < area_distortion(without_surface) - 0.01
+    assert np.array_equal(found[held], laid[held])
 
 
 def thick_ring(around: int = 24, across: int = 16) -> tuple[np.ndarray, np.ndarray]:
