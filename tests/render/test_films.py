@@ -26,6 +26,12 @@ JUMP = 32  # of 255: a change of a pixel that is seen
 DRAWING = {"backend": "warp", "device": "cpu"}
 
 
+@pytest.fixture(autouse=True)
+def measured_coarsely(monkeypatch):
+    """Measure motion on few pixels: the times of frames matter to one test only."""
+    monkeypatch.setattr(films, "PROBE_WIDTH", 24)
+
+
 @pytest.fixture(scope="module")
 def creature() -> MapResult:
     """A body with limbs on a sphere, and a map that moves its points by up to a third of a turn."""
