@@ -246,6 +246,8 @@ def _measure(
         other = dual.bound(given)
         best = other if other.excess < best.excess else best
     cost = 2.0 * float(mass @ dual.cost)
+    if 2.0 * best.excess >= cost > 0.0:  # where points are far apart a potential fitted to them may bound nothing
+        best = dual.bound(np.zeros_like(mass))
 
     def near(found: Bound, done: int) -> bool:
         if _excess(cost, cost - 2.0 * found.excess) <= enough:

@@ -254,6 +254,18 @@ def test_the_bound_never_exceeds_the_exact_optimum(seed, noise, spread):
     assert (report.vertex_gap >= -1e-13).all()
 
 
+@pytest.mark.parametrize("angle", [0.5, 1.5])
+def test_a_bound_is_found_where_points_are_far_apart(angle):
+    """A sphere turned as a whole, where a potential fitted to the displacement bounds nothing."""
+    surface = shapes.blob(seed=3, sphere=shapes.icosphere_near(320))
+    turned = surface.vertices @ [[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    turned, start = (points / np.linalg.norm(points, axis=1, keepdims=True) for points in (turned, surface.vertices))
+    found = optimality(surface, turned, start=start, device="cpu")
+    masses = surface.vertex_areas
+    exact, _ = exact_transport(start, masses, turned, masses)
+    assert 0.0 < found.lower_bound <= exact and np.isfinite(found.gap)
+
+
 def test_the_identity_is_optimal():
     """The identity has no cost, no gap and no curl."""
     surface = shapes.icosphere(4)
