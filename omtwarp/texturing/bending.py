@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,12 +87,20 @@ class Bending:
             least = parts
         first = np.zeros(len(divided), dtype=np.int32)
         grids, points, rows, count = [], [curves.sphere], 0, len(curves.sphere)
-        for parts in np.unique(divided[divided > 0]).tolist():
+        sizes = np.unique(divided[divided > 0]).tolist()
+        # NumPy lets go of the interpreter in long operations.
+        with ThreadPoolExecutor(len(PARTS)) as pool:
+            finer = {
+                parts: pool.submit(curves.divided, parts, np.flatnonzero(divided == parts))
+                for parts in sizes
+                if parts > 1
+            }
+        for parts in sizes:
             which = np.flatnonzero(divided == parts)
             if parts == 1:
                 grid = curves.faces[which][:, [0, 2, 1]]  # in the order of a grid's points
             else:
-                made = curves.divided(parts, which)
+                made = finer[parts].result()
                 grid = np.where(made.grid < len(curves.sphere), made.grid, made.grid + count - len(curves.sphere))
                 points.append(made.sphere[len(curves.sphere) :])
                 count += len(points[-1])
