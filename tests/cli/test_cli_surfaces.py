@@ -44,7 +44,7 @@ def test_options_map_and_the_other_commands_take_the_result(capsys, open_mesh, o
     result = omtwarp.SurfaceMap.load(target)
     assert result.report["certificate"]["bijective"] and result.domain == (option[0][2:], "sphere")[len(option) - 1]
     for command, name in (("texture", "m.glb"), ("preview", "m.png"), ("report", "m.html")):
-        size = ["--size", "256"] if command == "texture" else []
+        size = ["--size", "256"] if command != "report" else []
         status, _, err = run(capsys, command, "--map", target, "-o", open_mesh.with_name(name), "--quiet", *size)
         assert status == 0, err
 
