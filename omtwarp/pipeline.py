@@ -560,7 +560,10 @@ class _Run:
         if self.mirror is None and mostly_shrunken(surface, self.source):
             give_back()
             return self.by_continuation(initial, CONTINUATION)
-        sphere = self.smoothed(initial)
+        sphere = initial
+        if self.origin["route"] == "hierarchical" and not self.shrunken and not self.rough:
+            sphere = self.smoothed(sphere, UNTWISTING_WEIGHT, UNTWISTING_TOLERANCE, UNTWISTING_STEPS)
+        sphere = self.smoothed(sphere)
         give_back()  # the largest matrices follow
         if self.mirror is None and self.rough:
             found, weight = self.by_continuation(sphere, ROUGH_ROUNDS)
@@ -578,19 +581,20 @@ class _Run:
             found, weight = self.nearer_to_optimal(found, weight)
         return found, weight
 
-    def smoothed(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+    def smoothed(
+        self,
+        sphere: NDArray[np.float64],
+        weight: float = SMOOTHING_WEIGHT,
+        tolerance: float = SMOOTHING_TOLERANCE,
+        steps: int = SMOOTHING_STEPS,
+    ) -> NDArray[np.float64]:
         """Return a map without its slivers, turned onto the map given.
 
         Distortion does not change with rotations: what rounding turns the map by, 1e-6 on a scan of 40,000 faces, would
         stay, and decide which vertices take local steps.
         """
         refiner = Refiner(self.surface, resolve_device(self.device))
-        first = sphere
-        if self.origin["route"] == "hierarchical" and not self.shrunken and not self.rough:
-            first = refiner.minimise(
-                sphere, UNTWISTING_WEIGHT, iterations=UNTWISTING_STEPS, tolerance=UNTWISTING_TOLERANCE
-            ).sphere
-        found = refiner.minimise(first, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE)
+        found = refiner.minimise(sphere, weight, iterations=steps, tolerance=tolerance)
         turned = _normalised(turned_towards(found.sphere, sphere, self.surface.vertex_areas))
         return turned if is_bijective(self.points(turned), self.surface.faces, device=self.device) else found.sphere
 

@@ -112,7 +112,7 @@ class _MatrixPolicy:
         self.renew = True
         return False
 
-    def judge(self, step: _Step, gain: float, decrement: float) -> None:
+    def judge(self, step: _Step, gain: float, decrement: float, relaxed: int) -> None:
         """Choose the next matrix by the gain of a step relative to the quadratic model's, half the decrement."""
         fresh, trust = self.renew, 2.0 * gain / decrement
         if fresh:
@@ -122,8 +122,7 @@ class _MatrixPolicy:
                 self.curvature_share = min(1.0, 3.0 * self.curvature_share)
             self._last_gain = gain
         too_little = gain < MIN_GAIN_SHARE * self._last_gain
-        # Steps of the stiffest vertices after it leave the matrix in use: those of the whole map with it still gain.
-        self.renew = step.corrected > 0 or too_little or (fresh and step.length < 1.0)
+        self.renew = step.corrected > 0 or relaxed > 0 or too_little or (fresh and step.length < 1.0)
 
 
 class Refiner:
@@ -194,7 +193,7 @@ class Refiner:
                 progress("refine", step + 1, iterations, details)
             if ended:
                 break
-            matrix.judge(found, gain, decrement)
+            matrix.judge(found, gain, decrement, relaxed)
         return RefineResult(now.points.numpy().copy(), weight, history, ended, matrix.factorisations)
 
     def _at(self, points: wp.array[wp.vec3d], terms: Terms, weight: float) -> _Iterate:
