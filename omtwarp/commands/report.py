@@ -60,8 +60,10 @@ def report_on_map(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    import_scipy(spatial=True)
     from omtwarp.render import gl_client
+
+    gl_client.prepare()  # its process starts while others are imported and the map is read
+    import_scipy(spatial=True)
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report
     from omtwarp.texturing import read_image
@@ -74,7 +76,6 @@ def report_on_map(
         raise OmtwarpError("both --image and --pattern: give one")
     if up is not None:
         axis_vector(up)
-    gl_client.prepare()  # its process starts while the map is read
     start_device(device)
     picture = read_image(image) if image is not None else None
 

@@ -10,14 +10,16 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
-from typing import IO, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import IO, TYPE_CHECKING, cast
 
 from omtwarp.render.drawing_process import receive, send
-from omtwarp.render.pyrender_compat import INSTALL_GL, INSTALL_PYRENDER
-from omtwarp.render.scene import RenderJob
+from omtwarp.render.installing import INSTALL_GL, INSTALL_PYRENDER
+
+if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from omtwarp.render.scene import RenderJob
 
 # Long enough for a software driver on a busy machine: one that has not answered by then hangs.
 START_SECONDS = 120.0
@@ -93,7 +95,7 @@ class DrawingProcess:
             self._idle = threading.Timer(IDLE_SECONDS, self._expire)
             self._idle.daemon = True
             self._idle.start()
-            return cast(list[NDArray[np.uint8]], payload)
+            return cast("list[NDArray[np.uint8]]", payload)
 
     def _expire(self) -> None:
         with self._lock:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Unpack
+from typing import TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ from omtwarp.render.options import (
 )
 from omtwarp.render.scene import RenderJob, Wireframe, build_parts, normalised_points
 from omtwarp.render.subject import FinishedMap, Subject, map_view
+
+Result = TypeVar("Result")
 
 logger = logging.getLogger("omtwarp.render")
 PANEL_SIZE = (512, 512)  # pixels of a panel of a sheet, so that four are as large as one preview
@@ -204,8 +207,50 @@ def _captions(given: bool | Sequence[str], cameras: list[Camera]) -> list[str]:
     return names
 
 
+def draw_in_background(
+    thread: Executor, subject: Subject, finish: Callable[[Image.Image], Result], **options: Unpack[PreviewOptions]
+) -> Callable[[], Result]:
+    """Begin to draw a picture of one view by OpenGL, while the caller goes on.
+
+    Args:
+        thread: runs what does not need the caller: waiting for the picture, and ``finish``.
+        subject: as in :func:`preview`.
+        finish: makes of the picture what is wanted.
+        **options: those of :func:`preview`.
+
+    Returns:
+        A function that waits for the outcome of ``finish``. Without OpenGL it draws with the ray caster.
+    """
+    chosen = complete({**options}, "preview")
+    job, compose = _prepared(subject, chosen, cameras_of(chosen), clear=chosen["transparent"])
+    if chosen["backend"] == "warp":
+        return lambda: finish(compose(*render(job, "warp", chosen["device"]))[0])
+
+    def draw() -> Result:
+        pictures, name = gl_client.draw(job)
+        return finish(compose(pictures, f"pyrender ({name})")[0])
+
+    drawn = thread.submit(draw)
+
+    def outcome() -> Result:
+        try:
+            return drawn.result()
+        except gl_client.DrawingFailed:  # kernels are launched by the caller's thread alone
+            return finish(compose(*render(job, chosen["backend"], chosen["device"]))[0])
+
+    return outcome
+
+
 def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clear: bool) -> list[Image.Image]:
     """Draw a subject once per camera; ``clear`` leaves the background out, for pictures that go into a sheet."""
+    job, compose = _prepared(subject, options, cameras, clear)
+    return compose(*render(job, options["backend"], options["device"]))
+
+
+def _prepared(
+    subject: Subject, options: PreviewOptions, cameras: list[Camera], clear: bool
+) -> tuple[RenderJob, Callable[[list[NDArray[np.uint8]], str], list[Image.Image]]]:
+    """Return what a renderer needs, and the function that makes pictures of what it has drawn and of its name."""
     view, wireframe, background = view_of(subject, options), options["wireframe"], options["background"]
     width, height = options["size"]
     bar = view.scalar if options["color_bar"] else None
@@ -225,16 +270,19 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
         samples=int(options["samples"] or (2 if parts[0].edges else 1)),
         wireframe=wireframe if isinstance(wireframe, Wireframe) else Wireframe(),
     )
-    pictures, note = render(job, options["backend"], options["device"])
-    color = annotate.ink(background, options["transparent"])
-    images = []
-    for picture in pictures:
-        image = annotate.compose(picture, options["size"], background, clear, color)
-        if bar is not None:
-            annotate.draw_color_bar(image, bar, color)
-        image.info["backend"] = note
-        images.append(image)
-    return images
+
+    def compose(pictures: list[NDArray[np.uint8]], renderer: str) -> list[Image.Image]:
+        color = annotate.ink(background, options["transparent"])
+        images = []
+        for picture in pictures:
+            image = annotate.compose(picture, options["size"], background, clear, color)
+            if bar is not None:
+                annotate.draw_color_bar(image, bar, color)
+            image.info["backend"] = renderer
+            images.append(image)
+        return images
+
+    return job, compose
 
 
 def _finished(

@@ -16,8 +16,9 @@ from PIL import Image
 from omtwarp.render import shaders
 from omtwarp.render.camera import Shot
 from omtwarp.render.colors import parse_color
+from omtwarp.render.installing import INSTALL_GL
 from omtwarp.render.light import LIGHTS
-from omtwarp.render.pyrender_compat import INSTALL_GL, GLUnavailable, import_pyrender
+from omtwarp.render.pyrender_compat import GLUnavailable, import_pyrender
 from omtwarp.render.scene import Part, RenderJob
 from omtwarp.srgb import to_linear
 

@@ -16,8 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-INSTALL_GL = "apt-get install --no-install-recommends libegl1 libgl1"
-INSTALL_PYRENDER = "pip install 'omtwarp[preview]'"
+from omtwarp.render.installing import INSTALL_GL, INSTALL_PYRENDER
 
 
 class GLUnavailable(Exception):
@@ -41,6 +40,7 @@ def import_pyrender() -> types.ModuleType:
     viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
     sys.modules.setdefault("pyrender.viewer", viewer)
     _hollow_trimesh()
+    _hollow_networkx()
     # For good: PyOpenGL looks for libraries when they are first used, EGL long after this.
     ctypes.util.find_library = _find_library(ctypes.util.find_library)  # type: ignore[assignment]
     try:
@@ -82,6 +82,36 @@ def _hollow_trimesh() -> None:
     except Exception:  # a release in which the submodule leans on the package
         for name in [name for name in sys.modules if name.split(".")[0] == "trimesh"]:
             del sys.modules[name]
+
+
+class _Graph:
+    """The part of ``networkx.DiGraph`` that a pyrender scene uses: each node leads to at most one other."""
+
+    def __init__(self) -> None:
+        self._next: dict[object, list[object]] = {}
+
+    def add_node(self, node: object) -> None:
+        self._next.setdefault(node, [])
+
+    def add_edge(self, node: object, following: object) -> None:
+        self.add_node(node)
+        self.add_node(following)
+        self._next[node] = [following]
+
+    def path(self, node: object, target: object) -> list[object]:
+        """Return the nodes from one to another, both included."""
+        nodes = [node]
+        while nodes[-1] != target:
+            nodes += self._next[nodes[-1]]
+        return nodes
+
+
+def _hollow_networkx() -> None:
+    """Give pyrender a graph in the place of networkx, whose import takes half of the drawing process's start."""
+    hollow = types.ModuleType("networkx")
+    hollow.DiGraph = _Graph  # type: ignore[attr-defined]
+    hollow.shortest_path = _Graph.path  # type: ignore[attr-defined]
+    sys.modules.setdefault("networkx", hollow)
 
 
 def _restore_numpy_name() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,9 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, check_output, staged
-from omtwarp.metrics.certificate import certify_triangles
-from omtwarp.render import Camera, ScalarField, SurfaceView, preview
+from omtwarp.render import Camera, ScalarField, SurfaceView
+from omtwarp.render.pictures import draw_in_background
+from omtwarp.render.upright import posed
 from omtwarp.reporting import sections
 from omtwarp.reporting.markup import Markup, asset, data_block, fill_page, html, join, script, source_hash
 from omtwarp.reporting.record import shown_history, shown_report
@@ -22,6 +25,7 @@ from omtwarp.reporting.scene import (
     ANGLE_RANGE,
     AREA_COLOURS,
     AREA_RANGE,
+    Scene,
     colour_ramp,
     data_uri,
     log2_area_ratio,
@@ -51,7 +55,8 @@ _WARNING = html(
 )
 _ICON = "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 24 24'><circle cx='12' cy='12' r='10.4' fill='%231f6f78'/><g fill='none' stroke='%23fff' stroke-width='1.3' opacity='.9'><ellipse cx='12' cy='12' rx='4.6' ry='10.4'/><path d='M1.6 12h20.8M3.2 6.8h17.6M3.2 17.2h17.6'/></g></svg>"  # noqa: E501
 
-PICTURE_WIDTH = 2048  # texels around the sphere of the texture of still pictures: more than their pixels show
+PICTURE_WIDTH = 1536  # texels around the sphere of the texture of still pictures: three for each pixel of the surface
+PICTURE_SAMPLES = 2  # along the side of a texel: pictures average over several texels besides
 
 
 def write_report(
@@ -136,10 +141,29 @@ def report_page(
     texture = read_image(image) if image is not None else pattern_by_name(pattern)
     shown = "The picture" if image is not None else TEXTURES.get(pattern, "The pattern")
     stages = stages_of(result)
-    scene = make_scene(result, stages, texture, up=up, device=device)
-    stills = _stills(result, stages, texture, up, picture_size, device)
-    # The certificate is computed anew: the file is not trusted.
-    report = shown_report(result) | {"certificate": certify_triangles(result.faces, stages[-1].sphere).to_dict()}
+    pose = posed(SurfaceView(result.vertices, result.faces), up)
+    background = ThreadPoolExecutor(1)
+    try:
+        stills = _stills(result, stages, texture, pose, picture_size, device, background)
+        scene = make_scene(result, stages, texture, pose=pose, device=device)
+        colouring = "Picture" if image is not None else pattern.capitalize()
+        return _page(result, stages, scene, stills, title or "Map report", shown, colouring)
+    finally:
+        background.shutdown(wait=False, cancel_futures=True)
+
+
+def _page(
+    result: MapResult,
+    stages: Sequence[Stage],
+    scene: Scene,
+    stills: Mapping[str, str],
+    heading: str,
+    shown: str,
+    colouring: str,
+) -> str:
+    """Put the page together; ``shown`` names the texture in sentences, ``colouring`` among the view's colourings."""
+    # The certificate was computed from the result's arrays: a file's statements are not trusted.
+    report = shown_report(result) | {"certificate": result.certificate.to_dict()}
     content = [
         sections.figures(stages, report),
         sections.pictures(stages, stills, shown),
@@ -148,7 +172,6 @@ def report_page(
         sections.stage_table(stages, report),
         sections.certificate(report, scene.faces),
     ]
-    heading = title or "Map report"
     three, viewer = script("three/three.min.js"), script("viewer.js")
     return fill_page(
         asset("page.html"),
@@ -163,7 +186,7 @@ def report_page(
             stages,
             stills[stages[-1].key],
             f"{shown} carried to the surface by the final map",
-            "Picture" if image is not None else pattern.capitalize(),
+            colouring,
         ),
         sections=join(content, "\n"),
         footer=sections.footer(report),
@@ -270,31 +293,63 @@ def _legend(name: str, label: str, colours: str, ticks: Sequence[str]) -> Markup
     )
 
 
+class _Stills(Mapping[str, str]):
+    """Pictures as data URIs, by key; each is waited for where it is asked for."""
+
+    def __init__(self, begun: Mapping[str, Callable[[], str]]):
+        self._begun = begun
+        self._drawn: dict[str, str] = {}
+
+    def __getitem__(self, key: str) -> str:
+        if key not in self._drawn:
+            self._drawn[key] = self._begun[key]()
+        return self._drawn[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._begun)
+
+    def __len__(self) -> int:
+        return len(self._begun)
+
+
 def _stills(
     result: MapResult,
     stages: Sequence[Stage],
     texture: Pattern | NDArray[np.generic],
-    up: str | None,
+    pose: SurfaceView,
     size: int,
     device: str,
-) -> dict[str, str]:
-    """Return the pictures of the first and the last stage as data URIs, by key: the surface, and ``sphere KEY``."""
-    picture = rasterize(texture, PICTURE_WIDTH, device=device) if isinstance(texture, Pattern) else texture
-    found = {}
-    for stage in (stages[0], stages[-1])[: len(stages)]:
-        view = SurfaceView(result.vertices, result.faces, image=picture, sphere=stage.sphere, up=up)
+    background: Executor,
+) -> Mapping[str, str]:
+    """Begin the pictures of the first and the last stage, by key: the surface, and ``sphere KEY``."""
+    begun: dict[str, Callable[[], str]] = {}
+
+    def begin(key: str, subject: SurfaceView) -> None:
+        begun[key] = draw_in_background(
+            background,
+            subject,
+            lambda drawn: data_uri(drawn, "webp"),
+            size=(size, size * 3 // 4),
+            camera=Camera(margin=0.03),
+            transparent=True,
+            color_bar=False,
+            device=device,
+        )
+
+    shown = (stages[0], stages[-1])[: len(stages)]
+    for stage in shown:
         bound = AREA_RANGE
         field = ScalarField(np.clip(log2_area_ratio(stage), -bound, bound), AREA_COLOURS, (-bound, bound))
         edges = len(result.faces) <= MOST_EDGES
-        ball = SurfaceView(stage.sphere, result.faces, scalar=field, up="z", front="+x", edges=edges)
-        for key, subject in ((stage.key, view), (f"sphere {stage.key}", ball)):
-            drawn = preview(
-                subject,
-                size=(size, size * 3 // 4),
-                camera=Camera(margin=0.03),
-                transparent=True,
-                color_bar=False,
-                device=device,
-            )
-            found[key] = data_uri(drawn, "webp")
-    return found
+        begin(
+            f"sphere {stage.key}",
+            SurfaceView(stage.sphere, result.faces, scalar=field, up="z", front="+x", edges=edges),
+        )
+    picture: NDArray[np.generic]
+    if isinstance(texture, Pattern):
+        picture = rasterize(texture, PICTURE_WIDTH, supersample=PICTURE_SAMPLES, device=device)
+    else:
+        picture = texture
+    for stage in shown:
+        begin(stage.key, replace(pose, image=picture, sphere=stage.sphere))
+    return _Stills(begun)

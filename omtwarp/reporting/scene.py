@@ -91,7 +91,7 @@ def make_scene(
     stages: list[Stage],
     texture: Source,
     *,
-    up: str | None = None,
+    pose: SurfaceView | None = None,
     most_faces: int = MOST_FACES,
     texels: int = FACE_TEXELS,
     device: str = "auto",
@@ -102,7 +102,7 @@ def make_scene(
         result: a finished map.
         stages: as :func:`~omtwarp.reporting.stages.stages_of` gives them.
         texture: a picture, or the name of a pattern.
-        up: the surface's upward axis; guessed from its shape by default.
+        pose: the surface's axes, as of :func:`omtwarp.render.upright.posed`; guessed from its shape by default.
         most_faces: a surface of more triangles is simplified.
         texels: of the texture along each of its six faces.
         device: where the texture is baked.
@@ -110,7 +110,7 @@ def make_scene(
     vertices, faces = shown_mesh(result.vertices, result.faces, most_faces)
     used, corners = np.unique(faces, return_inverse=True)
     triangles = corners.reshape(-1, 3).astype(np.int32)
-    pose = posed(SurfaceView(result.vertices, result.faces), up)
+    pose = pose or posed(SurfaceView(result.vertices, result.faces))
     upward = pose.up or "y"
     axes = _axes(upward, pose.front or DEFAULT_FRONT[upward.lstrip("+-")])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -213,7 +213,7 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
 
     atlas = Cube(size, gutter=0)
     baked = bake_bytes(texture, Look(atlas, resolve_device(device)))[..., :3]
-    photograph = len(np.unique(baked[::4, ::4].reshape(-1, 3), axis=0)) > PHOTOGRAPH
+    photograph = _count_colours(baked[::4, ::4]) > PHOTOGRAPH
     uris = []
     for normal, right, down in _GL_FACES:
         # Both have equiangular faces, so that one is the other's turned by quarters.
@@ -227,6 +227,12 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
         face = pil.fromarray(np.ascontiguousarray(cell[::along, ::across]))
         uris.append(data_uri(face, "jpeg" if photograph else "png"))
     return uris
+
+
+def _count_colours(picture: NDArray[np.uint8]) -> int:
+    """Return how many colours a picture [H, W, 3] has."""
+    red, green, blue = (picture[..., k].astype(np.int32) for k in range(3))
+    return len(np.unique(red << 16 | green << 8 | blue))
 
 
 def data_uri(image: Image | list[Image], kind: str) -> str:

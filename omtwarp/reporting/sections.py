@@ -45,7 +45,7 @@ def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
     return html('<dl class="figures">{}</dl>', items)
 
 
-def pictures(stages: Sequence[Stage], stills: dict[str, str], shown: str) -> Markup:
+def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> Markup:
     """Show pictures of the first and the last stage: ``stills`` by key; ``shown`` names the texture."""
     pair = [stages[0], stages[-1]] if len(stages) > 1 else [stages[0]]
     figures = []

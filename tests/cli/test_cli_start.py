@@ -1,0 +1,58 @@
+"""The start of a command: imports without what no command uses change nothing that a command computes."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+COMPILED = """
+import json, sys
+from pathlib import Path
+if sys.argv[1] == "short":
+    from omtwarp.commands._start import prepare_warp
+    prepare_warp()
+from omtwarp.device.start import wp
+from omtwarp.geometry import edge_weight_kernels
+wp.load_module(edge_weight_kernels.__name__, device="cpu")
+from warp._src.context import builtin_functions
+objects = [file.read_bytes().hex() for file in sorted(Path(wp.config.kernel_cache_dir).rglob("*.o"))]
+overloads = sum(len(getattr(found, "overloads", ())) for found in builtin_functions.values())
+print(json.dumps({"names": sorted(builtin_functions), "overloads": overloads, "objects": objects}))
+"""
+DOCUMENTED = """
+import sys
+from omtwarp.commands._start import import_scipy
+import_scipy(spatial=True)
+import scipy.spatial.distance
+from scipy._lib import _array_api
+print(_array_api.xp_capabilities.__name__, scipy.spatial.distance.jensenshannon([1.0, 0.0], [1.0, 0.0]))
+"""
+
+
+def run(code: str, *arguments: str, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_kernels_are_the_same_with_the_short_list_of_built_in_functions(tmp_path):
+    found = {}
+    for kind in ("whole", "short"):
+        found[kind] = json.loads(run(COMPILED, kind, WARP_CACHE_PATH=str(tmp_path / kind)))
+    assert found["short"]["names"] == found["whole"]["names"]
+    assert found["short"]["overloads"] < 0.5 * found["whole"]["overloads"]
+    assert found["short"]["objects"] == found["whole"]["objects"] != []
+
+
+def test_scipy_works_as_ever_after_its_shorter_import():
+    assert run(DOCUMENTED).split() == ["xp_capabilities", "0.0"]
