@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -116,7 +116,7 @@ def _load_short(load: Callable[[ModuleType], None], module: ModuleType) -> None:
         load(module)
         return
 
-    def add_once(*arguments: Any, **options: Any) -> None:
+    def add_once(*arguments: object, **options: object) -> None:
         add(*arguments, **{**options, "constraint": _is_never_met})
 
     context.add_builtin = add_once
