@@ -324,10 +324,8 @@ class MapOptions:
             strict=bool(strict),
         )
         optimal = options.method is Method.OMT and Stage.OMT in options.stages and options.refine is None
-        if options.exact and not (optimal and options.cost is Cost.SQUARED and options.scheme is Scheme.DEFAULT):
-            raise OmtwarpError(
-                "exact areas are those of the optimal map: leave method, cost, scheme and refine as they are"
-            )
+        if options.exact and not (optimal and options.scheme is Scheme.DEFAULT):
+            raise OmtwarpError("exact areas are those of the optimal map: leave method, scheme and refine as they are")
         return options
 
     @property

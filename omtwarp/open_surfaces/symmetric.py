@@ -19,8 +19,8 @@ from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import CELL_GAIN, ITERATIONS, CellEnergy, minimise_cells
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
-from omtwarp.optimal.solver import GAIN, PENALTY, SHAPE_WEIGHT, OptimalMap, minimise
-from omtwarp.options import Progress
+from omtwarp.optimal.solver import GAIN, PENALTY, SHAPE_WEIGHT, OptimalMap, minimise, softness
+from omtwarp.options import Cost, Progress
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor, saddle_factor_of_cells
 from omtwarp.topology.doubling import Double
 from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
@@ -65,6 +65,7 @@ def symmetric_optimal_map(
     multipliers: ArrayLike | None = None,
     iterations: int = 40,
     gain: float = GAIN,
+    cost: str = Cost.SQUARED,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -76,7 +77,7 @@ def symmetric_optimal_map(
         sphere: a symmetric map without flips to begin with (see :func:`folded_map`), shape [W, 3].
         start: the points x that are transported, symmetric, shape [W, 3].
         shape_weight, area_weight, area_penalty, multipliers: as of :func:`omtwarp.optimal_map`.
-        iterations, gain, device, progress: as of :func:`omtwarp.optimal_map`.
+        iterations, gain, cost, device, progress: as of :func:`omtwarp.optimal_map`.
 
     Returns:
         The map, symmetric to the last bit.
@@ -86,7 +87,10 @@ def symmetric_optimal_map(
     """
     where = resolve_device(device)
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
-    energy = SymmetricEnergy(double, surface, vectors(x, where), where, shape_weight, area_weight=area_weight)
+    soft = softness(surface.vertex_areas, given, x, cost)
+    energy = SymmetricEnergy(
+        double, surface, vectors(x, where), where, shape_weight, area_weight=area_weight, softness=soft
+    )
     return minimise(
         energy,
         given,
@@ -109,6 +113,7 @@ def symmetric_exact_map(
     multipliers: ArrayLike | None = None,
     iterations: int = ITERATIONS,
     gain: float = CELL_GAIN,
+    cost: str = Cost.SQUARED,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -120,7 +125,8 @@ def symmetric_exact_map(
         quartered: the double as parts of 2F triangles, V vertices, with the areas that are to be kept.
         sphere: a symmetric map without flips to begin with, shape [V, 3].
         start: the points x that are transported, symmetric, shape [V, 3].
-        shape_weight, multipliers, iterations, gain, device, progress: as of :func:`omtwarp.optimal.cells.exact_map`.
+        shape_weight, multipliers, iterations, gain, cost, device, progress: as of
+            :func:`omtwarp.optimal.cells.exact_map`.
 
     Returns:
         The map, symmetric to the last bit; its multipliers belong to the triangles, shape [2F].
@@ -130,7 +136,8 @@ def symmetric_exact_map(
     """
     where = resolve_device(device)
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
-    energy = SymmetricCellEnergy(double, quartered, vectors(x, where), where, shape_weight)
+    soft = softness(quartered.surface.vertex_areas, given, x, cost)
+    energy = SymmetricCellEnergy(double, quartered, vectors(x, where), where, shape_weight, soft)
     return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
@@ -164,7 +171,7 @@ class SymmetricEnergy(_OnHalf):
     Args:
         double: the surface and its copy, W vertices.
         surface: the double as a surface.
-        start, device, shape_weight, cost_weight, area_weight: as of :class:`TransportEnergy`.
+        start, device, shape_weight, cost_weight, area_weight, softness: as of :class:`TransportEnergy`.
     """
 
     def __init__(
@@ -176,8 +183,9 @@ class SymmetricEnergy(_OnHalf):
         shape_weight: float,
         cost_weight: float = 1.0,
         area_weight: float = AREA_WEIGHT,
+        softness: float = 0.0,
     ):
-        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight)
+        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight, softness)
         self._double = double
         self._mirror = MirrorFactor(double, surface, device)
 
@@ -188,7 +196,7 @@ class SymmetricCellEnergy(_OnHalf, CellEnergy):
     Args:
         double: the surface and its copy, their triangles cut into four.
         quartered: the same as parts of triangles.
-        start, device, shape_weight: as of :class:`CellEnergy`.
+        start, device, shape_weight, softness: as of :class:`CellEnergy`.
     """
 
     def __init__(
@@ -198,8 +206,9 @@ class SymmetricCellEnergy(_OnHalf, CellEnergy):
         start: wp.array,
         device: wp.Device,
         shape_weight: float,
+        softness: float = 0.0,
     ):
-        super().__init__(quartered, start, device, shape_weight)
+        super().__init__(quartered, start, device, shape_weight, softness)
         self._double = double
         self._mirror = MirrorCellFactor(double, quartered.surface, device, self.cells)
 

@@ -6,23 +6,24 @@ middle of the edge from corner k to the next, and the parts of cell c are faces 
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.geometry.spherical import logarithm
-from omtwarp.optimal.kernels import area_gradient
+from omtwarp.optimal.kernels import area_gradient, cost_slope, moving_cost
 from omtwarp.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel
-def vertex_squares(
+def vertex_costs(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
+    softness: wp.float64,
     # Data out:
-    square: wp.array[wp.float64],
+    cost: wp.array[wp.float64],
 ):
-    """Compute the squared distance of every vertex to its start, shape [V]."""
+    """Compute the cost of moving every vertex from its start, shape [V]."""
     v = wp.tid()
     _pull, distance = logarithm(points[v], start[v])
-    square[v] = distance * distance
+    cost[v] = moving_cost(distance, softness)
 
 
 # A kernel of its own beside transport_gradient: that one adds the potentials of a triangle's three corners, in an order
@@ -37,6 +38,7 @@ def cell_gradient(
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     pull_factor: wp.float64,
+    softness: wp.float64,
     first: int,
     # Data out:
     gradient: wp.array[wp.vec3d],
@@ -45,8 +47,8 @@ def cell_gradient(
     v, _compiled_once = wp.tid()
     v += first
     y = points[v]
-    pull, _distance = logarithm(y, start[v])
-    total = -(pull_factor * mass[v]) * pull
+    pull, distance = logarithm(y, start[v])
+    total = -(pull_factor * mass[v] * cost_slope(distance, softness)) * pull
     for k in range(offsets[v], offsets[v + 1]):
         corner = corners[k]
         face = faces[corner // 3]

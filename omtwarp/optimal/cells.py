@@ -21,12 +21,12 @@ from omtwarp.device.threads import launch_parts
 from omtwarp.mesh.checks import as_unit_vectors
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.cell_kernels import cell_couplings, cell_gradient, vertex_squares
+from omtwarp.optimal.cell_kernels import cell_couplings, cell_gradient, vertex_costs
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import cost_metric
 from omtwarp.optimal.restoration import restore_areas
-from omtwarp.optimal.solver import PENALTY, SHAPE_WEIGHT, OptimalMap, minimise
-from omtwarp.options import Progress, Record
+from omtwarp.optimal.solver import PENALTY, SHAPE_WEIGHT, OptimalMap, minimise, softness
+from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor
 from omtwarp.untangling.kernels import solid_angles
 
@@ -58,6 +58,7 @@ def exact_map(
     multipliers: ArrayLike | None = None,
     iterations: int = ITERATIONS,
     gain: float = CELL_GAIN,
+    cost: str = Cost.SQUARED,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -71,6 +72,7 @@ def exact_map(
         multipliers: initial multipliers, shape [F], such as those of a map with another shape weight.
         iterations: largest number of steps with each weight of area errors.
         gain: end where the expected gain of a step falls below this share of the cost, and areas are kept to 1e-6.
+        cost: as of :func:`omtwarp.optimal_map`.
         device: where the kernels run.
         progress: called after every step as ``progress("omt", step, most, record)``.
 
@@ -82,7 +84,8 @@ def exact_map(
     """
     where = resolve_device(device)
     given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
-    energy = CellEnergy(quartered, vectors(x, where), where, shape_weight)
+    soft = softness(quartered.surface.vertex_areas, given, x, cost)
+    energy = CellEnergy(quartered, vectors(x, where), where, shape_weight, soft)
     return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
@@ -131,6 +134,7 @@ class CellEnergy(TransportEnergy):
         start: x, unit vectors, vec3d, shape [V], on the device.
         device: a Warp device.
         shape_weight: β, the weight of the distortion of the parts.
+        softness: as of :class:`TransportEnergy`.
     """
 
     local_steps = False  # they need constraints on areas around vertices
@@ -138,8 +142,15 @@ class CellEnergy(TransportEnergy):
     area_tolerances = (MAX_CELL_RMS, MAX_CELL_ERROR)
     exact_tolerance = EXACT
 
-    def __init__(self, quartered: QuarteredSurface, start: wp.array, device: wp.Device, shape_weight: float):
-        super().__init__(quartered.surface, start, device, shape_weight)
+    def __init__(
+        self,
+        quartered: QuarteredSurface,
+        start: wp.array,
+        device: wp.Device,
+        shape_weight: float,
+        softness: float = 0.0,
+    ):
+        super().__init__(quartered.surface, start, device, shape_weight, softness=softness)
         self._quartered = quartered
         parts = quartered.surface.faces.reshape(-1, 4, 3)
         self.cells = np.ascontiguousarray(np.concatenate([parts[:, :3, 0], quartered.middles], axis=1))
@@ -157,21 +168,21 @@ class CellEnergy(TransportEnergy):
 
     def terms(self, points: wp.array) -> MapTerms:
         """Return the terms of a map, with the areas of the cells, shape [F], in place of those around vertices."""
-        square = wp.empty(self.surface.vertex_count, dtype=wp.float64, device=self.device)
+        cost = wp.empty(self.surface.vertex_count, dtype=wp.float64, device=self.device)
 
         def of_triangles(part: slice) -> tuple[list[object], list[object]]:
             return [points, self._mesh.faces[part]], [self._solid[part]]
 
         def of_vertices(part: slice) -> tuple[list[object], list[object]]:
-            return [self._start[part], points[part]], [square[part]]
+            return [self._start[part], points[part], self.softness], [cost[part]]
 
         launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
-        launch_parts(vertex_squares, self.surface.vertex_count, of_vertices, self.device)
+        launch_parts(vertex_costs, self.surface.vertex_count, of_vertices, self.device)
         areas = self._quartered.sum_of_parts(self._solid.numpy())
-        return MapTerms(areas, square.numpy(), self.shape.terms(points))
+        return MapTerms(areas, cost.numpy(), self.shape.terms(points))
 
     def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """Return P_c, the potential on each cell's image: p_c plus the mean squared distance over 4π, shape [F]."""
+        """Return P_c, the potential on each cell's image: p_c plus the mean cost over 4π, shape [F]."""
         return multipliers + self.cost_weight / SPHERE_AREA * self._means(terms)
 
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
@@ -188,7 +199,8 @@ class CellEnergy(TransportEnergy):
         factor = wp.float64(self.cost_weight * 2.0 / SPHERE_AREA)
 
         def around(part: slice) -> tuple[list[object], list[object]]:
-            inputs = [self._start, points, self._mesh.faces, mass, potential, *self._rows, factor, part.start]
+            mesh = [self._start, points, self._mesh.faces, mass, potential, *self._rows]
+            inputs = [*mesh, factor, self.softness, part.start]
             return inputs, [gradient]
 
         launch_parts(cell_gradient, count, around, device)
@@ -203,7 +215,7 @@ class CellEnergy(TransportEnergy):
         hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
         mass = wp.array(self._masses(terms), dtype=wp.float64, device=device, copy=False)
-        numbers = [wp.float64(self.cost_weight * 2.0 / SPHERE_AREA), wp.float64(least)]
+        numbers = [wp.float64(self.cost_weight * 2.0 / SPHERE_AREA), wp.float64(least), self.softness]
 
         def around(part: slice) -> tuple[list[object], list[object]]:
             inputs = [self._start, points, self._mesh.faces, mass, *self._rows, *numbers, part.start]
@@ -218,8 +230,8 @@ class CellEnergy(TransportEnergy):
         return diagonal, off_diagonal, self._couplings.numpy()
 
     def _means(self, terms: MapTerms) -> Numbers:
-        """Return the mean of d(x, y)² over the mass of every cell, shape [F]."""
-        return terms.square[self.cells] @ self._shares
+        """Return the mean cost over the mass of every cell, shape [F]."""
+        return terms.cost[self.cells] @ self._shares
 
     def _masses(self, terms: MapTerms) -> Numbers:
         """Divide the areas of the cells on the sphere among their vertices in the shares of mass, shape [V]."""

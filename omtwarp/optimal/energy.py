@@ -57,12 +57,12 @@ class MapTerms:
 
     Attributes:
         ring: the constrained areas, a_v, shape [V].
-        square: d(x_v, y_v)², shape [V].
+        cost: of moving every vertex, d(x_v, y_v)² or the soft distance, shape [V].
         shape: terms of the distortion of the triangles.
     """
 
     ring: Numbers
-    square: Numbers
+    cost: Numbers
     shape: Terms
 
 
@@ -76,6 +76,7 @@ class TransportEnergy:
         shape_weight: β.
         cost_weight: factor of the cost; with 0 only the shape counts.
         area_weight: λ of the shape.
+        softness: in radians; 0 for the squared distance, otherwise the cost is sqrt(d² + softness²) - softness.
 
     Attributes:
         wanted: the areas that constraints ask for, 3 m_v, shape [V].
@@ -99,7 +100,9 @@ class TransportEnergy:
         shape_weight: float,
         cost_weight: float = 1.0,
         area_weight: float = AREA_WEIGHT,
+        softness: float = 0.0,
     ):
+        self.softness = wp.float64(softness)
         self.surface, self.device, self.shape_weight, self.cost_weight = surface, device, shape_weight, cost_weight
         self.area_weight = area_weight
         self.shape = DistortionEnergy(surface, device)
@@ -124,25 +127,25 @@ class TransportEnergy:
     def terms(self, points: wp.array) -> MapTerms:
         """Return the areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""
         count, faces = self.surface.vertex_count, self._mesh.faces
-        ring, square = (wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(2))
+        ring, cost = (wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(2))
 
         def of_triangles(part: slice) -> tuple[list[object], list[object]]:
             return [points, faces[part]], [self._solid[part]]
 
         def of_vertices(part: slice) -> tuple[list[object], list[object]]:
-            return [self._start, points, self._solid, *self._rows, part.start], [ring, square]
+            return [self._start, points, self._solid, *self._rows, self.softness, part.start], [ring, cost]
 
         launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
         launch_parts(ring_terms, count, of_vertices, self.device)
-        return MapTerms(ring.numpy(), square.numpy(), self.shape.terms(points))
+        return MapTerms(ring.numpy(), cost.numpy(), self.shape.terms(points))
 
     def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
         """Return P_v = p_v + d(x_v, y_v)² / 12π, the potential at the images of the vertices, shape [V]."""
-        return multipliers + self.cost_weight / (3.0 * SPHERE_AREA) * terms.square
+        return multipliers + self.cost_weight / (3.0 * SPHERE_AREA) * terms.cost
 
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
         """Return the Lagrangian C' + Σ p_v (a_v - 3 m_v) + β S."""
-        cost = self.cost_weight * float(terms.ring @ terms.square) / (3.0 * SPHERE_AREA)
+        cost = self.cost_weight * float(terms.ring @ terms.cost) / (3.0 * SPHERE_AREA)
         return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
     def missing(self, terms: MapTerms) -> Numbers:
@@ -156,7 +159,7 @@ class TransportEnergy:
 
     def cost(self, terms: MapTerms) -> float:
         """Return the transport cost Σ m_v d(x_v, y_v)², where the masses sum to 4π."""
-        return float(self.surface.vertex_areas @ terms.square)
+        return float(self.surface.vertex_areas @ terms.cost)
 
     def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
         """Return the gradient of the Lagrangian with respect to the vertices, tangent to the sphere, shape [V, 3]."""
@@ -167,7 +170,8 @@ class TransportEnergy:
         factor = wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA))
 
         def around(part: slice) -> tuple[list[object], list[object]]:
-            inputs = [self._start, points, self._mesh.faces, ring, potential, *self._rows, factor, part.start]
+            mesh = [self._start, points, self._mesh.faces, ring, potential, *self._rows]
+            inputs = [*mesh, factor, self.softness, part.start]
             return inputs, [gradient]
 
         launch_parts(transport_gradient, count, around, device)
@@ -193,7 +197,7 @@ class TransportEnergy:
         hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
         ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
-        numbers = [wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA)), wp.float64(least)]
+        numbers = [wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA)), wp.float64(least), self.softness]
 
         def around(part: slice) -> tuple[list[object], list[object]]:
             inputs = [self._start, points, self._mesh.faces, ring, *self._rows, *numbers, part.start]

@@ -4,7 +4,7 @@ The map takes x_v on the conformal sphere to y_v; a_v is the solid angle of the 
 to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optimal.energy`.
 """
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY, logarithm, oriented_volume
 from omtwarp.triangle_newton.triangle import first_tangent
 
@@ -27,6 +27,30 @@ def area_gradient(own: wp.vec3d, p: wp.vec3d, q: wp.vec3d) -> wp.vec3d:
     return gradient - wp.dot(gradient, own) * own
 
 
+@wp.func
+def moving_cost(distance: wp.float64, softness: wp.float64) -> wp.float64:
+    """Return d², or with a softness the soft distance sqrt(d² + softness²) - softness."""
+    if softness > ZERO:
+        return distance * distance / (wp.sqrt(distance * distance + softness * softness) + softness)
+    return distance * distance
+
+
+@wp.func
+def cost_slope(distance: wp.float64, softness: wp.float64) -> wp.float64:
+    """Return the derivative of :func:`moving_cost` by d²."""
+    if softness > ZERO:
+        return HALF / wp.sqrt(distance * distance + softness * softness)
+    return ONE
+
+
+@wp.func
+def along_share(distance: wp.float64, softness: wp.float64) -> wp.float64:
+    """Return the second derivative of :func:`moving_cost` along the geodesic, relative to that across it."""
+    if softness > ZERO:
+        return softness * softness / (distance * distance + softness * softness)
+    return ONE
+
+
 @wp.kernel
 def ring_terms(
     start: wp.array[wp.vec3d],
@@ -34,19 +58,20 @@ def ring_terms(
     solid: wp.array[wp.float64],
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
+    softness: wp.float64,
     first: int,
     # Data out:
     ring: wp.array[wp.float64],
-    square: wp.array[wp.float64],
+    cost: wp.array[wp.float64],
 ):
-    """Compute the solid angle around every vertex and its squared distance to its start, shape [V] each."""
+    """Compute the solid angle around every vertex and its cost of moving from its start, shape [V] each."""
     v = first + wp.tid()
     total = wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
         total += solid[corners[k] // 3]
     ring[v] = total
     _pull, distance = logarithm(points[v], start[v])
-    square[v] = distance * distance
+    cost[v] = moving_cost(distance, softness)
 
 
 @wp.kernel
@@ -59,6 +84,7 @@ def transport_gradient(
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     pull_factor: wp.float64,
+    softness: wp.float64,
     first: int,
     # Data out:
     gradient: wp.array[wp.vec3d],
@@ -67,8 +93,8 @@ def transport_gradient(
     v, _compiled_once = wp.tid()
     v += first
     y = points[v]
-    pull, _distance = logarithm(y, start[v])
-    total = -(pull_factor * ring[v]) * pull
+    pull, distance = logarithm(y, start[v])
+    total = -(pull_factor * ring[v] * cost_slope(distance, softness)) * pull
     for k in range(offsets[v], offsets[v + 1]):
         corner = corners[k]
         face = faces[corner // 3]
@@ -161,21 +187,25 @@ def cost_metric(
     corners: wp.array[wp.int32],
     factor: wp.float64,
     least: wp.float64,
+    softness: wp.float64,
     first: int,
     # Data out:
     metric: wp.array2d[wp.float64],
 ):
     """Compute the second derivative of cost plus potential at every vertex, 2x2 in its tangent basis, shape [V, 4].
 
-    At the optimum it is a_v times the derivative of the inverse map y -> x, which is symmetric and positive there. This
-    kernel fits that derivative to the neighbours of the vertex, makes it symmetric and raises its eigenvalues to
-    ``least``.
+    At the optimum of the squared distance it is a_v times the derivative of the inverse map y -> x, which is symmetric
+    and positive there. This kernel fits that derivative to the neighbours of the vertex, makes it symmetric and raises
+    its eigenvalues to ``least``. With another cost c(d), moves of x along the geodesic count c''/2, across it c'/2d.
     """
     v, _compiled_once = wp.tid()
     v += first
     y, x = points[v], start[v]
     t = first_tangent(y)
     s = wp.cross(y, t)
+    pull, distance = logarithm(y, x)
+    pull = pull / wp.max(distance, TINY)
+    shortened = along_share(distance, softness) - ONE
     # Normal equations of dx = J dy over the neighbours, each weighted by one over its squared distance.
     a11, a12, a22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     b11, b12, b21, b22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
@@ -185,6 +215,7 @@ def cost_metric(
         w = faces[corner // 3][(corner + 1) % 3]
         d = points[w] - y
         e = turned_back(start[w] - x, y, x)
+        e = e + shortened * wp.dot(e, pull) * pull
         d1, d2 = wp.dot(d, t), wp.dot(d, s)
         weight = ONE / wp.max(d1 * d1 + d2 * d2, TINY)
         e1, e2 = weight * wp.dot(e, t), weight * wp.dot(e, s)
@@ -197,7 +228,7 @@ def cost_metric(
         b22 += e2 * d2
         count += ONE
     centre, spread, cosine, sine = raised_fit(a11, a12, a22, b11, b12, b21, b22, count, least)
-    scale = factor * ring[v]
+    scale = factor * ring[v] * cost_slope(distance, softness)
     metric[v, 0] = scale * (centre + spread * cosine)
     metric[v, 1] = scale * spread * sine
     metric[v, 2] = metric[v, 1]

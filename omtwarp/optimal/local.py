@@ -140,21 +140,21 @@ class LocalSteps:
         return np.bincount(self._patch, values, self._patch_count).astype(np.float64, copy=False)
 
     def _rings(self, points: wp.array) -> tuple[Numbers, Numbers]:
-        """Return the areas around vertices and their squared distances to their starts, shape [P] each."""
+        """Return the areas around vertices and the costs of moving them from their starts, shape [P] each."""
         count = len(self._vertices)
         solid = wp.empty(len(self._areas), dtype=wp.float64, device=self._device)
         wp.launch(solid_angles, dim=solid.size, inputs=[points, self._faces], outputs=[solid], device=self._device)
-        ring, square = (wp.empty(count, dtype=wp.float64, device=self._device) for _ in range(2))
-        inputs = [self._start, points, solid, *self._rows, 0]
-        wp.launch(ring_terms, dim=count, inputs=inputs, outputs=[ring, square], device=self._device)
-        return self._outside + ring.numpy(), square.numpy()
+        ring, cost = (wp.empty(count, dtype=wp.float64, device=self._device) for _ in range(2))
+        inputs = [self._start, points, solid, *self._rows, self._energy.softness, 0]
+        wp.launch(ring_terms, dim=count, inputs=inputs, outputs=[ring, cost], device=self._device)
+        return self._outside + ring.numpy(), cost.numpy()
 
     def _merits(self, points: wp.array, before: wp.array | None = None) -> tuple[Numbers, Numbers, Numbers, wp.array]:
-        """Return the merit of every patch, infinite where a triangle lost too much volume; areas, squares, volumes."""
+        """Return the merit of every patch, infinite where a triangle lost too much volume; areas, costs, volumes."""
         device, energy = self._device, self._energy
-        ring, square = self._rings(points)
+        ring, cost = self._rings(points)
         missing = ring - self._wanted
-        of_vertices = energy.cost_weight / (3.0 * SPHERE_AREA) * ring * square
+        of_vertices = energy.cost_weight / (3.0 * SPHERE_AREA) * ring * cost
         of_vertices += self.multipliers * missing + 0.5 * self._stiffness * missing**2
         outputs = self._triangles.terms(points)
         angle, ratio, _, steepness = (array.numpy() for array in outputs)
@@ -169,18 +169,19 @@ class LocalSteps:
             wp.launch(triangle_trouble, dim=trouble.size, inputs=inputs, outputs=[trouble, found], device=device)
             of_faces[trouble.numpy() > 0] = np.inf
         of_patches = np.bincount(self._face_patch, of_faces, self._patch_count)
-        return self._sums(of_vertices) + of_patches, ring, square, outputs[2]
+        return self._sums(of_vertices) + of_patches, ring, cost, outputs[2]
 
     def _step(self, points: wp.array) -> tuple[wp.array, float]:
         """Take one step of all patches; return the map and the sum of the expected gains."""
         device, energy, free, count = self._device, self._energy, self._free, len(self._vertices)
-        merits, ring, square, volume = self._merits(points)
+        merits, ring, cost, volume = self._merits(points)
         missing = ring - self._wanted
-        potential = self.multipliers + energy.cost_weight / (3.0 * SPHERE_AREA) * square
+        potential = self.multipliers + energy.cost_weight / (3.0 * SPHERE_AREA) * cost
         d_ring = self._sent(ring, wp.float64)
         factor = wp.float64(energy.cost_weight * 2.0 / (3.0 * SPHERE_AREA))
         gradient = wp.empty(free, dtype=wp.vec3d, device=device)
-        inputs = [self._start, points, self._faces, d_ring, self._sent(potential, wp.float64), *self._rows, factor, 0]
+        mesh = [self._start, points, self._faces, d_ring, self._sent(potential, wp.float64), *self._rows]
+        inputs = [*mesh, factor, energy.softness, 0]
         wp.launch(transport_gradient, dim=free, inputs=inputs, outputs=[gradient], device=device)
         total = gradient.numpy() + energy.shape_weight * self._triangles.gradient(points, self._pressures).numpy()
         coordinates = wp.empty((free, 2), dtype=wp.float64, device=device)
@@ -230,7 +231,17 @@ class LocalSteps:
         inputs = [self._edges.to("cpu"), faces, self._edge_corners.to("cpu"), hessians]
         wp.launch(gather_edge_blocks, dim=edges, inputs=inputs, outputs=[across], device="cpu")
         metric = wp.empty((free, 4), dtype=wp.float64, device=device)
-        inputs = [self._start, points, self._faces, ring, *self._rows, factor, wp.float64(LEAST_DAMPING), 0]
+        inputs = [
+            self._start,
+            points,
+            self._faces,
+            ring,
+            *self._rows,
+            factor,
+            wp.float64(LEAST_DAMPING),
+            energy.softness,
+            0,
+        ]
         wp.launch(cost_metric, dim=free, inputs=inputs, outputs=[metric], device=device)
         diagonal = energy.shape_weight * own.numpy().reshape(-1, 2, 2)
         diagonal[:free] += metric.numpy().reshape(-1, 2, 2)

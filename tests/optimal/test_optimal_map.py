@@ -11,7 +11,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.shapes import blob, ellipsoid, icosphere, noisy
 from omtwarp.mesh.surface import Surface
-from omtwarp.metrics.optimality import optimality
+from omtwarp.metrics.optimality import optimality, relative_curl
 from omtwarp.moser import moser_map
 from omtwarp.optimal import optimal_map
 from omtwarp.optimal.energy import TransportEnergy
@@ -36,12 +36,12 @@ def moved(points, step):
     return out / np.linalg.norm(out, axis=1, keepdims=True)
 
 
-@pytest.fixture(scope="module")
-def energy_and_map():
+@pytest.fixture(scope="module", params=[0.0, 0.05], ids=["squared", "soft distance"])
+def energy_and_map(request):
     surface = blob(seed=3, amplitude=0.25, degree=4, sphere=320)
     x = conformal_map(surface, device="cpu").sphere
     y = moser_map(surface, x, device="cpu").sphere
-    return TransportEnergy(surface, vectors(x, CPU), CPU, shape_weight=0.02), y
+    return TransportEnergy(surface, vectors(x, CPU), CPU, shape_weight=0.02, softness=request.param), y
 
 
 def test_gradient_is_the_derivative(energy_and_map):
@@ -117,6 +117,47 @@ def test_spheroids_converge_at_second_order():
     assert fine[1] < coarse[1] / 3.5 and fine[1] < 2e-5
 
 
+def mean_distance(surface, x, y):
+    angles = 2.0 * np.arcsin(0.5 * np.linalg.norm(x - y, axis=1))
+    return float(surface.vertex_areas @ angles / surface.vertex_areas.sum())
+
+
+def test_the_mean_distance_on_a_spheroid_is_what_crosses_the_parallels():
+    """Mass moves along meridians: the least mean distance is the mass that crosses each parallel, over all of them."""
+    surface = stretched(12)
+    x, exact = spheroid_maps(surface)
+    angle = 0.4 * exact[:, 2]  # turning each parallel keeps areas
+    cosine, sine = np.cos(angle), np.sin(angle)
+    twisted = np.stack([cosine * exact[:, 0] - sine * exact[:, 1], sine * exact[:, 0] + cosine * exact[:, 1]], axis=1)
+    start = np.column_stack([twisted, exact[:, 2]])
+    found = optimal_map(surface, start, start=x, cost="geodesic", shape_weight=0.001, device="cpu")
+    assert found.converged
+    colatitude = np.linspace(0.0, np.pi, 4001)
+    order = np.argsort(x[:, 2])
+    below = np.cumsum(surface.vertex_areas[order]) - 0.5 * surface.vertex_areas[order]
+    share = 1.0 - np.interp(np.cos(colatitude), x[order, 2], below / surface.vertex_areas.sum())
+    crossing = np.abs(share - 0.5 * (1.0 - np.cos(colatitude)))
+    least = float(np.sum(0.5 * (crossing[1:] + crossing[:-1]) * np.diff(colatitude)))
+    assert mean_distance(surface, x, start) > 1.3 * least
+    assert mean_distance(surface, x, found.sphere) == pytest.approx(least, rel=0.01)
+
+
+def test_the_optimal_map_of_the_distance_has_less_of_it_and_a_gradient_for_direction():
+    surface = blob(seed=4, amplitude=0.3, degree=4, sphere=1280)
+    x = conformal_map(surface, device="cpu").sphere
+    y = moser_map(surface, x, device="cpu").sphere
+    squared = optimal_map(surface, y, start=x, shape_weight=0.003, device="cpu")
+    found = optimal_map(surface, squared.sphere, start=x, shape_weight=0.001, cost="geodesic", device="cpu")
+    assert found.converged and found.history[-1]["ring_rms"] < 2e-4
+    assert is_bijective(found.sphere, surface.faces)
+    assert mean_distance(surface, x, found.sphere) < 0.96 * mean_distance(surface, x, squared.sphere)
+    before, after = (
+        relative_curl(surface, sphere, start=x, cost="geodesic", device="cpu")
+        for sphere in (squared.sphere, found.sphere)
+    )
+    assert after < 0.5 * before
+
+
 def test_keeps_areas_cost_and_orientation_at_once():
     shape = blob(seed=7, amplitude=0.3, degree=6, sphere=5120)
     x = conformal_map(shape, device="cpu").sphere
@@ -184,3 +225,9 @@ def test_flipped_map_is_refused():
     surface = icosphere(4)
     with pytest.raises(OmtwarpError, match="flipped"):
         optimal_map(surface, -surface.vertices, start=surface.vertices, device="cpu")
+
+
+def test_an_unknown_cost_is_refused():
+    surface = icosphere(4)
+    with pytest.raises(OmtwarpError, match="unknown cost 'cubed'"):
+        optimal_map(surface, surface.vertices, start=surface.vertices, cost="cubed", device="cpu")
