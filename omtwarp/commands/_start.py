@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import importlib
 import importlib.util
 import os
 import sys
@@ -22,19 +23,17 @@ UNUSED = frozenset({"ctypeslib", "f2py", "ma", "matlib", "polynomial", "testing"
 
 THREADS = "OPENBLAS_NUM_THREADS"
 BUILT_INS = "warp._src.builtins"
+SPATIAL_PARTS = ("_ckdtree", "_qhull")  # modules of scipy.spatial with all that commands use of it
 LIBRARIES = ("warp.so", "warp-clang.so")
 """Warp's libraries on Linux, where reading them takes longest: the first has code for all graphics cards in it."""
 
 
-def import_scipy(spatial: bool = False) -> None:
+def import_scipy() -> None:
     """Import NumPy and SciPy without what a command has no use for; nothing where SciPy is imported already.
 
     SciPy looks up every name of NumPy, which imports the modules that NumPy leaves until they are used: 0.1 s. It reads
     and rewrites the documentation of its functions: 0.05 s. Threads of OpenBLAS, which maps do not use, wait for one
-    another while they start: 0.1 s of processor time.
-
-    Args:
-        spatial: whether the command looks for nearest points or hulls, as textures and pictures do.
+    another while they start: 0.1 s of processor time. Its package of trees and hulls imports rotations and distances.
     """
     if "scipy" in sys.modules:
         return
@@ -49,15 +48,35 @@ def import_scipy(spatial: bool = False) -> None:
             np.__dir__ = lambda: [name for name in listed() if name not in UNUSED]  # type: ignore[method-assign, assignment]
             with _documentation_as_written():
                 import scipy.linalg
-                import scipy.sparse
+                import scipy.sparse  # noqa: F401
 
-                if spatial:
-                    import scipy.spatial  # noqa: F401
+                _load_spatial_by_name()
         finally:
             np.__all__, np.__dir__ = exported, listed  # type: ignore[method-assign]
     finally:
         if threads is None:
             del os.environ[THREADS]
+
+
+def _load_spatial_by_name() -> None:
+    """Put a module in the place of ``scipy.spatial`` that loads trees and hulls, or all of the package, when asked."""
+    name = "scipy.spatial"
+    spec = importlib.util.find_spec(name)
+    if name in sys.modules or spec is None or spec.loader is None or not spec.submodule_search_locations:
+        return
+    module, run = importlib.util.module_from_spec(spec), spec.loader.exec_module
+
+    def look_up(attribute: str) -> object:
+        for part in SPATIAL_PARTS:
+            found = importlib.import_module(f"{name}.{part}")
+            if not attribute.startswith("_") and hasattr(found, attribute):
+                return getattr(found, attribute)
+        del module.__getattr__  # type: ignore[attr-defined]
+        run(module)
+        return getattr(module, attribute)
+
+    module.__getattr__ = look_up  # type: ignore[method-assign]
+    sys.modules[name] = module
 
 
 @contextlib.contextmanager

@@ -63,7 +63,7 @@ def report_on_map(
     from omtwarp.render import gl_client
 
     gl_client.prepare()  # its process starts while others are imported and the map is read
-    import_scipy(spatial=True)
+    import_scipy()
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report
     from omtwarp.texturing import read_image

@@ -157,7 +157,7 @@ def texture_mesh(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    import_scipy(spatial=True)
+    import_scipy()
     from omtwarp.texturing import read_image
     from omtwarp.texturing.atlas import check_size
     from omtwarp.texturing.export import SUFFIXES, format_for

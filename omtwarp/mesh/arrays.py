@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import sys
 from collections.abc import Mapping
 
 import numpy as np
@@ -212,7 +213,7 @@ def _shown(value: object) -> str:
 
 def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[np.generic]:
     """Return the values as an array of a kind of numbers."""
-    if isinstance(values, np.ma.MaskedArray):
+    if "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray):  # asking imports it
         if np.ma.is_masked(values):
             raise OmtwarpError(f"{name}: {int(np.ma.getmaskarray(values).sum())} entries are masked; fill them first")
         values = values.data

@@ -13,6 +13,7 @@ from __future__ import annotations
 import heapq
 from abc import ABC, abstractmethod
 from functools import cached_property, lru_cache
+from importlib.resources import files
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +32,7 @@ from omtwarp.texturing.projection import direction_from_angles, longitude_latitu
 Floats = NDArray[np.float64]
 
 REPULSIONS = 120  # rounds: with 30 to 240 the nearest two of 150 points are 0.272 to 0.277 apart
+STORED = 162  # circles, the default, whose places are in a file: computing them takes 0.05 s
 MOST_CIRCLES = 20_000  # whose repulsion takes 6.5 s
 BESIDE = 1e-7  # degrees beside a multiple of the data's hundredth: no parallel goes through a vertex of a coast
 NO_REACH = 1e-6  # degrees that an edge of the map, which is no coast, is seen from
@@ -151,24 +153,28 @@ class Circles(Pattern):
     name = "circles"
     _kernel = kernels.circle_colours
 
-    def __init__(self, count: int = 162, coverage: float = 0.56):
+    def __init__(self, count: int = STORED, coverage: float = 0.56):
         if not 4 <= count <= MOST_CIRCLES or not 0 < coverage < 1:
             raise OmtwarpError(f"circles: count {count}, coverage {coverage}: give 4 to 20000 circles, a share below 1")
         self.count = int(count)
-        self.centres = _even_points(self.count)
+        self.palette = _colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
+        self.background = _colours("#f6f1e7")[0]
+        self.centres, self.groups = stored_circles() if self.count == STORED else self.spread(self.count)
         self.radius = float(np.arccos(1.0 - 2.0 * coverage / self.count))
-        from scipy.spatial import ConvexHull
-
         _, gap = _neighbours(self.centres, 1)
         if 2.0 * self.radius >= gap.min():
             most = 0.5 * self.count * (1.0 - np.cos(gap.min() / 2.0))
             raise OmtwarpError(
                 f"circles: {self.count} circles over {coverage:.2f} of the sphere touch: at most {most:.2f}"
             )
-        self.palette = _colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
-        self.background = _colours("#f6f1e7")[0]
-        triangles = ConvexHull(self.centres).simplices
-        self.groups = _colour_groups(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(self.palette))
+
+    def spread(self, count: int) -> tuple[Floats, NDArray[np.int32]]:
+        """Compute the centres of so many circles, shape [count, 3], and their groups, shape [count]."""
+        from scipy.spatial import ConvexHull
+
+        centres = _even_points(count)
+        triangles = ConvexHull(centres).simplices
+        return centres, _colour_groups(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(self.palette))
 
     def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
         """Return the number of the circle that each direction lies in, -1 between the circles, shape [N]."""
@@ -349,6 +355,13 @@ def pattern(name: str | Pattern, **options: int | str) -> Pattern:
         return PATTERNS[name](**options)
     except TypeError as error:
         raise OmtwarpError(f"pattern {name}: {error}") from error
+
+
+def stored_circles() -> tuple[Floats, NDArray[np.int32]]:
+    """Read the centres and groups of the default number of circles, as :meth:`Circles.spread` computes them."""
+    with (files("omtwarp.texturing") / "assets" / "circles.npy").open("rb") as stream:
+        table = np.load(stream)
+    return np.ascontiguousarray(table[:, :3]), table[:, 3].astype(np.int32)
 
 
 def _even_points(count: int) -> Floats:

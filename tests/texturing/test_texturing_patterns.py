@@ -8,7 +8,7 @@ from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import cell_areas, pattern, rasterize
 from omtwarp.texturing.coastlines import coastline_segments
-from omtwarp.texturing.patterns import PATTERNS, Checker, Circles, Globe, Puzzle
+from omtwarp.texturing.patterns import PATTERNS, STORED, Checker, Circles, Globe, Puzzle, stored_circles
 from omtwarp.texturing.projection import direction_from_angles
 
 
@@ -217,3 +217,9 @@ def test_rotating_directions_moves_the_pattern_and_nothing_else():
     turn, d = rotation(3), directions(50_000, seed=2)
     a, b = pattern("circles")(d), pattern("circles")(d @ turn)
     assert abs(np.mean(a, axis=0) - np.mean(b, axis=0)).max() < 0.01
+
+
+def test_stored_circles_are_those_that_are_computed():
+    centres, groups = Circles(STORED).spread(STORED)
+    np.testing.assert_allclose(stored_circles()[0], centres, atol=1e-9)
+    np.testing.assert_array_equal(stored_circles()[1], groups)
