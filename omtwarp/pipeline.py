@@ -22,7 +22,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.flips.guard import hold_back
 from omtwarp.flips.rings import Examined, examine, is_bijective
-from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
+from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, turned_towards
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.arrays import TINY
@@ -72,6 +72,10 @@ EXACT = "exact"
 # Where one repair of a map took all that it may take and failed, later ones may take this share of it, as they fail
 # too: a box with triangles of 0.001 degrees spent 4.5 s on each, for nothing. Repairs of scans stay far below that.
 REPEATED_REPAIR = 0.1
+# Of a stage's triangles: maps with a larger share flipped, and more than so many in number, are not repaired. Of twelve
+# scans and made shapes at most 3 % are flipped by Moser's flow and all are repaired, except an octopus with 7.5 % and a
+# box with triangles of 0.001 degrees with 26 %, where repair fails after all the work that it may take.
+MOST_FLIPPED, MANY_FLIPS = 0.05, 300
 # Slivers are removed from Moser's map before transport is optimised, by minimising angle distortion and area distortion
 # with this weight to this tolerance, which saves several larger factorisations. Untangling after the first steps turns
 # a change of 1e-9 into one of 1e-3 beside slivers, and the last steps undo that: noise of 1e-12 and another order of
@@ -131,11 +135,12 @@ COARSE_VERTICES = 450
 FEW_VERTICES, STEPS_OF_FEW = 200, 100
 # Where the conformal map shrinks most triangles to points, most of the cost depends on whole limbs alone, and under a
 # heavy penalty on wrong areas steps shrink to a tenth: an octopus (58 %) was 116 % above the bound after 40 of them, at
-# an area distortion of 2.14. With a light penalty that grows, and less and less of the shape term, it is at 2.025.
+# an area distortion of 2.14. With a light penalty that grows, less of the shape term and damped first steps it is at
+# 2.037 after 31, and at 2.025 after 47 in three rounds, which took twice as long.
 # Scans with 9 and 27 % get near enough to the optimum without; a cross of four thin arms with 21 % does not, and is
 # done again in this way.
 # Rounds: weight of the shape term, of area in it, penalty on areas, most steps.
-CONTINUATION = ((1e-4, 1e3, 3.0, 15), (3e-5, 3e3, 10.0, 12), (1e-5, 1e4, 30.0, 25))
+CONTINUATION = ((1e-4, 1e3, 3.0, 10), (1e-5, 1e4, 30.0, 22))
 # Where Moser's flow could not be repaired and the start is above this area distortion, as on plates of long triangles
 # whose conformal map is flipped in large parts, points lie where they mean little, and the cost drives triangles flat:
 # areas around the vertices of a bracket were off by 9 % (rms) after 40 steps, at an area distortion of 2.23. With the
@@ -561,7 +566,7 @@ class _Run:
         assert self.source is not None
         if self.mirror is None and mostly_shrunken(surface, self.source):
             give_back()
-            return self.by_continuation(initial, CONTINUATION)
+            return self.by_continuation(initial, CONTINUATION, far=True)
         sphere = initial
         if self.origin["route"] == "hierarchical" and not self.shrunken and not self.rough:
             sphere = self.smoothed(sphere, UNTWISTING_WEIGHT, UNTWISTING_TOLERANCE, UNTWISTING_STEPS)
@@ -628,7 +633,7 @@ class _Run:
             The map, and the weight that it was made with; ``measured`` and ``history`` are set.
         """
         found = solve(sphere, weight, None)
-        self.remember(found.history)
+        self.keep_steps(found)
         excess = self.shape_excess(found.sphere)
         bounded = self.surface.vertex_count >= FEW_VERTICES and not self.origins
         steps = len(found.history) - 1
@@ -636,12 +641,12 @@ class _Run:
             if excess <= 1.0 or not found.converged:
                 break
             if bounded and steps > MOST_LOWERED_STEPS:
-                self.given_up = f"the weight of the shape term was kept after {steps} steps"
+                self.give_up(f"the weight of the shape term was lowered no further after {steps} steps")
                 break
             lower = weight * float(np.clip(SHAPE_MARGIN / excess, *SHAPE_DECAY))
             measured, other = self.measured, solve(found.sphere, lower, found.multipliers)
             steps += len(other.history) - 1
-            self.remember(other.history)
+            self.keep_steps(other)
             changed = self.shape_excess(other.sphere) if other.converged else np.inf
             # Where only the curl was known of the map before, its excess compares with nothing.
             useless = measured is not None and changed > excess * (lower / weight) ** MIN_GAIN_POWER
@@ -665,6 +670,11 @@ class _Run:
     def remember(self, records: Sequence[Record]) -> None:
         """Append the steps of a minimisation to the history, and count iterations on."""
         self.history = continued(self.history, records)
+
+    def keep_steps(self, found: OptimalMap) -> None:
+        """Append the steps that led to an optimal map to the history, and note what was given up on the way."""
+        self.remember(found.history)
+        self.give_up(found.gave_up)
 
     def optimal(
         self,
@@ -700,7 +710,7 @@ class _Run:
         far = symmetric and self.shrunken and multipliers is None and self.records[-1].area["surface"] > ROUGH_AREA
         for penalty, steps in LIGHT_PENALTIES if far else ():
             found = solve(sphere, area_penalty=penalty, multipliers=multipliers, iterations=steps)
-            self.remember(found.history)
+            self.keep_steps(found)
             sphere, multipliers = found.sphere, found.multipliers
         found = solve(sphere, multipliers=multipliers)
         if not symmetric:
@@ -709,7 +719,7 @@ class _Run:
             excess = found.history[-1]["area"] - 2.0
             if excess <= LARGEST_AREA - 2.0 or self.area_weight == MOST_AREA_WEIGHT:
                 break
-            self.remember(found.history)
+            self.keep_steps(found)
             heavier = self.area_weight * (AREA_MARGIN * excess / (LARGEST_AREA - 2.0)) ** AREA_POWER
             self.area_weight = min(heavier, MOST_AREA_WEIGHT)
             solve = partial(solve, area_weight=self.area_weight)
@@ -717,11 +727,11 @@ class _Run:
         return found
 
     def by_continuation(
-        self, sphere: NDArray[np.float64], rounds: tuple[tuple[float, float, float, int], ...]
+        self, sphere: NDArray[np.float64], rounds: tuple[tuple[float, float, float, int], ...], far: bool = False
     ) -> tuple[OptimalMap, float]:
         """Return the discrete optimal map by rounds of growing penalty on areas, and the last weight of the shape term.
 
-        See ``CONTINUATION`` and ``ROUGH_ROUNDS``.
+        See ``CONTINUATION`` and ``ROUGH_ROUNDS``; ``far`` as of :func:`omtwarp.optimal_map`.
         """
         assert self.source is not None
         found: OptimalMap | None = None
@@ -736,10 +746,11 @@ class _Run:
                 multipliers=None if found is None else found.multipliers,
                 iterations=steps,
                 gain=SHRUNKEN_GAIN,
+                far=far,
                 device=self.device,
                 progress=self.progress,
             )
-            self.remember(found.history)
+            self.keep_steps(found)
         assert found is not None
         return found, weight
 
@@ -758,7 +769,7 @@ class _Run:
         if before.gap <= self.largest_gap:
             return found, weight
         known = len(self.history)
-        other, lower = self.by_continuation(self.sphere, CONTINUATION)
+        other, lower = self.by_continuation(self.sphere, CONTINUATION, far=True)
         measured = self.bounded(other.sphere)
         if measured.gap >= before.gap:
             del self.history[known:]
@@ -813,6 +824,8 @@ class _Run:
             device=self.device,
             progress=self.progress,
         )
+        if mostly_shrunken(self.surface, self.source):
+            first = 1  # further ones gain little there
         found = measure(ascent_steps=first if improve else ASCENT_STEPS)
         if self.origins and self.shrunken:
             reach = WITHIN_REACH_SHRUNKEN
@@ -984,6 +997,11 @@ class _Run:
         sphere = self.orient(solved.sphere)
         self.finish(method, sphere, solved.iterations, converged=solved.converged)
 
+    def give_up(self, what: str) -> None:
+        """Note for the report what the current stage could not do, once."""
+        if what and what not in self.given_up.split("; "):
+            self.given_up = "; ".join([*filter(None, [self.given_up]), what])
+
     def untangle(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Make a stage's map one to one by repair, or by holding it back towards the map before it.
 
@@ -995,13 +1013,16 @@ class _Run:
         if self.examine(after).bijective:
             return after, 0
         flips = self.examine(after).flips
+        if flips > MANY_FLIPS and flips > MOST_FLIPPED * self.surface.face_count:
+            self.give_up(f"{flips} flipped triangles were held back towards the map before: too many to repair")
+            return hold_back(self.surface, before, after, device=self.device), flips
         budget = RepairBudget(self.surface, REPEATED_REPAIR if self.repair_given_up else 1.0)
         repaired = untangle(self.goal(before), after, budget=budget, device=self.device).sphere
         if self.examine(repaired).bijective:
             return repaired, flips
         self.repair_given_up |= budget.exhausted
         why = "what repair may take was spent" if budget.exhausted else "repair failed"
-        self.given_up = f"{flips} flipped triangles were held back towards the map before: {why}"
+        self.give_up(f"{flips} flipped triangles were held back towards the map before: {why}")
         return hold_back(self.surface, before, after, device=self.device), flips
 
     def report(self) -> MapReport:
@@ -1053,21 +1074,3 @@ def versions() -> dict[str, str]:
 def _normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Scale points to unit length, shape [V, 3]."""
     return points / np.linalg.norm(points, axis=1, keepdims=True)
-
-
-def turned_towards(
-    sphere: NDArray[np.float64], target: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Turn points on the sphere to agree best with others, in the least squares of their distances (Kabsch 1976).
-
-    Args:
-        sphere: unit vectors, shape [V, 3].
-        target: unit vectors, shape [V, 3].
-        weights: of the points, shape [V].
-
-    Returns:
-        ``sphere`` after the best rotation, shape [V, 3].
-    """
-    left, _, right = np.linalg.svd((weights[:, None] * target).T @ sphere)
-    left[:, 2] *= np.sign(np.linalg.det(left @ right))
-    return np.ascontiguousarray(sphere @ (left @ right).T)

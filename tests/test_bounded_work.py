@@ -5,13 +5,14 @@ from __future__ import annotations
 import pytest
 
 import omtwarp
-from omtwarp import map_to_sphere
+from omtwarp import map_to_sphere, pipeline
+from omtwarp.untangling import steps
 from omtwarp.untangling.untangle import STEP_WORK, WORK_PER_VERTEX, RepairBudget
 from tests.hostile.hostile_meshes import large_face, urchin
 
 # Of one repair: the start, the smoothing and two rounds of the optimal map may take one each, the stages a tenth each.
 MOST_REPAIRS = 5.0
-MOST_STEPS = 92  # of Newton's method: 40 of the first round, 52 of the continuation where that does not converge
+MOST_STEPS = 72  # of Newton's method: 40 of the first round, 32 of the continuation where that does not converge
 
 
 @pytest.fixture
@@ -49,3 +50,19 @@ def test_a_face_that_cannot_keep_its_area_is_given_up_early(spent):
 def test_spines_take_bounded_work(spent):
     stages, _ = hard_map(urchin(20, 3.0, 6), spent)
     assert stages["omt"]["iterations"] <= MOST_STEPS
+
+
+@pytest.mark.filterwarnings("ignore::omtwarp.errors.OmtwarpWarning")
+def test_the_report_says_when_untangling_after_steps_was_given_up(monkeypatch):
+    monkeypatch.setattr(steps, "WASTED_PER_VERTEX", 0.0)
+    result = map_to_sphere(urchin(30, 5.0, 6), device="cpu", optimality=False)
+    stages = {stage["name"]: stage for stage in result.report["stages"]}
+    assert "untangling after steps" in stages["omt"]["gave_up"]
+
+
+@pytest.mark.filterwarnings("ignore::omtwarp.errors.OmtwarpWarning")
+def test_many_flipped_triangles_are_held_back_without_repair(monkeypatch):
+    monkeypatch.setattr(pipeline, "MOST_FLIPPED", 0.0)
+    monkeypatch.setattr(pipeline, "MANY_FLIPS", 0)
+    result = map_to_sphere(urchin(20, 3.0, 6), until="moser", device="cpu")
+    assert result.bijective and "too many to repair" in result.report["stages"][-1]["gave_up"]

@@ -114,6 +114,24 @@ def order_by_place(surface: Surface) -> NDArray[np.intp]:
     return np.argsort(surface.scaled_vertices @ (OBLIQUE @ principal_axes(surface).frame), kind="stable")
 
 
+def turned_towards(
+    sphere: NDArray[np.float64], target: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Turn points on the sphere to agree best with others, in the least squares of their distances (Kabsch 1976).
+
+    Args:
+        sphere: unit vectors, shape [V, 3].
+        target: unit vectors, shape [V, 3].
+        weights: of the points, shape [V].
+
+    Returns:
+        ``sphere`` after the best rotation, shape [V, 3].
+    """
+    left, _, right = np.linalg.svd((weights[:, None] * target).T @ sphere)
+    left[:, 2] *= np.sign(np.linalg.det(left @ right))
+    return np.ascontiguousarray(sphere @ (left @ right).T)
+
+
 def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
     """Return a right-handed frame with an axis first or last; the coordinate axis farthest from it gives another."""
     towards = np.eye(3)[int(np.argmin(np.abs(axis)))]
@@ -123,4 +141,4 @@ def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
     return np.stack([axis, other, third] if first else [other, third, axis])
 
 
-__all__ = ["OBLIQUE", "Axes", "order_by_place", "principal_axes", "rotation_onto_axes"]
+__all__ = ["OBLIQUE", "Axes", "order_by_place", "principal_axes", "rotation_onto_axes", "turned_towards"]

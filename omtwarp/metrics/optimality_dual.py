@@ -203,6 +203,37 @@ class TransportDual:
         gap = own - proven
         return Bound(potential, gap, float(self.mass @ gap), face, weights, visited)
 
+    def flatten(self) -> None:
+        """Make ψ linear on every triangle from now on, which suits potentials that the map did not give."""
+        self._edge.zero_()
+
+    @property
+    def shrunken(self) -> bool:
+        """Whether many of the x_i are so close to others that their transforms are computed once for all of them."""
+        return self._shared is not None
+
+    def largest_potential(self, transform: Array) -> Array:
+        """Return the largest values of ψ at the y_i that go with given values of φ at the x_i, shape [V] each.
+
+        With them φ(x_j) + ψ(y_i) <= c(x_j, y_i) for all i and j, whatever φ is.
+        """
+        sources, values = self._x.numpy(), transform
+        if self._shared is not None:  # c of a point is less than that of its stand-in by ``lowered`` at most
+            shared = self._shared
+            values = np.full(len(shared.chosen), -np.inf)
+            np.maximum.at(values, shared.of, transform + shared.lowered)
+            sources = sources[shared.chosen]
+        given = [wp.array(sources, dtype=wp.vec3d, device=self.device)]
+        given.append(wp.array(values, dtype=wp.float64, device=self.device))
+        seeds = wp.array(self.cost - transform, dtype=wp.float64, device=self.device)
+        largest = wp.empty(len(self.mass), dtype=wp.float64, device=self.device)
+
+        def of_images(part: slice) -> Arguments:
+            return [self._y[part], seeds[part], *given], [largest[part]]
+
+        launch_parts(kernels.largest_potentials, len(self.mass), of_images, self.device)
+        return largest.numpy()
+
     def ascent_direction(self, current: Bound) -> tuple[Array, float]:
         """Find a change of ψ that raises the bound, and the slope of the bound along it.
 

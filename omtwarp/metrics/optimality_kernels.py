@@ -167,6 +167,30 @@ def triangle_costs(
 
 
 @wp.kernel
+def largest_potentials(
+    images: wp.array[wp.vec3d],
+    seeds: wp.array[wp.float64],
+    sources: wp.array[wp.vec3d],
+    transform: wp.array[wp.float64],
+    # Data out:
+    potential_out: wp.array[wp.float64],
+):
+    """Compute ψ(y_i) = min over j of c(x_j, y_i) - φ(x_j), which no larger ψ satisfies; seeds are values to beat.
+
+    Half the squared chord, which is less than c, leaves most sources out.
+    """
+    i = wp.tid()
+    image = images[i]
+    least = seeds[i]
+    for j in range(sources.shape[0]):
+        apart = image - sources[j]
+        if HALF * wp.dot(apart, apart) - transform[j] < least:
+            distance = geodesic_distance(image, sources[j])
+            least = wp.min(least, HALF * distance * distance - transform[j])
+    potential_out[i] = least
+
+
+@wp.kernel
 def admissible_differences(
     sources: wp.array[wp.vec3d],
     images: wp.array[wp.vec3d],

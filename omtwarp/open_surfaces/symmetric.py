@@ -353,6 +353,8 @@ class SymmetricSteps(FlipFreeSteps):
         device: a Warp device.
     """
 
+    _independent = False  # mirror images move alike
+
     def __init__(self, double: Double, surface: Surface, device: wp.Device):
         super().__init__(surface, device)
         self._double = double

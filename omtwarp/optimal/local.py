@@ -113,17 +113,18 @@ class LocalSteps:
         self._outside = terms.ring[self._vertices] - ring
         self._factor = saddle_factor(surface.scaled_vertices[self._vertices], edges)
 
-    def run(self, enough: float) -> tuple[wp.array, NDArray[np.intp], Numbers]:
+    def run(self, enough: float, most: int = MAX_STEPS) -> tuple[wp.array, NDArray[np.intp], Numbers]:
         """Take Newton steps of all patches until the expected gain is small.
 
         Args:
             enough: end where a step is expected to gain less than this.
+            most: largest number of steps.
 
         Returns:
             The whole map, vec3d, shape [V]; the vertices of the patches, shape [P]; and their multipliers, shape [P].
         """
         points = self._sent(self._points, wp.vec3d)
-        for _ in range(MAX_STEPS):
+        for _ in range(most):
             points, gain = self._step(points)
             if not gain > enough:
                 break

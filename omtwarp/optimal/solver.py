@@ -32,7 +32,7 @@ from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import AREA_WEIGHT, MIN_CURVATURE_SHARE, MapTerms, TransportEnergy
-from omtwarp.optimal.local import LEAST_DAMPING, LocalSteps, freed_vertices
+from omtwarp.optimal.local import LEAST_DAMPING, MAX_STEPS, LocalSteps, freed_vertices
 from omtwarp.options import Cost, Progress, Record, choose
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
@@ -68,6 +68,9 @@ STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 # damping grows after short steps and shrinks after full ones.
 MOST_DAMPING = 1.0
 DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
+# Where limbs are shrunken and the map far from the optimum, all of that and the steps of few vertices are damped from
+# the beginning: with 0.001 the first three or four steps of every minimisation of an octopus were cut to a twentieth.
+FAR_DAMPING, FAR_LOCAL_STEPS = 0.5, 4
 # Gain over decrement, which is 1/2 where the function is quadratic. Above the first, more of the matrix's negative
 # curvature is kept; below the second, less; below the third, the next step has a fresh matrix. Conventions of trust
 # regions: with 0.1 to 0.48, 0.05 to 0.35 and 0.1 to 0.45 scans took as many steps, a body with thin arms 38 to 41.
@@ -130,6 +133,7 @@ class OptimalMap:
         converged: whether the expected gain and the areas reached their tolerances.
         ended: why the minimisation ended, in words.
         factorisations: number of sparse matrices that were factorised.
+        gave_up: what was given up because it took too much work, in words; mostly empty.
     """
 
     sphere: Numbers
@@ -138,6 +142,7 @@ class OptimalMap:
     converged: bool
     ended: str
     factorisations: int
+    gave_up: str = ""
 
 
 @blas_threads(1)
@@ -153,6 +158,7 @@ def optimal_map(
     iterations: int = 40,
     gain: float = GAIN,
     cost: str = Cost.SQUARED,
+    far: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -173,6 +179,8 @@ def optimal_map(
         cost: ``squared`` geodesic distance, or the ``geodesic`` distance d as sqrt(d² + δ²) - δ, where δ is 3 % of the
             root mean squared distance of the map given: d itself has no curvature along the geodesic, and its least
             cost many maps.
+        far: whether the map is far from optimal and limbs are shrunken to points at the start: the first steps are
+            damped more, and fewer steps of few vertices are taken between them.
         device: where the kernels run; the saddle-point systems are solved on the host.
         progress: called after every step as ``progress("omt", step, most, record)``, the record being that of
             ``history``.
@@ -211,6 +219,7 @@ def optimal_map(
         gain=gain,
         iterations=iterations,
         progress=progress,
+        far=far,
     )
 
 
@@ -242,12 +251,13 @@ def minimise(
     iterations: int,
     progress: Progress | None,
     penalty: float | None = None,
+    far: bool = False,
 ) -> OptimalMap:
     """Minimise an energy under its area constraints, or with a penalty in their place; :func:`optimal_map` calls this.
 
     Args:
         energy: what is minimised.
-        sphere, area_penalty, multipliers, iterations, progress: as of :func:`optimal_map`.
+        sphere, area_penalty, multipliers, iterations, progress, far: as of :func:`optimal_map`.
         gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this
             number.
         penalty: μ; μ / 24π Σ (a_v - 3m_v)² / 3m_v is added to the energy in place of the constraints. ``progress`` is
@@ -264,18 +274,23 @@ def minimise(
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
     known = None if multipliers is None else np.array(multipliers, dtype=np.float64)
-    return _Newton(energy, gain, area_penalty, penalty).run(given, known, iterations, progress)
+    return _Newton(energy, gain, area_penalty, penalty, far).run(given, known, iterations, progress)
 
 
 class _Newton:
     """State of one minimisation: the multipliers, and the factorised matrix of this or an earlier map.
 
     Args:
-        energy, gain, area_penalty, penalty: as of :func:`minimise`.
+        energy, gain, area_penalty, penalty, far: as of :func:`minimise`.
     """
 
     def __init__(
-        self, energy: TransportEnergy, gain: float, area_penalty: float = PENALTY, penalty: float | None = None
+        self,
+        energy: TransportEnergy,
+        gain: float,
+        area_penalty: float = PENALTY,
+        penalty: float | None = None,
+        far: bool = False,
     ):
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
@@ -290,7 +305,8 @@ class _Newton:
         self.strictness = max(1.0, PENALTY / area_penalty) if self.constrained else 1.0
         self.multipliers = np.zeros(len(energy.wanted))
         self.max_rms, self.max_error = energy.area_tolerances
-        self.curvature_share, self.damping = energy.first_curvature_share, LEAST_DAMPING
+        self.curvature_share, self.damping = energy.first_curvature_share, FAR_DAMPING if far else LEAST_DAMPING
+        self.local_steps = FAR_LOCAL_STEPS if far else MAX_STEPS
         self.factorisations = 0
         self.longest = 1.0  # of the next step
 
@@ -362,17 +378,15 @@ class _Newton:
                 change = DAMPING_DECAY if length == 1.0 else DAMPING_GROWTH if length < 0.5 else 1.0
                 self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
             renew = length < 1.0 or corrected > MAX_CORRECTED * self.surface.vertex_count or trust < RENEWED
-        if not self._penalised_energy(terms, self.strictness) <= first:
-            return OptimalMap(
-                sphere,
-                self.multipliers,
-                tuple(history),
-                False,
-                f"{ended}; the map given was better",
-                self.factorisations,
-            )
+        better = self._penalised_energy(terms, self.strictness) <= first
         return OptimalMap(
-            points.numpy().copy(), self.multipliers, tuple(history), converged, ended, self.factorisations
+            points.numpy().copy() if better else sphere,
+            self.multipliers,
+            tuple(history),
+            converged and better,
+            ended if better else f"{ended}; the map given was better",
+            self.factorisations,
+            self.steps.gave_up,
         )
 
     def _settled(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, MapTerms, int]:
@@ -387,7 +401,7 @@ class _Newton:
         if freed is None:
             return points, terms, 0
         steps = LocalSteps(energy, freed, points, terms, self.multipliers, self.stiffness, self.constrained)
-        moved, vertices, multipliers = steps.run(LOCAL_GAIN_SHARE * self._enough(terms))
+        moved, vertices, multipliers = steps.run(LOCAL_GAIN_SHARE * self._enough(terms), self.local_steps)
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0
