@@ -305,16 +305,18 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
         way[:, side] = np.where(
             size > LEAST_TANGENT * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
         )
-    rows, columns, values = [], [], []
-    for a, b, factor in ((0, 0, 2.0), (1, 1, 2.0), (0, 1, 1.0), (1, 0, 1.0)):
-        block = factor * way[:, a, :, None] * way[:, b, None, :] / length[:, None, None]
-        row = 2 * ends[:, a, None, None] + np.arange(2)[None, :, None]
-        column = 2 * ends[:, b, None, None] + np.arange(2)[None, None, :]
-        rows.append(np.broadcast_to(row, block.shape).ravel())
-        columns.append(np.broadcast_to(column, block.shape).ravel())
-        values.append(block.ravel())
-    matrix = sparse.csr_matrix(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(2 * count, 2 * count)
+    # Of the symmetric matrix: blocks on the diagonal, [V, 2, 2], and what is above them; edges are in order of ends.
+    blocks = np.zeros((count, 2, 2))
+    for side in range(2):
+        for i, j in ((0, 0), (0, 1), (1, 1)):
+            blocks[:, i, j] += np.bincount(
+                ends[:, side], 2.0 * way[:, side, i] * way[:, side, j] / length, minlength=count
+            )
+    blocks[:, 1, 0] = blocks[:, 0, 1]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(ends[:, 0], minlength=count))])
+    above = sparse.bsr_matrix(
+        (way[:, 0, :, None] * way[:, 1, None, :] / length[:, None, None], ends[:, 1], starts),
+        shape=(2 * count, 2 * count),
     )
     rise = 3.0 * (sphere[ends[:, 1]] - sphere[ends[:, 0]]) / length[:, None] ** 2
     right = np.zeros((2 * count, 3))
@@ -323,7 +325,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
             at = 2 * ends[:, side] + k
             for axis in range(3):
                 right[:, axis] += np.bincount(at, way[:, side, k] * rise[:, axis], minlength=2 * count)
-    slopes = _solve(matrix, right).reshape(count, 2, 3)
+    slopes = _solve(blocks, above, right).reshape(count, 2, 3)
     return np.stack(
         [length[:, None] * np.einsum("ek,ekj->ej", way[:, side], slopes[ends[:, side]]) for side in range(2)], axis=1
     )
@@ -339,19 +341,22 @@ def _tangents(normals: Floats) -> tuple[Floats, Floats]:
     return first, np.cross(n, first)
 
 
-def _solve(matrix: sparse.csr_matrix, right: Floats) -> Floats:
-    """Solve for three right-hand sides by conjugate gradients, preconditioned by the diagonal's blocks of two."""
-    count = matrix.shape[0] // 2
-    blocks = np.empty((count, 2, 2))
-    blocks[:, 0, 0], blocks[:, 1, 1] = matrix.diagonal()[::2], matrix.diagonal()[1::2]
-    above = matrix.diagonal(1)[::2]
-    blocks[:, 0, 1] = blocks[:, 1, 0] = above
+def _solve(blocks: Floats, above: sparse.bsr_matrix, right: Floats) -> Floats:
+    """Solve for three right-hand sides by conjugate gradients, preconditioned by the diagonal's blocks of two.
+
+    Args:
+        blocks: these, shape [V, 2, 2].
+        above: the part of the symmetric matrix above them.
+        right: right-hand sides, shape [2 V, 3].
+    """
+    upper = above.tocsr()
+    beside = upper + upper.T
     # Vertices without two directions of edges: undetermined derivatives are 0.
-    blocks += np.maximum(ROUND_OFF * np.trace(blocks, axis1=1, axis2=2), ROUND_OFF)[:, None, None] * np.eye(2)
-    inverse = np.linalg.inv(blocks)
+    share = np.maximum(ROUND_OFF * np.trace(blocks, axis1=1, axis2=2), ROUND_OFF)[:, None, None]
+    inverse = np.linalg.inv(blocks + share * np.eye(2))
 
     def conditioned(residual: Floats) -> Floats:
-        return np.einsum("vab,vbj->vaj", inverse, residual.reshape(count, 2, 3)).reshape(-1, 3)
+        return _by_blocks(inverse, residual)
 
     x = np.zeros_like(right)
     residual = right.copy()
@@ -361,7 +366,7 @@ def _solve(matrix: sparse.csr_matrix, right: Floats) -> Floats:
     for _ in range(MOST_STEPS):
         if np.all(product <= goal):
             break
-        image = matrix @ direction
+        image = _by_blocks(blocks, direction) + beside @ direction
         step = product / np.maximum(np.einsum("ij,ij->j", direction, image), np.finfo(float).tiny)
         x += step * direction
         residual -= step * image
@@ -370,6 +375,11 @@ def _solve(matrix: sparse.csr_matrix, right: Floats) -> Floats:
         direction = z + fresh / np.maximum(product, np.finfo(float).tiny) * direction
         product = fresh
     return x
+
+
+def _by_blocks(blocks: Floats, vectors: Floats) -> Floats:
+    """Multiply vectors, shape [2 V, 3], by a matrix of blocks on the diagonal, shape [V, 2, 2]."""
+    return np.matmul(blocks, vectors.reshape(-1, 2, 3)).reshape(-1, 3)
 
 
 def _inside(
