@@ -358,6 +358,7 @@ def _paint(
     """
     from omtwarp.mesh.read import read_mesh
     from omtwarp.painting import paint
+    from omtwarp.painting.bakes import MOST_RAYS
     from omtwarp.texturing import read_image
 
     start_device(device)
@@ -390,7 +391,10 @@ def _paint(
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files]}
     facts |= {"vertices": len(result.vertices)}
     facts |= {"faces": len(result.faces), "pictures": pictures}
+    wanted = options["size"] or max((int(one["width"]) for one in pictures), default=0)
     sizes = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
+    if any(one["what"] == "occlusion" and int(one["width"]) < wanted for one in pictures):
+        sizes.append(f"occlusion by {MOST_RAYS // 1_000_000} million rays at most")
     looks = ", ".join(dict.fromkeys(sizes)) or "no picture"
     return facts, f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {looks}{with_files(files)}"
 

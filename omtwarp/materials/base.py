@@ -227,7 +227,8 @@ class PaintedArrays:
         if lost:
             raise OmtwarpError(
                 f"{lost} of the map's {len(triangles)} faces are not in the mesh, first face "
-                f"{int(np.argmax(origin < 0))}: give the mesh that was mapped, not one that a texture's seams cut"
+                f"{int(np.argmax(origin < 0))}: give the mesh that was mapped, or, for one that a "
+                "texture's seams cut, leave out the map"
             )
         return origin
 

@@ -37,6 +37,22 @@ def test_own_coordinates_with_materials_and_occlusion(desk, capsys):
     assert all(m.occlusion_picture is not None and m.picture is not None for m in made.materials)
 
 
+def test_occlusion_that_is_smaller_than_asked_says_so(desk, capsys, monkeypatch):
+    words = "texture --map two.npz -o ao.glb --bake ao --size 96".split()
+    assert "at most" not in run(capsys, *words)[1]
+    monkeypatch.setattr("omtwarp.painting.bakes.MOST_RAYS", 64 * 1000)  # 1,000 texels
+    status, out, _ = run(capsys, *words)
+    assert status == 0 and "occlusion 32 x 21, occlusion by" in out and "rays at most" in out
+
+
+def test_a_texture_that_seams_cut_is_transferred_without_its_map(desk, capsys):
+    assert run(capsys, *"texture --map two.npz -o cut.glb --size 48".split())[0] == 0
+    words = "transfer cut.glb plain.ply -o t.glb --map-to two.npz --size 48".split()
+    status, _, err = run(capsys, *words, "--map-from", "two.npz")
+    assert status == 1 and "leave out the map" in err
+    assert run(capsys, *words)[0] == 0
+
+
 def test_obj_gets_a_library_and_its_pictures_and_leaves_the_input_alone(desk, capsys):
     before = {name: (desk / name).read_bytes() for name in ("two.obj", "two.mtl", "stripes.png")}
     status, out, _ = run(
