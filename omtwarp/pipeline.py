@@ -103,9 +103,10 @@ MAX_GAP, MAX_CURL = 9e-4, 0.025
 MAX_GAP_SHRUNKEN = 9e-3
 SHAPE_DECAY = (0.1, 0.4)
 SHAPE_ROUNDS = 4
-# After so many steps the weight is not lowered again, except on meshes of few vertices and with exact areas. Scans take
-# up to 25 steps in all; a sphere with 50 spines took 112 and lost area distortion by it, 2.096 in place of 2.035.
-MOST_LOWERED_STEPS = 30
+# After so many steps in all, or with the last weight, the weight is not lowered again, except on meshes of few vertices
+# and with exact areas. Scans take up to 25 steps in all and 9 with one weight; a sphere with 50 spines took 112 and lost
+# area distortion by it, 2.096 in place of 2.035.
+MOST_LOWERED_STEPS, MOST_STEPS_OF_ONE = 30, 15
 MIN_GAIN_POWER = 0.14
 # What area distortion counts in the shape term where the conformal map shrinks limbs to points: cost hardly determines
 # triangles there. With the usual 10 their mean area distortion is 2.055 and 2.071 on two scans of that kind, with 20 it
@@ -147,7 +148,7 @@ CONTINUATION = ((1e-4, 1e3, 3.0, 10), (1e-5, 1e4, 30.0, 22))
 # shape term before the cost they are off by 0.4 % after as many, at 2.07. A box with fans of needles starts at 2.09 and
 # ends with areas off by 4 %, at 2.02.
 ROUGH_AREA = 2.05
-ROUGH_ROUNDS = ((0.1, 300.0, 10.0, 15), (0.1, 400.0, 100.0, 30))
+ROUGH_ROUNDS = ((0.1, 300.0, 10.0, 15), (0.1, 400.0, 100.0, 20))
 # A bound that is not improved by ascent makes gaps larger by a third, on scans with thin parts threefold. It is
 # improved before a gap counts as too large, by at most the first of these steps. Small meshes then take up to the
 # second where that may bring the gap below what is asked: from within this factor of it. Larger meshes, where a step
@@ -640,7 +641,7 @@ class _Run:
         for _ in range(SHAPE_ROUNDS - 1):
             if excess <= 1.0 or not found.converged:
                 break
-            if bounded and steps > MOST_LOWERED_STEPS:
+            if bounded and (steps > MOST_LOWERED_STEPS or len(found.history) - 1 > MOST_STEPS_OF_ONE):
                 self.give_up(f"the weight of the shape term was lowered no further after {steps} steps")
                 break
             lower = weight * float(np.clip(SHAPE_MARGIN / excess, *SHAPE_DECAY))
