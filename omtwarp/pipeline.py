@@ -104,8 +104,8 @@ MAX_GAP_SHRUNKEN = 9e-3
 SHAPE_DECAY = (0.1, 0.4)
 SHAPE_ROUNDS = 4
 # After so many steps in all, or with the last weight, the weight is not lowered again, except on meshes of few vertices
-# and with exact areas. Scans take up to 25 steps in all and 9 with one weight; a sphere with 50 spines took 112 and lost
-# area distortion by it, 2.096 in place of 2.035.
+# and with exact areas. Scans take up to 25 steps in all and 9 with one weight; a sphere with 50 spines took 112 and
+# lost area distortion by it, 2.096 in place of 2.035.
 MOST_LOWERED_STEPS, MOST_STEPS_OF_ONE = 30, 15
 MIN_GAIN_POWER = 0.14
 # What area distortion counts in the shape term where the conformal map shrinks limbs to points: cost hardly determines

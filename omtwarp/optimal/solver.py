@@ -91,8 +91,8 @@ SOFTNESS = 0.03
 # steps more and have 0.1 % less angle distortion, but noise of 1e-12 moves a vertex of the first by 0.008 radians in
 # place of 4e-5.
 GAIN = 5e-5
-# After so many steps so many times that ends the minimisation. Scans take at most nine from one weight of the shape term
-# to the next; a sphere with 50 spines took 31, of which the last ten lowered its energy by 1e-3 of the cost.
+# After so many steps so many times that ends the minimisation. Scans take at most nine with one weight of the shape
+# term; a sphere with 50 spines took 31, of which the last ten lowered its energy by 1e-3 of the cost.
 LATE_STEPS, LATE_GAIN = 15, 5.0
 
 

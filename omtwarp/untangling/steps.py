@@ -70,7 +70,7 @@ class FlipFreeSteps:
         seeds = self._trouble(moved, volume)
         if seeds is None:
             return moved, 0
-        count = 0
+        count, taken = 0, 0
         for schedule in REPAIRS:
             if not seeds.any():
                 break
@@ -80,7 +80,12 @@ class FlipFreeSteps:
             if seeds.mean() > MOST_TROUBLE:
                 return None
             schedule = replace(schedule, weight=weight)
-            sphere, patch = untangle_patches(self._surface, moved.numpy(), seeds, schedule, self._device, self.budget)
+            # Of scans and made shapes none that succeeds takes more.
+            budget = RepairBudget(self._surface)
+            budget.granted = min(self._chance - taken, self.budget.granted - self.budget.spent)
+            sphere, patch = untangle_patches(self._surface, moved.numpy(), seeds, schedule, self._device, budget)
+            self.budget.spent += budget.spent
+            taken += budget.spent
             count += patch
             sphere = self._admitted(sphere)
             moved = vectors(sphere, self._device)
@@ -98,11 +103,15 @@ class FlipFreeSteps:
         return "untangling after steps, which had taken what it may take" if self._refused else ""
 
     @property
+    def _chance(self) -> float:
+        """Return the most that one untangling may take, and that may be wasted, in vertices times Newton steps."""
+        return WASTED_PER_VERTEX * (self._surface.vertex_count + STEP_WORK)
+
+    @property
     def hopeless(self) -> bool:
         """Whether untangling has taken all that it may take, or what it may take without a success."""
         wasted, chances = self.budget.spent - self._useful, 2 if self._successes >= FEW_SUCCESSES else 1
-        most = chances * WASTED_PER_VERTEX * (self._surface.vertex_count + STEP_WORK)
-        return self.budget.exhausted or wasted > most
+        return self.budget.exhausted or wasted >= chances * self._chance
 
     def held_back(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float
