@@ -76,11 +76,11 @@ REPEATED_REPAIR = 0.1
 # scans and made shapes at most 3 % are flipped by Moser's flow and all are repaired, except an octopus with 7.5 % and a
 # box with triangles of 0.001 degrees with 26 %, where repair fails after all the work that it may take.
 MOST_FLIPPED, MANY_FLIPS = 0.05, 300
-# Slivers are removed from a Moser map that was repaired before transport is optimised, by minimising angle distortion and area distortion
-# with this weight to this tolerance, which saves several larger factorisations. Untangling after the first steps turns
-# a change of 1e-9 into one of 1e-3 beside slivers, and the last steps undo that: noise of 1e-12 and another order of
-# vertices then move scans of 40,000 and 70,000 triangles by 1e-5 at most; with 1e-3 the first moves by 0.09, with 0.05
-# the second by 0.08.
+# Slivers are removed from a Moser map that was repaired before transport is optimised, by minimising angle distortion
+# and area distortion with this weight to this tolerance, which saves several larger factorisations. Untangling after
+# the first steps turns a change of 1e-9 into one of 1e-3 beside slivers, and the last steps undo that: noise of 1e-12
+# and another order of vertices then move scans of 40,000 and 70,000 triangles by 1e-5 at most; with 1e-3 the first
+# moves by 0.09, with 0.05 the second by 0.08.
 SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 5e-6, 20
 # A map from a substitute start may be twisted in regions that the conformal map shrinks: by 11 degrees in two of a
 # skull. Under a heavy weight on areas these are minima of their own, under this weight they are not: to this tolerance
