@@ -57,9 +57,10 @@ SMALL_FILLING = 1e-2
 LEAST_SIDE = 0.25
 
 SLITS = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open; loops around handles avoid it
-# Where sides of large triangles reach from one cap into another, caps are made smaller, at most so many times.
 # Share of the sphere up to which a cap is untangled in its gnomonic projection, which half a sphere lacks.
 GNOMONIC_SHARE = 0.45
+# Where sides of large triangles reach from one cap into another, caps are made smaller by this factor, at most so many
+# times.
 ROUNDS_APART, LESS_COVERED = 6, 0.85
 
 AnyMap = TypeVar("AnyMap", bound=MapResult)
