@@ -154,7 +154,7 @@ ROUGH_ROUNDS = ((0.1, 300.0, 10.0, 15), (0.1, 400.0, 100.0, 20))
 # improved before a gap counts as too large, by at most the first of these steps. Small meshes then take up to the
 # second where that may bring the gap below what is asked: from within this factor of it. Larger meshes, where a step
 # takes longer, may have a gap larger by a tenth.
-GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES = (3, 12), 8_000
+GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES = (3, 20), 8_000
 WITHIN_REACH = 1.4
 # The same for exact maps of surfaces with shrunken limbs, of any size: a person's gap is 0.18 % after two steps, and
 # 0.093 % after six, which take 12 CPU seconds more.
