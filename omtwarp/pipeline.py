@@ -762,7 +762,7 @@ class _Run:
         self.measured = None  # of the other cost
         weight *= DISTANCE_SHAPE
         other = self.optimal(found.sphere, weight, cost=Cost.GEODESIC)
-        self.remember(other.history)
+        self.keep_steps(other)
         return other, weight
 
     def nearer_to_optimal(self, found: OptimalMap, weight: float) -> tuple[OptimalMap, float]:
@@ -884,7 +884,7 @@ class _Run:
         else:  # gap and curl, which say how far the weight has to be lowered, are those of the squared distance
             weight *= DISTANCE_SHAPE
             found = solve(before, weight, None)
-            self.remember(found.history)
+            self.keep_steps(found)
         sphere, repaired = self.untangle(before, found.sphere)
         self.finish(
             EXACT,

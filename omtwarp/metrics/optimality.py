@@ -259,7 +259,8 @@ def _measure(
         best = dual.bound(np.zeros_like(mass))
     best, steps = _ascended(dual, best, ascent_steps, enough, notify)
     transform, at_images = dual.cost - best.potential - best.vertex_gap, best.potential
-    uniform = dual.spread(transform).transform + dual.integral(best.potential)
+    spread = dual.spread(transform)
+    uniform = spread.transform + dual.integral(best.potential)
     if far:
         # Uniform masses are the same on a turned sphere: what φ is there goes with some ψ here.
         turned = TransportDual(surface, x, turned_towards(y, x, mass), mass, device)
@@ -273,7 +274,7 @@ def _measure(
         at_images = np.maximum(at_images, dual.largest_potential(transform))
     vertex_gap = 2.0 * mass * (dual.cost - transform - at_images)
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
-    uniform_cost = 2.0 * dual.spread(transform).cost
+    uniform_cost = 2.0 * spread.cost
     uniform *= 2.0
     notify(total, {"gap": _excess(cost, lower)})
     return Optimality(
