@@ -79,10 +79,19 @@ class AtlasName(StrEnum):
 
 
 def texture_width(text: str | None) -> str | None:
-    """Check what --size is given: a whole number, or auto."""
-    if text is not None and text != "auto" and not (text.isascii() and text.isdigit() and 0 < int(text[:9])):
-        raise typer.BadParameter(f"'{text}' is not a width: use a whole number of texels, or auto")
+    """Check what --size is given: one or two whole numbers, or auto."""
+    sides = [] if text is None or text == "auto" else text.split("x")
+    if not all(side.isascii() and side.isdigit() and 0 < int(side[:9]) for side in sides) or len(sides) > 2:
+        raise typer.BadParameter(f"'{text}' is not a size: use a width in texels, 4096x2048 for both sides, or auto")
     return text
+
+
+def sides_of(text: str | None) -> int | tuple[int, int] | None:
+    """Return the size that --size names, None where it is to be chosen."""
+    if text in (None, "auto"):
+        return None
+    width, *height = (int(side[:9]) for side in str(text).split("x"))
+    return (width, height[0]) if height else width
 
 
 def texture_mesh(
@@ -130,7 +139,7 @@ def texture_mesh(
     size: Annotated[
         str | None,
         typer.Option(
-            metavar="TEXELS|auto",
+            metavar="TEXELS|WxH|auto",
             callback=texture_width,
             help="Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to 4096.",
         ),
@@ -169,9 +178,9 @@ def texture_mesh(
         format_for(target.suffix.lower(), texture_format)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
-    width = None if size in (None, "auto") else int(str(size)[:9])
-    if width is not None:
-        check_size(width)
+    sides = sides_of(size)
+    if sides is not None:
+        check_size(sides)
     mapping: MapChoices = {
         "method": method,
         "until": until,
@@ -184,12 +193,14 @@ def texture_mesh(
         "pattern": pattern.value if pattern else None,
         "projection": projection.value,
         "atlas": atlas.value,
-        "size": width,
         "rotate": rotation(rotate),
     }
     if uv is Coordinates.OWN or keep_materials is not None or bake:
         if size == "auto":
             raise OmtwarpError("--size auto is for an atlas only, without --uv own, --keep-materials and --bake")
+        if isinstance(sides, tuple):
+            raise OmtwarpError("--size takes a width only with --uv own, --keep-materials and --bake")
+        width = sides
         for target in targets:
             check_output(target, (".glb", ".obj"), *given, finished, image, detail)
         if seam != "180":
@@ -212,6 +223,7 @@ def texture_mesh(
                 bake=bake or (),
                 device=device,
                 texture_format=texture_format,
+                size=width,
                 **looks,
             )
 
@@ -231,7 +243,7 @@ def texture_mesh(
         require_bijective(result, finished)
         with step_times(verbose) as done:
             inputs = mesh, finished, image
-            made = _texture(result, target, inputs, picture, looks.copy(), size, cut, texture_format, device)
+            made = _texture(result, target, inputs, picture, looks, size, cut, texture_format, device)
             done("texture")
         return made
 
@@ -256,8 +268,8 @@ def _texture(
         output: the file.
         inputs: files that must not be replaced.
         picture: what to put on it in place of a pattern.
-        looks: the texture's options; with a width, unless that is chosen here.
-        size: the width as it was asked for.
+        looks: the texture's options.
+        size: as it was asked for.
         seam: longitude of the cut in degrees, or ``auto``.
         texture_format: of the picture in the file.
         device: where kernels run.
@@ -268,10 +280,10 @@ def _texture(
     from omtwarp.result import MapResult
     from omtwarp.texturing import texture
 
-    blurred = ""
+    chosen, blurred = sides_of(size), ""
     if size == "auto" or (size is None and picture is None and isinstance(result, MapResult)):
-        looks["size"], blurred = _sharp_size(result, looks["atlas"], asked=size is not None)
-    textured = texture(result, picture, seam_longitude=seam, device=device, **looks)
+        chosen, blurred = _sharp_size(result, looks["atlas"], asked=size is not None)
+    textured = texture(result, picture, seam_longitude=seam, size=chosen, device=device, **looks)
     files = textured.export(output, keep=inputs, texture_format=texture_format)
     height, width = textured.image.shape[:2]
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files]}
@@ -294,7 +306,7 @@ def _require_one(mesh: Path | None, finished: Path | None) -> None:
         )
 
 
-def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tuple[int, str]:
+def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tuple[int | tuple[int, int], str]:
     """Return the size at which no texel is visible, and a line about what even the largest size leaves blurred.
 
     Args:
@@ -324,13 +336,13 @@ class LookKeywords(TypedDict):
     projection: str
     atlas: str
     rotate: str | list[float] | None
-    size: int | None
 
 
 class PaintKeywords(LookKeywords):
     """The options of :func:`omtwarp.paint` that the command line passes on."""
 
     uv: str
+    size: int | None
     keep: str | None
     opacity: float
     bake: Sequence[str]

@@ -66,6 +66,12 @@ class Material:
     own_tangents: bool = False
 
     @property
+    def plain(self) -> bool:
+        """Whether the material has no picture of any kind."""
+        pictures = (self.picture, self.normal_picture, self.occlusion_picture)
+        return all(one is None for one in (*pictures, self.roughness_picture, self.emission_picture))
+
+    @property
     def opaque(self) -> bool:
         """Whether the material is opaque."""
         transparent = self.picture is not None and self.picture.shape[2] == 4 and self.picture[..., 3].min() < 255

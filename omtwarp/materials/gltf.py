@@ -10,6 +10,10 @@ from omtwarp.options import TextureFormat
 from omtwarp.texturing.gltf import GltfFile, flipped_rows, single_precision
 from omtwarp.texturing.textured import vertex_normals
 
+# For coordinates of materials that have no picture: a file's checkers and some programs take coordinates that nothing
+# refers to for a mistake, or drop them. White leaves the material's colour as it is.
+BLANK = np.full((1, 1, 3), 255, dtype=np.uint8)
+
 
 def glb_bytes(mesh: PaintedArrays, texture_format: TextureFormat = TextureFormat.PNG) -> bytes:
     """Write a mesh with its materials as a binary glTF 2.0 file.
@@ -59,7 +63,10 @@ def _primitive(
 
 
 def _material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, object]:
-    """Convert a material to glTF's JSON, with pictures only where the mesh has texture coordinates."""
+    """Convert a material to glTF's JSON, with pictures only where the mesh has texture coordinates.
+
+    A material without pictures gets a white texel, so that the coordinates belong to something.
+    """
     color = linear(np.array(material.color))
     surface: dict[str, object] = {
         "baseColorFactor": [float(x) for x in color],
@@ -76,6 +83,8 @@ def _material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, ob
         entry["emissiveFactor"] = list(material.emission)
     if not with_uv:
         return entry
+    if material.plain:
+        surface["baseColorTexture"] = file.texture(BLANK, "blank")
     for place, slot, picture, ending in (
         (surface, "baseColorTexture", material.picture, "color"),
         (surface, "metallicRoughnessTexture", material.roughness_picture, "roughness"),

@@ -21,7 +21,7 @@ from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.read import fans, read_mesh, utf8
 from omtwarp.mesh.scenes import gltf_header, load_scene, scene_formats
 from omtwarp.mesh.seams import compressed, seam_copies
-from omtwarp.srgb import to_srgb
+from omtwarp.srgb import to_linear, to_srgb
 from omtwarp.texturing.image import read_image
 
 if TYPE_CHECKING:
@@ -322,11 +322,16 @@ def _of_gltf(source: trimesh.visual.material.PBRMaterial, name: str, factors: Fa
         scaled = values / 255.0 if values.dtype.kind in "iu" else values.astype(np.float64)
         scaled = (factors or {}).get((source.name, tuple(values.tolist())), scaled)
         color = _color(np.concatenate([to_srgb(scaled[:3]), scaled[3:4]]))
+    picture = _pil(source.baseColorTexture)
+    if picture is not None and picture.shape[:2] == (1, 1):  # one texel is a plain colour, which needs no coordinates
+        texel = _opaque(picture[0]) / 255.0
+        light = to_linear(np.array(color[:3])) * to_linear(texel[0, :3])
+        color, picture = _color(np.append(to_srgb(light), color[3] * texel[0, 3])), None
     emission = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor, dtype=np.float64)
     return Material(
         name=name,
         color=color,
-        picture=_pil(source.baseColorTexture),
+        picture=picture,
         metallic=1.0 if source.metallicFactor is None else float(source.metallicFactor),
         roughness=1.0 if source.roughnessFactor is None else float(source.roughnessFactor),
         emission=(float(emission[0]), float(emission[1]), float(emission[2])),

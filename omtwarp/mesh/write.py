@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, staged
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface, write_vtk
 
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963  # OpenGL's numbers, which glTF 2.0 uses
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gii", ".vtk", *FREESURFER_SUFFIXES)
 
 
@@ -79,7 +81,20 @@ def _write(
     else:
         import trimesh
 
-        trimesh.Trimesh(points, triangles, process=False).export(file)
+        mesh = trimesh.Trimesh(points, triangles, process=False)
+        if suffix == ".glb":
+            file.write_bytes(trimesh.exchange.gltf.export_glb(trimesh.Scene(mesh), tree_postprocessor=_name_targets))
+        else:
+            mesh.export(file)
+
+
+def _name_targets(document: dict[str, Any]) -> None:
+    """Add to a glTF file of trimesh's what its views of the buffer are for, which readers would otherwise infer."""
+    for mesh in document["meshes"]:
+        for primitive in mesh["primitives"]:
+            uses = [(number, ARRAY_BUFFER) for number in primitive["attributes"].values()]
+            for number, target in [*uses, (primitive["indices"], ELEMENT_ARRAY_BUFFER)]:
+                document["bufferViews"][document["accessors"][number]["bufferView"]]["target"] = target
 
 
 def ply_bytes(

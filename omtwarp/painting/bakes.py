@@ -23,6 +23,7 @@ from omtwarp.texturing.textured import vertex_normals
 
 BAKES = ("normal", "ao", "curvature", "area")
 RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with noise of 1/16 at most
+LEAST_RAYS = 24  # where many texels have to share them; the noise is two thirds more
 MOST_RAYS = 6_000_000  # of one picture of ambient occlusion; a core casts about a million in a second
 SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
 
@@ -59,11 +60,18 @@ class Target:
         return np.einsum("tij,tjc->tic", self.weights, at)
 
 
+def _uv_area(uv: Floats) -> float:
+    """Return the share of the picture that triangles [T, 3, 2] cover, at most 1."""
+    one, other = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    area = 0.5 * np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()
+    return float(np.clip(area, 0.0, 1.0))
+
+
 def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     """Return the ambient occlusion: the cosine-weighted share of the rays from a point that meet no surface.
 
-    Rays are cast from texels of a picture that is smaller by a whole factor where there would be more than
-    :data:`MOST_RAYS` in all.
+    Rays are cast from texels of a picture that is smaller by a power of two where there would be more than
+    :data:`MOST_RAYS` in all, even with few of them from each.
 
     Returns:
         255 where no ray is blocked, uint8, shape [H, W, 3].
@@ -71,7 +79,8 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     from scipy.ndimage import distance_transform_edt
 
     width, height = target.size
-    factor = max(1, int(np.ceil(np.sqrt(width * height * RAYS / MOST_RAYS))))
+    texels = _uv_area(target.uv) * width * height
+    factor = 2 ** max(0, int(np.ceil(0.5 * np.log2(max(texels * LEAST_RAYS / MOST_RAYS, TINY)))))
     size = (max(width // factor, 1), max(height // factor, 1))
     values = np.concatenate([target.points, target.normals], axis=2)
     picture = bake_corners(target.uv, values, size, padding=-1, samples=1, device=target.device)
@@ -79,6 +88,7 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     # Not from the padding: beyond their triangles, positions leave the surface.
     inside = covered(target.uv, size, padding=0, device=target.device)
     known = np.flatnonzero(inside.ravel())
+    rays = int(np.clip(MOST_RAYS // max(len(known), 1), LEAST_RAYS, RAYS))
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     scale = float((high - low).max())
     normal = rows[known, 3:]
@@ -96,7 +106,7 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     launch_parts(
         kernels.cast_open_rays,
         len(known),
-        lambda part: ([mesh.id, start[part], ways[part], numbers[part], RAYS], [out[part]]),
+        lambda part: ([mesh.id, start[part], ways[part], numbers[part], rays], [out[part]]),
         where,
     )
     open_part = np.ones(len(rows), dtype=np.float64)

@@ -43,11 +43,13 @@ def bake_bytes(source: Source, look: Look, *, projection: str = "equirectangular
     if isinstance(given, PatternSource):
         busy = baking.calm(given)
     else:
-        busy = np.arange(atlas.width * atlas.height, dtype=np.int32)
+        busy = atlas.texels
     baking.fill(busy, 1)
     if supersample > 1:
         baking.fill(baking.changing(busy), int(supersample))
-    return baking.picture.numpy().reshape(atlas.height, atlas.width, given.channels)
+    baked = baking.picture.numpy().reshape(atlas.height, atlas.width, given.channels)
+    atlas.fill_empty(baked)
+    return baked
 
 
 class _Baking:
@@ -56,13 +58,15 @@ class _Baking:
     def __init__(self, given: ValueSource, look: Look):
         self._given, self._look, self._where = given, look, look.where
         self._width, self._height = look.atlas.width, look.atlas.height
-        self.picture = wp.empty((self._width * self._height, given.channels), dtype=wp.uint8, device=look.where)
+        self._row_lengths = look.atlas.row_lengths
+        self.picture = wp.zeros((self._width * self._height, given.channels), dtype=wp.uint8, device=look.where)
 
     def calm(self, given: PatternSource) -> Ints:
         """Fill the parts without an edge; return the texels that remain."""
         side = STEPS[0] * PARTS
         x, y = np.arange(0, self._width, side), np.arange(0, self._height, side)
-        corners = (y[:, None] * self._width + x[None, :]).ravel().astype(np.int32)
+        covered = x < self._row_lengths[y][:, None]
+        corners = (y[:, None] * self._width + x[None, :])[covered].astype(np.int32)
         lattice = np.arange(PARTS + 1)
         for step in STEPS:
             left = []
@@ -81,7 +85,8 @@ class _Baking:
         offsets = np.arange(STEPS[-1])
         rows, columns = row[:, None] + offsets, column[:, None] + offsets
         texels = rows[:, :, None] * self._width + columns[:, None, :]
-        inside = (rows < self._height)[:, :, None] & (columns < self._width)[:, None, :]
+        lengths = np.where(rows < self._height, self._row_lengths[np.minimum(rows, self._height - 1)], 0)
+        inside = columns[:, None, :] < lengths[:, :, None]
         return texels[inside].astype(np.int32)
 
     def _fill_calm(self, given: PatternSource, corners: Ints, points: Ints, step: int) -> Bytes:

@@ -4,8 +4,10 @@ An atlas defines where the mesh has to be cut so that no triangle straddles two 
 the picture, and which direction a texel shows, gutters included. Image coordinates are (u, v) in 0..1 with v up.
 
 * ``equirectangular``: one chart; cut along one meridian, from pole to pole. u wraps, so the sampler has to repeat in u.
-* ``cube``: six charts, three by two cells, each an equiangular cube face (the angle, not its tangent, is linear in the
-  picture, which keeps the texels within a factor 1.3 of equal area [1]_). No seam is drawn across a pole.
+* ``cube``: six charts, each an equiangular cube face (the angle, not its tangent, is linear in the picture, which keeps
+  the texels within a factor 1.3 of equal area [1]_). No seam is drawn across a pole. The charts lie in three by two
+  cells or, on a picture twice as wide as high, in four by two of which two are empty. Where three by two cells do not
+  fill a picture whose sides are powers of two, what is left is one colour.
 * ``octahedral``: the sphere folded out into one square [2]_, the south pole in its four corners.
 
 Cube and octahedral pictures have a gutter whose texels show the sphere beyond the border, so that bilinear filtering
@@ -47,7 +49,9 @@ CUBE_FRAMES = np.array(
     dtype=np.float64,
 )
 
-SIZE, OCTAHEDRAL_SIZE = 2048, 1536  # texels where no size is given: of about the same size on the sphere in all atlases
+SIZE = 2048  # texels across a picture where no size is given
+MEAN_SAMPLES = 256  # texels along a side that the mean colour of a picture is taken from
+LEAST_SQUARE = 32  # texels: in a square one that is smaller no three cells of a cube map fit with their gutters
 
 
 def _triple(values: Floats) -> tuple[float, float, float]:
@@ -87,8 +91,39 @@ class Atlas(ABC):
 
     @property
     def parameters(self) -> tuple[float, float]:
-        """Longitude of the left border (equirectangular), and gutter in texels."""
+        """Longitude of the left border (equirectangular) or side of a cell (cube) in texels, and gutter in texels."""
         return 0.0, float(self.gutter)
+
+    @property
+    def row_lengths(self) -> NDArray[np.int32]:
+        """How many texels of every row, from the left, charts and gutters cover, shape [H]; the rest is empty."""
+        return np.full(self.height, self.width, dtype=np.int32)
+
+    @property
+    def filled(self) -> bool:
+        """Whether charts and gutters cover the whole picture."""
+        return bool((self.row_lengths == self.width).all())
+
+    @property
+    def texels(self) -> NDArray[np.int32]:
+        """Numbers of the texels that charts and gutters cover, row by row."""
+        if self.filled:
+            return np.arange(self.width * self.height, dtype=np.int32)
+        return np.flatnonzero(np.arange(self.width) < self.row_lengths[:, None]).astype(np.int32)
+
+    def fill_empty(self, picture: NDArray[np.generic]) -> None:
+        """Fill the texels of a picture [H, W, C] that no chart covers with the mean colour of the others."""
+        lengths = self.row_lengths
+        if self.filled:
+            return
+        step = max(self.width // MEAN_SAMPLES, 1)
+        inside = np.arange(0, self.width, step) < lengths[::step, None]
+        mean = picture[::step, ::step][inside].mean(axis=0, dtype=np.float64)
+        if picture.dtype == np.uint8:
+            mean = np.rint(mean)
+        starts = np.flatnonzero(np.diff(lengths, prepend=-1))
+        for first, end in zip(starts, [*starts[1:], self.height], strict=True):
+            picture[first:end, lengths[first] :] = mean
 
     @abstractmethod
     def charts(self, directions: Floats) -> NDArray[np.int32]:
@@ -173,14 +208,24 @@ class Equirectangular(Atlas):
 
 
 class Cube(Atlas):
-    """Six equiangular cube faces in three by two cells: +x +y -x above, -y +z -z below."""
+    """Six equiangular cube faces in two rows of cells at the top left of the picture, +x +y -x -y +z -z.
+
+    Three cells lie in a row, or four where the picture is twice as wide as high.
+
+    Args:
+        cell: side of a cell in texels.
+        gutter: texels around a face that continue it; a 24th of a cell by default.
+        size: width and height of the picture; by default those of three by two cells.
+    """
 
     name, kind, chart_count = "cube", 1, 6
     corners = tuple((x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0))
 
-    def __init__(self, cell: int, gutter: int | None = None):
-        super().__init__(3 * cell, 2 * cell)
+    def __init__(self, cell: int, gutter: int | None = None, size: tuple[int, int] | None = None):
+        width, height = (3 * cell, 2 * cell) if size is None else size
+        super().__init__(width, height)
         self.cell = int(cell)
+        self.columns = 4 if width == 2 * height else 3
         self.gutter = max(2, self.cell // 24) if gutter is None else int(gutter)
         arcs = []
         for axis in range(3):  # the edges of the cube that run along this axis lie in the planes |a| = |b|
@@ -198,6 +243,17 @@ class Cube(Atlas):
     def texel_angle(self) -> float:
         return 2.0 * QUARTER / (self.cell - 2 * self.gutter)
 
+    @property
+    def parameters(self) -> tuple[float, float]:
+        return float(self.cell), float(self.gutter)
+
+    @property
+    def row_lengths(self) -> NDArray[np.int32]:
+        lengths = np.zeros(self.height, dtype=np.int32)
+        lengths[: self.cell] = self.columns * self.cell
+        lengths[self.cell : 2 * self.cell] = (self.chart_count - self.columns) * self.cell
+        return lengths
+
     def charts(self, directions: Floats) -> NDArray[np.int32]:
         axis = np.argmax(np.abs(directions), axis=-1)
         value = np.take_along_axis(directions, axis[..., None], axis=-1)[..., 0]
@@ -212,18 +268,17 @@ class Cube(Atlas):
     def _place(self, angle: Floats, chart: NDArray) -> Floats:
         inner = self.cell - 2 * self.gutter
         texel = self.gutter + (angle / QUARTER + 1.0) * (0.5 * inner)
-        column, row = chart % 3, 1 - chart // 3
-        return np.stack(
-            [(column * self.cell + texel[..., 0]) / self.width, (row * self.cell + texel[..., 1]) / self.height],
-            axis=-1,
-        )
+        left, bottom = self._corner(chart)
+        return np.stack([(left + texel[..., 0]) / self.width, (bottom + texel[..., 1]) / self.height], axis=-1)
+
+    def _corner(self, chart: NDArray) -> tuple[NDArray, NDArray]:
+        """Return the lower left corners of charts' cells in texels, v up."""
+        return chart % self.columns * self.cell, self.height - (1 + chart // self.columns) * self.cell
 
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
         inner = self.cell - 2 * self.gutter
-        column, row = chart % 3, 1 - chart // 3
-        texel = np.stack(
-            [uv[..., 0] * self.width - column * self.cell, uv[..., 1] * self.height - row * self.cell], axis=-1
-        )
+        left, bottom = self._corner(chart)
+        texel = np.stack([uv[..., 0] * self.width - left, uv[..., 1] * self.height - bottom], axis=-1)
         slope = np.tan(((texel - self.gutter) / (0.5 * inner) - 1.0) * QUARTER)
         local = np.concatenate([np.ones_like(slope[..., :1]), slope], axis=-1)
         return normalised(np.einsum("...i,...ij->...j", local, CUBE_FRAMES[chart]))
@@ -274,31 +329,54 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
 
     Args:
         name: ``equirectangular``, ``cube`` or ``octahedral``.
-        size: width of the picture in texels; an equirectangular one may be (width, height), a cube map's is rounded
-            down to a multiple of twelve. By default 2048 for the equirectangular and the cube map and 1536 for the
-            octahedral one: texels of about the same size.
+        size: width of the picture in texels; by default 2048. An equirectangular one may be (width, height). A cube
+            map is square where the width is a power of two, otherwise 3 : 2 and rounded down to a multiple of twelve;
+            it may be (width, width) or (width, width / 2) too.
         seam: longitude of the equirectangular cut, in radians.
 
     Raises:
-        OmtwarpError: an unknown name, or a size that is not a whole number from 16 to 32768.
+        OmtwarpError: an unknown name, a size that is not a whole number from 16 to 32768, or sides that the atlas has
+            not.
     """
     if not isinstance(name, str) or name not in ATLASES:
         raise OmtwarpError(f"unknown atlas '{name}': use {', '.join(ATLASES[:-1])} or {ATLASES[-1]}")
     if size is None:
-        size = OCTAHEDRAL_SIZE if name == "octahedral" else SIZE
+        size = SIZE
     pair = check_size(size)
-    if len(pair) == 2 and name != "equirectangular":
-        raise OmtwarpError(f"texture size {size!r}: the {name} atlas takes a width only")
+    if len(pair) == 2 and name == "octahedral":
+        raise OmtwarpError(f"texture size {size!r}: the octahedral atlas takes a width only")
     width = pair[0]
     atlas: Atlas
     if name == "equirectangular":
         atlas = Equirectangular(width, pair[1] if len(pair) == 2 else max(width // 2, 1), seam)
     else:
-        atlas = Cube(max(width // 12, 2) * 4) if name == "cube" else Octahedral(width)
+        atlas = _cube(pair) if name == "cube" else Octahedral(width)
     if atlas.width * atlas.height > MOST_TEXELS:
         texels = f"{atlas.width} x {atlas.height} texels"
         raise OmtwarpError(f"texture size {size!r}: {texels}, and {MOST_TEXELS / 1e6:.0f} million is the most")
     return atlas
+
+
+def _cube(sides: tuple[int, ...]) -> Cube:
+    """Return a cube map of a width, or of a width and a height."""
+    width = sides[0]
+    cell = max(width // 12, 2) * 4  # a multiple of four: so many mip maps have whole texels along the borders of cells
+    square = width >= LEAST_SQUARE and is_power_of_two(width) if len(sides) == 1 else sides[1] == width
+    if square and 3 * cell <= width:
+        return Cube(cell, size=(width, width))
+    if len(sides) == 1 or sides == (3 * cell, 2 * cell):
+        return Cube(cell)
+    if width == 2 * sides[1] and width % 16 == 0 and width >= LEAST_SQUARE:
+        return Cube(width // 4, size=(width, sides[1]))
+    raise OmtwarpError(
+        f"texture size {sides}: a cube map is a square of at least {LEAST_SQUARE} texels, 2 : 1 with a width that is a "
+        f"multiple of 16, or 3 : 2 with one that is a multiple of 12"
+    )
+
+
+def is_power_of_two(number: int) -> bool:
+    """Return whether a number is a power of two."""
+    return number > 0 and number & (number - 1) == 0
 
 
 def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:

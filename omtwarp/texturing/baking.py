@@ -37,6 +37,9 @@ Picture = NDArray[np.float32]
 NOBODY = 2**31 - 1  # the largest int32, in place of the number of a triangle: the least number owns a texel
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
 CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more are worth more samples; a soft gradient is not
+# Of a picture's longer side: rings of texels by which charts are continued where the whole picture is to be filled,
+# more than any atlas's gutter. What is left gets one colour.
+FILLED_RINGS = 1.0 / 48.0
 GROW = 1e-6  # texels by which a triangle may claim a centre outside it
 RING = 1.5  # texels around the charts in which the function itself is continued, for filtering
 
@@ -163,7 +166,8 @@ def bake(
 
 
 def _bake(given: ValueSource, target: Atlas, supersample: int, where: wp.Device) -> Picture:
-    picture = wp.empty((target.width * target.height, given.channels), dtype=wp.float32, device=where)
+    picture = wp.zeros((target.width * target.height, given.channels), dtype=wp.float32, device=where)
+    texels = target.texels
     offset, gutter = target.parameters
     numbers = [target.kind, target.width, target.height, wp.float64(offset), wp.float64(gutter)]
 
@@ -182,10 +186,14 @@ def _bake(given: ValueSource, target: Atlas, supersample: int, where: wp.Device)
 
         _fill(given, texels, samples, look, picture, where)
 
-    fill(np.arange(target.width * target.height, dtype=np.int32), 1)
+    fill(texels, 1)
     if supersample > 1:
-        fill(_changing(picture, target.width, target.height), int(supersample))
-    return picture.numpy().reshape(target.height, target.width, given.channels)
+        changing = _changing(picture, target.width, target.height)
+        changing = changing if target.filled else np.intersect1d(changing, texels, assume_unique=True)
+        fill(changing, int(supersample))
+    baked = picture.numpy().reshape(target.height, target.width, given.channels)
+    target.fill_empty(baked)
+    return baked
 
 
 def _fill(
@@ -258,9 +266,7 @@ def sample(
 def picture_source(array: NDArray[np.generic], atlas: str | Atlas, where: wp.Device) -> _PictureSource:
     height, width = array.shape[:2]
     target = (
-        atlas
-        if isinstance(atlas, Atlas)
-        else make_atlas(atlas, (width, height) if atlas == "equirectangular" else width)
+        atlas if isinstance(atlas, Atlas) else make_atlas(atlas, width if atlas == "octahedral" else (width, height))
     )
     if (target.width, target.height) != (width, height):
         raise OmtwarpError(
@@ -354,11 +360,12 @@ class Layout:
         self._chords = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
 
     def dilate(self, picture: wp.array, rings: int) -> wp.array:
-        """Fill texels around the owned ones, one ring after another; -1 fills all."""
+        """Fill texels around the owned ones, one ring after another; -1 fills all, those far away with the mean."""
+        most = rings if rings >= 0 else int(np.ceil(FILLED_RINGS * max(self.width, self.height)))
         known = wp.array(self.known.astype(np.uint8), dtype=wp.uint8, device=self.where)
         other, other_known = wp.empty_like(picture), wp.empty_like(known)
         ring = 0
-        while ring != rings and not (rings < 0 and known.numpy().all()):
+        while ring != most and not (rings < 0 and known.numpy().all()):
             wp.launch(
                 kernels.dilate_texels,
                 dim=self.width * self.height,
@@ -367,6 +374,10 @@ class Layout:
             )
             picture, other, known, other_known = other, picture, other_known, known
             ring += 1
+        if rings < 0 and self.known.any():
+            found, missing = picture.numpy(), known.numpy() == 0
+            found[missing] = found[self.known].mean(axis=0, dtype=np.float64)
+            picture = wp.array(found, dtype=wp.float32, device=self.where)
         return picture
 
 

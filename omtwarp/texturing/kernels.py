@@ -41,25 +41,36 @@ def cube_direction(face: int, a: wp.float64, b: wp.float64):
 
 
 @wp.func
+def cube_columns(width: int, height: int):
+    """Return how many cells of a cube map lie in a row."""
+    columns = int(3)
+    if width == 2 * height:
+        columns = int(4)
+    return columns
+
+
+@wp.func
 def picture_direction(
     kind: int, x: wp.float64, y: wp.float64, width: int, height: int, offset: wp.float64, gutter: wp.float64
 ):
     """Return the direction, a unit vector, that a point of a picture shows.
 
-    The point has x to the right and y **down**, in texels. Gutters continue past borders.
+    The point has x to the right and y **down**, in texels. Gutters continue past borders. ``offset`` and ``gutter`` are
+    the parameters of omtwarp.texturing.atlas.
     """
     w = wp.float64(width)
     h = wp.float64(height)
     d = wp.vec3d(ONE, ZERO, ZERO)
     if kind == CUBE:
-        cell = w / wp.float64(3.0)
-        column = wp.clamp(int(wp.floor(x / cell)), 0, 2)
+        cell = offset
+        columns = cube_columns(width, height)
+        column = wp.clamp(int(wp.floor(x / cell)), 0, columns - 1)
         row = wp.clamp(int(wp.floor(y / cell)), 0, 1)
         half = HALF * (cell - TWO * gutter)
         right = (x - wp.float64(column) * cell - gutter) / half - ONE
         up = ONE - (y - wp.float64(row) * cell - gutter) / half
         quarter = PI / FOUR
-        d = cube_direction(row * 3 + column, wp.tan(right * quarter), wp.tan(up * quarter))
+        d = cube_direction(row * columns + column, wp.tan(right * quarter), wp.tan(up * quarter))
     elif kind == OCTAHEDRAL:
         half = HALF * (w - TWO * gutter)
         a = (x - gutter) / half - ONE
@@ -91,7 +102,7 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
     x = ZERO
     y = ZERO
     if kind == CUBE:
-        cell = w / wp.float64(3.0)
+        cell = offset
         half = HALF * (cell - TWO * gutter)
         ax = wp.abs(d[0])
         ay = wp.abs(d[1])
@@ -116,8 +127,9 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
             face = int(5)
             b = d[0]
         largest = wp.max(wp.max(ax, ay), wp.max(az, TINY))
-        column = face % 3
-        row = face // 3
+        columns = cube_columns(width, height)
+        column = face % columns
+        row = face // columns
         x = wp.float64(column) * cell + gutter + (wp.atan2(a, largest) * FOUR / PI + ONE) * half
         y = wp.float64(row) * cell + gutter + (ONE - wp.atan2(b, largest) * FOUR / PI) * half
     elif kind == OCTAHEDRAL:

@@ -1,4 +1,7 @@
-"""The number of texels that a texture needs for none to be visible as a square on the surface."""
+"""The number of texels that a texture needs for none to be visible as a square on the surface.
+
+Sides of pictures are powers of two, as graphics cards, their mip maps and block compression have them.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ LARGEST_SIZE = 8192  # texels: the largest picture that every graphics card of t
 LARGEST_UNASKED = 4096
 SMALLEST_SIZE = 256  # texels: 200 kB; less would hardly save anything
 # Widths of the picture, in texels, for one texel along a right angle of the sphere, where texels are largest: measured
-# at 20,000 points and in 16 directions, gutters included.
+# at 20,000 points and in 16 directions, gutters included. Of a cube map the width of three cells.
 SIDES = {"cube": 3.76, "octahedral": 3.94, "equirectangular": 4.0}
 
 
@@ -25,18 +28,18 @@ class Sharpness:
     """The size of a texture, and the share of the surface that it leaves blurred.
 
     Attributes:
-        size: width of the texture in texels.
+        size: width of the texture in texels, or width and height of a cube map.
         coarse: part of the surface's area on which texels are larger than they should be, because of the limit.
     """
 
-    size: int
+    size: int | tuple[int, int]
     coarse: float
 
 
 def sharp_size(
     vertices: Floats, faces: NDArray[np.int32], sphere: Floats, atlas: str, limit: int = LARGEST_SIZE
 ) -> Sharpness:
-    """Return the size at which no texel covers more than 1.5 pixels of a picture of 1024 x 1024 that the surface fills.
+    """Return the least size at which no texel covers more than 1.5 pixels of 1024 x 1024 that the surface fills.
 
     Where a map makes a triangle small on the sphere, its texels are large on the surface; the triangle in which the map
     shrinks lengths most determines the size.
@@ -46,23 +49,42 @@ def sharp_size(
         faces: shape [F, 3].
         sphere: the map, unit vectors, shape [V, 3].
         atlas: name of the layout.
-        limit: the largest size.
+        limit: the largest width.
 
     Example:
         >>> from omtwarp.mesh import shapes
         >>> from omtwarp.texturing.sharpness import sharp_size
         >>> ball = shapes.icosphere(8)
         >>> sharp_size(ball.vertices, ball.faces, ball.vertices, "cube").size
-        2016
+        (2048, 2048)
     """
     extent = max(float(np.ptp(vertices, axis=0).max()), np.finfo(float).tiny)
     surface = (vertices - vertices.min(axis=0)) / extent
     stretch = largest_stretch(surface, faces, sphere)
     needed = stretch * 0.5 * np.pi * SCREEN / TEXEL * SIDES[atlas]
-    size = int(np.clip(np.ceil(needed.max(initial=0.0) / 12.0) * 12.0, SMALLEST_SIZE, limit))
+    size, enough = picture_size(float(needed.max(initial=0.0)), atlas, limit)
     corner = surface[faces]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    return Sharpness(size, float(area[needed > size].sum() / max(float(area.sum()), np.finfo(float).tiny)))
+    return Sharpness(size, float(area[needed > enough].sum() / max(float(area.sum()), np.finfo(float).tiny)))
+
+
+def picture_size(needed: float, atlas: str, limit: int) -> tuple[int | tuple[int, int], float]:
+    """Return the least size of a picture with sides that are powers of two, and the width for which it is enough.
+
+    Args:
+        needed: texels across the picture, or across three cells of a cube map.
+        atlas: name of the layout.
+        limit: the largest width.
+    """
+    width = SMALLEST_SIZE
+    while True:
+        # A cube map has cells of a quarter of its width where it is half as high as wide, and of a third in a square.
+        enough = 3.0 * (width // 4) if atlas == "cube" else float(width)
+        if needed <= enough or (2 * width > limit and atlas != "cube"):
+            return (width, width // 2) if atlas == "cube" else width, enough
+        if atlas == "cube" and (needed <= 12.0 * (width // 12) or 2 * width > limit):
+            return (width, width), 12.0 * (width // 12)
+        width *= 2
 
 
 def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -> Floats:

@@ -27,7 +27,7 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
-from omtwarp.texturing.sharpness import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
+from omtwarp.texturing.sharpness import LARGEST_SIZE, LARGEST_UNASKED, picture_size, sharp_size
 from omtwarp.texturing.smooth import smooth_curves
 
 Floats = NDArray[np.float64]
@@ -38,10 +38,10 @@ Ints = NDArray[np.int32]
 LEAST_BENT = 12.0
 
 SHORTEST_DIRECTION = 1e-6  # of a map's point: shorter, it lies at the centre of the sphere, and names no direction
-# Texels of a picture's own size: at least what shows a pattern, at most what browsers and game engines load (WebGL 2).
-LEAST_SIDE, MOST_SIDE = 384, 16384
-# Of the picture's width: the octahedral texture then has as many texels, 0.56 widths squared beside 0.5.
-OCTAHEDRAL_SHARE, LEAST_OCTAHEDRAL = 0.75, 256
+MOST_SIDE = 16384  # texels of a picture's own size: what browsers and game engines load (WebGL 2)
+# Of the picture's width. Octahedral textures then have as many texels, 0.56 widths squared beside 0.5; three cells of a
+# cube map without their gutters as many along the equator as three quarters of the picture.
+OCTAHEDRAL_SHARE, CUBE_SHARE = 0.75, 0.75 * 12.0 / 11.0
 
 
 @dataclass(repr=False)
@@ -132,9 +132,11 @@ def texture(
             ``auto`` turns it about the poles so that its left and right borders are least visible.
         seam_longitude: degrees (of the texture) at which the equirectangular atlas is cut, 180 being the image's own
             borders; ``auto`` takes the meridian that is shortest and most hidden on the surface.
-        size: width of the texture in texels, or (width, height) for the equirectangular atlas. ``auto`` takes the size,
-            up to 8192, at which no texel covers more than 1.5 pixels of a picture of 1024 x 1024 that the surface
-            fills. By default the image's own size, or for a pattern that of ``auto``, up to 4096.
+        size: width of the texture in texels, or (width, height) for the equirectangular and the cube atlas. A cube
+            atlas of a width that is a power of two is a square, of another one 3 : 2; (width, width / 2) works too.
+            ``auto`` takes the least power of two, up to 8192, at which no texel covers more than 1.5 pixels of a
+            picture of 1024 x 1024 that the surface fills. By default one with about as many texels as the image, or
+            for a pattern that of ``auto``, up to 4096.
         smooth: make the map smooth between the vertices, and filter oscillations from one vertex to the next, so that
             lines of the texture have no corners at the edges of large triangles. The texture is then made for this mesh
             alone, and its lines in the picture are bent. False leaves the map linear on triangles; so does an image
@@ -156,8 +158,8 @@ def texture(
     """
     on_torus = getattr(result, "textured", None)
     if on_torus is not None:
-        _check_for_torus(size, (projection, atlas, rotate, seam_longitude))
-        on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=size)
+        across = _check_for_torus(size, (projection, atlas, rotate, seam_longitude))
+        on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=across)
         return on_its_own
     vertices, faces, sphere = as_map(cast(SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike], result))
     if image is not None and pattern is not None:
@@ -203,12 +205,13 @@ def texture(
     )
 
 
-def _check_for_torus(size: int | tuple[int, int] | str | None, on_sphere: tuple[object, ...]) -> None:
-    """Refuse a size that is chosen, and options of textures on the sphere, for a map to a torus."""
-    if isinstance(size, str):
-        raise OmtwarpError(f"texture size '{size}': a map to a torus takes texels")
+def _check_for_torus(size: int | tuple[int, int] | str | None, on_sphere: tuple[object, ...]) -> int | None:
+    """Return a width; refuse other sizes, and options of textures on the sphere, for a map to a torus."""
+    if isinstance(size, (str, tuple)):
+        raise OmtwarpError(f"texture size '{size}': a map to a torus takes a width in texels")
     if on_sphere != ("equirectangular", "cube", None, 180.0):
         raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
+    return size
 
 
 def _largest_size(asked: object) -> int:
@@ -346,6 +349,5 @@ def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
     height, width = picture.shape[:2]
     if atlas == "equirectangular":
         return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))
-    if atlas == "octahedral":
-        return int(min(max(OCTAHEDRAL_SHARE * width, LEAST_OCTAHEDRAL), MOST_SIDE))
-    return int(min(max(width, LEAST_SIDE), MOST_SIDE))
+    share = OCTAHEDRAL_SHARE if atlas == "octahedral" else CUBE_SHARE
+    return picture_size(share * width, atlas, MOST_SIDE)[0]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import TextureFormat
-from omtwarp.texturing.atlas import check_size
+from omtwarp.texturing.atlas import check_size, is_power_of_two
 from omtwarp.texturing.export import export
 from omtwarp.texturing.mesh import with_material
 
@@ -108,7 +108,8 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArra
     Args:
         name: ``circles``, all of one size and round on the torus, or ``checker``.
         lattice: the two vectors, as rows, shape [2, 2].
-        size: width in texels; by default such that the picture has about two million.
+        size: width in texels; by default such that the picture has about two million. Where the width is a power of
+            two, as by default, the height is the nearest one too.
 
     Returns:
         uint8, shape [H, W, 3].
@@ -119,8 +120,10 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArra
     if name not in PATTERNS:
         raise OmtwarpError(f"the pattern '{name}' is for the sphere: a torus takes {' or '.join(PATTERNS)}")
     along = np.linalg.norm(lattice, axis=1)
-    wide = int(np.sqrt(TEXELS * along[0] / along[1])) if size is None else size
-    width, height = check_size((max(wide, 16), max(round(wide * float(along[1] / along[0])), 16)))
+    ratio = float(along[1] / along[0])
+    wide = _nearest_power(np.sqrt(TEXELS / ratio)) if size is None else size
+    high = _nearest_power(wide * ratio) if is_power_of_two(wide) else round(wide * ratio)
+    width, height = check_size((max(wide, 16), max(high, 16)))
     u = (np.arange(width) + 0.5) / width
     v = 1.0 - (np.arange(height) + 0.5) / height
     turn = 2.0 * np.pi * v[:, None]
@@ -128,6 +131,11 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArra
     share = _checks(lattice, u, v) if name == "checker" else _circles(lattice, u, v)
     picture = LIGHT + share[..., None] * (tint - LIGHT)
     return np.rint(255.0 * picture).astype(np.uint8)
+
+
+def _nearest_power(number: float) -> int:
+    """Return the power of two whose ratio to a positive number is nearest to 1."""
+    return 2 ** max(round(float(np.log2(number))), 0)
 
 
 def _checks(lattice: Floats, u: Floats, v: Floats) -> Floats:

@@ -214,7 +214,7 @@ def test_rotating_the_texture_moves_it_as_the_matrix_says():
         (lambda: bake(lambda d: d[:5]), "directions"),
         (lambda: bake("nowhere.png"), "no such file"),
         (lambda: bake("checker", device="gpu"), "unknown device"),
-        (lambda: sample(np.zeros((30, 31, 1)), [[0, 0, 1]], "cube"), "not a cube atlas"),
+        (lambda: sample(np.zeros((30, 31, 1)), [[0, 0, 1]], "cube"), "a cube map is"),
         (lambda: bake_vertex_values([1.0, np.nan], np.eye(3), [[0, 1, 2]]), "finite"),
         (lambda: bake_vertex_values([1.0, 2.0], np.eye(3), [[0, 1, 2]]), "2 given"),
         (lambda: bake_to_uv("checker", np.eye(3), [[0, 1, 2]], np.zeros((3, 3))), "texture coordinates"),

@@ -179,11 +179,41 @@ def test_the_hidden_meridian_is_found():
 
 
 @pytest.mark.parametrize(
+    ("size", "sides", "columns"),
+    [
+        (2048, (2048, 2048), 3),
+        ((2048, 1024), (2048, 1024), 4),
+        ((2040, 2040), (2040, 2040), 3),
+        (2050, (2040, 1360), 3),
+        ((2040, 1360), (2040, 1360), 3),
+        (32, (32, 32), 3),
+        ((32, 16), (32, 16), 4),
+    ],
+)
+def test_a_cube_map_in_pictures_of_three_shapes(size, sides, columns):
+    """Charts lie within the picture, apart from each other, and the directions of their texels come back."""
+    atlas = make_atlas("cube", size)
+    assert (atlas.width, atlas.height) == sides and atlas.columns == columns
+    d = unit(np.random.default_rng(4).normal(size=(2000, 3)))
+    uv, chart = atlas.uv(d), atlas.charts(d)
+    np.testing.assert_allclose(atlas.uv_directions(uv, chart), d, atol=1e-12)
+    texel = np.floor(uv * sides).astype(int)
+    row = atlas.height - 1 - texel[:, 1]
+    assert (texel[:, 0] < atlas.row_lengths[row]).all() and row.max() < 2 * atlas.cell
+    cell = row // atlas.cell * columns + texel[:, 0] // atlas.cell
+    np.testing.assert_array_equal(cell, chart)
+    assert len(atlas.texels) == 6 * atlas.cell**2 and atlas.filled == (6 * atlas.cell**2 == sides[0] * sides[1])
+
+
+@pytest.mark.parametrize(
     ("name", "size", "message"),
     [
         ("mercator", 512, "equirectangular, cube or octahedral"),
         ("cube", 5, "16 to 32768"),
-        ("cube", (64, 32), "width only"),
+        ("octahedral", (64, 64), "width only"),
+        ("cube", (64, 48), "square of at least 32"),
+        ("cube", (40, 20), "multiple of 16"),
+        ("cube", (16, 16), "square of at least 32"),
         ("octahedral", 70000, "16 to 32768"),
         ("equirectangular", "big", "whole numbers"),
         ("cube", 128.5, "whole numbers"),

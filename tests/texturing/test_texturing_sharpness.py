@@ -6,7 +6,7 @@ import trimesh
 from texturing_shapes import ellipsoid, unit
 
 from omtwarp.texturing import make_atlas, texture
-from omtwarp.texturing.sharpness import SCREEN, TEXEL, largest_stretch, sharp_size
+from omtwarp.texturing.sharpness import SCREEN, TEXEL, largest_stretch, picture_size, sharp_size
 
 
 def test_the_stretch_of_a_linear_map_is_its_largest_singular_value():
@@ -48,12 +48,33 @@ def test_no_texel_is_larger_than_it_should_be(atlas):
         moved *= np.linalg.norm(chord, axis=1)[:, None]  # from the sphere to the triangle's plane, nearly
         inside = np.einsum("fkj,fj->fk", np.linalg.pinv(edges), moved)
         largest = max(largest, np.linalg.norm(np.einsum("fjk,fk->fj", on_surface, inside), axis=1).max() / pixel)
-    assert 0.5 * TEXEL < largest < 1.05 * TEXEL
+    # Sizes are powers of two, or one and a half times as many texels; that of octahedral textures is for the middles of
+    # octants.
+    assert 0.4 * TEXEL < largest < 1.05 * TEXEL
+
+
+def test_the_least_size_is_taken_that_is_enough():
+    """Cells of a quarter or a third of a power of two for the cube, powers of two for the other layouts."""
+    found = [picture_size(float(needed), "cube", 4096)[0] for needed in (1, 240, 385, 1536, 1537, 2040, 2041, 9999)]
+    assert found == [
+        (256, 128),
+        (256, 256),
+        (512, 512),
+        (2048, 1024),
+        (2048, 2048),
+        (2048, 2048),
+        (4096, 2048),
+        (4096,) * 2,
+    ]
+    assert [picture_size(float(needed), "octahedral", 1024)[0] for needed in (1, 513, 1025)] == [256, 1024, 1024]
+    for needed in (700.0, 1500.0, 2000.0, 3000.0):
+        size, enough = picture_size(needed, "cube", 8192)
+        assert enough >= needed and 3 * make_atlas("cube", size).cell == enough
 
 
 def test_the_limit_holds_and_says_what_it_costs():
     vertices, faces, sphere = ellipsoid(3, seed=2)
     limited = sharp_size(vertices, faces, sphere, "cube", limit=600)
-    assert limited.size == 600 and 0.0 < limited.coarse <= 1.0
+    assert limited.size == (512, 512) and 0.0 < limited.coarse <= 1.0
     ball = unit(np.asarray(trimesh.creation.icosphere(subdivisions=1).vertices))
     assert texture((ball, trimesh.creation.icosphere(subdivisions=1).faces, ball), size="auto").image.shape[1] >= 1900
