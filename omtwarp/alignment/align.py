@@ -12,8 +12,8 @@ from omtwarp.alignment.features import (
     checked_features,
     coefficient_errors,
     feature_coefficients,
-    own_features,
     sphere_weights,
+    varying_features,
 )
 from omtwarp.alignment.rotation_search import best_rotation, complex_coefficients, improved
 from omtwarp.errors import OmtwarpError
@@ -41,10 +41,12 @@ class Alignment:
         rotation: the rotation that was applied to the sphere, shape [3, 3]; its determinant is -1 if the shape was
             mirrored.
         sphere: the sphere's points after it, float64, shape [V, 3].
-        method: ``axes``, ``vertices`` (each vertex to that of the same number) or ``features``.
+        method: ``axes``, ``vertices`` (each vertex to that of the same number), ``features``, or ``places`` (each
+            surface as it lies in space).
         basis: in words, what was compared, and why.
         score: how well it fits: for features their correlation, for vertices 1 less half the mean squared distance, for
-            axes the smaller of the two skewnesses that determine the signs (near 0 they are not determined).
+            axes the smaller of the two skewnesses that determine the signs (near 0 they are not determined), for places
+            1 less half the mean squared distance of the sphere's points from the surface's directions.
         runner_up: the score of the next best position that is at least 5 degrees away; -1 if there is none.
         mirrored: whether the shape's mirror image was aligned; then the surface has to be mirrored in x and its faces
             reversed too.
@@ -128,7 +130,8 @@ def align(
     Two maps are aligned where the features of their surfaces agree best: distance from the surface's centre and, where
     a map does not preserve area, area over area on the sphere; or the given features. Their spherical harmonics are
     correlated over all rotations at once, and Newton's method ends at the maximum, where noisy features, whose values
-    differ between neighbours, have less weight.
+    differ between neighbours, have less weight. Surfaces without features, such as two balls, stay as they lie in
+    space: their directions from their centres correspond.
 
     Two maps of one surface need no search: each vertex is brought to the vertex of the same number by least squares
     [1]_. ``by="auto"`` does so where both have the same faces, no features are given, and the two surfaces are one up
@@ -269,6 +272,8 @@ def _by_features(
     degree: int,
 ) -> Alignment:
     ours, theirs = common_features(moving, fixed, features, to_features)
+    if not ours:
+        return _by_places(moving, fixed)
     a = complex_coefficients(feature_coefficients(ours, moving, degree))
     b = complex_coefficients(feature_coefficients(theirs, fixed, degree))
     best = best_rotation(a, b)
@@ -280,20 +285,44 @@ def _by_features(
     return Alignment(best.rotation, turned, "features", best.score, best.runner_up, False, basis=basis)
 
 
+def _by_places(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
+    """Align two maps so that their surfaces lie to each other as they do in space."""
+    (ours, ours_score), (theirs, theirs_score) = _onto_directions(moving), _onto_directions(fixed)
+    rotation = theirs.T @ ours
+    basis = "directions in space, as a side has no features"
+    score = min(ours_score, theirs_score)
+    return Alignment(rotation, moving.grid.points @ rotation.T, "places", score, -1.0, False, basis=basis)
+
+
+def _onto_directions(points: SpherePoints) -> tuple[Floats, float]:
+    """Return the rotation of a sphere to the directions of its surface from the centre, and how well they agree."""
+    assert points.vertices is not None  # of own_features
+    masses = points.surface_areas()
+    radial = points.vertices - masses @ points.vertices / masses.sum()
+    radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), TINY)
+    left, values, right = np.linalg.svd((points.grid.points * masses[:, None]).T @ radial)
+    sign = np.sign(np.linalg.det(left @ right))
+    rotation = (left @ np.diag([1.0, 1.0, sign]) @ right).T
+    return rotation, float((values[0] + values[1] + sign * values[2]) / masses.sum())
+
+
 def common_features(
     moving: SpherePoints,
     fixed: SpherePoints,
     features: Mapping[str, ArrayLike] | None,
     to_features: Mapping[str, ArrayLike] | None,
 ) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Return the features of both sides in the same order: the given ones that both have, or else the surfaces' own."""
+    """Return the features of both sides in the same order: the given ones that both have, or else the surfaces' own.
+
+    Features of the surfaces' own that are constant on a side are left out, which may leave none.
+    """
     if features and to_features:
         ours, theirs = (
             checked_features(features, moving, "the map"),
             checked_features(to_features, fixed, "the template"),
         )
     else:
-        ours, theirs = own_features(moving), own_features(fixed)
+        ours, theirs = varying_features(moving), varying_features(fixed)
     names = [name for name in ours if name in theirs]
     return {name: ours[name] for name in names}, {name: theirs[name] for name in names}
 

@@ -24,6 +24,8 @@ _AT_ONCE = 16384
 SMALLEST_SHARE = 1e-12
 # Of the largest value: a feature that varies less is rounding around a constant (1e-16 times the root of the vertices).
 LEAST_VARIATION = 1e-9
+# The same of a shape's own features, whose positions come from files: six digits and single precision vary by 1e-6.
+LEAST_SHAPE = 1e-5
 
 
 def sphere_weights(points: SpherePoints) -> Floats:
@@ -77,6 +79,23 @@ def spread(values: Floats, weights: Floats) -> float:
     return float(np.sqrt(max(weights @ (values - mean) ** 2 / weights.sum(), 0.0)))
 
 
+def is_constant(values: Floats, weights: Floats, least: float = LEAST_VARIATION) -> bool:
+    """Return whether a feature is the same all over the sphere.
+
+    Args:
+        values: shape [V].
+        weights: of the vertices, shape [V].
+        least: variation, as a part of the largest value, up to which it is.
+    """
+    return not spread(values, weights) > least * np.abs(values).max()
+
+
+def varying_features(points: SpherePoints) -> dict[str, Floats]:
+    """Return the default features that are not constant, as those of a ball are."""
+    weights = sphere_weights(points)
+    return {k: values for k, values in own_features(points).items() if not is_constant(values, weights, LEAST_SHAPE)}
+
+
 def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, degree: int) -> Floats:
     """Return the real coefficients of features of mean 0 and standard deviation 1, shape [(L + 1)², K].
 
@@ -85,10 +104,9 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
     weights = sphere_weights(points)
     columns = []
     for name, values in features.items():
-        deviation = spread(values, weights)
-        if not deviation > LEAST_VARIATION * np.abs(values).max():
+        if is_constant(values, weights):
             raise OmtwarpError(f"feature '{name}' is constant and determines no rotation: leave it out")
-        columns.append(weights * (values - weights @ values / weights.sum()) / deviation)
+        columns.append(weights * (values - weights @ values / weights.sum()) / spread(values, weights))
     weighted = np.stack(columns, axis=1)
     total = np.zeros(((degree + 1) ** 2, len(columns)))
     for first in range(0, len(weighted), _AT_ONCE):
@@ -114,4 +132,7 @@ def coefficient_errors(features: Mapping[str, Floats], points: SpherePoints) -> 
     return np.array(errors)
 
 
-__all__ = ["checked_features", "coefficient_errors", "feature_coefficients", "own_features", "sphere_weights", "spread"]
+__all__ = [
+    "checked_features", "coefficient_errors", "feature_coefficients", "own_features", "sphere_weights", "spread",
+    "varying_features",
+]  # fmt: skip

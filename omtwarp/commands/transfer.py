@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -9,9 +10,10 @@ import typer
 
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption, output_option
 from omtwarp.commands._painted import painted_map
-from omtwarp.commands._streams import input_file
+from omtwarp.commands._streams import input_file, say
 from omtwarp.commands._work import show_facts, with_files
 from omtwarp.commands.texture import AtlasName, Coordinates
+from omtwarp.errors import OmtwarpWarning
 from omtwarp.files import check_output
 from omtwarp.options import MapOptions
 
@@ -56,17 +58,21 @@ def transfer(
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
     painted, result = painted_map(source, map_of_source, repair=repair, quiet=quiet, device=device, verbose=verbose)
     plain, other = painted_map(target, map_of_target, repair=repair, quiet=quiet, device=device, verbose=verbose)
-    made = transfer_texture(
-        painted,
-        result,
-        other,
-        onto=plain if uv is Coordinates.OWN else None,
-        aligned=aligned,
-        mirror=mirror,
-        atlas=atlas.value,
-        size=size,
-        device=device,
-    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", OmtwarpWarning)
+        made = transfer_texture(
+            painted,
+            result,
+            other,
+            onto=plain if uv is Coordinates.OWN else None,
+            aligned=aligned,
+            mirror=mirror,
+            atlas=atlas.value,
+            size=size,
+            device=device,
+        )
+    for warning in caught:
+        say(f"warning: {warning.message}")
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.alignment import align
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.materials.base import Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.painting.painter import SIZE
@@ -38,7 +40,8 @@ def transfer_texture(
 ) -> PaintedMesh:
     """Transfer the texture of one surface to another, each mapped to the sphere.
 
-    The other map is rotated until the two surfaces' features agree best (:func:`omtwarp.align`); then each point of the
+    The other map is rotated until the two surfaces' features agree best (:func:`omtwarp.align`), or the surfaces lie as
+    they do in space where they have none, which a warning says; then each point of the
     other surface takes the colour of the point that lies at the same place of the sphere. Colours come from all
     materials of the mesh, or from its vertices where they have none.
 
@@ -58,7 +61,7 @@ def transfer_texture(
         The other surface with the texture; ``.export("name.glb")`` writes it.
 
     Raises:
-        OmtwarpError: a mesh without colours, a map of another mesh, or too few features to align the two.
+        OmtwarpError: a mesh without colours, or a map of another mesh.
 
     Example:
         >>> import omtwarp
@@ -80,7 +83,14 @@ def transfer_texture(
         moving, fixed = _points(points, triangles, there), _points(sphere, faces, vertices)
         # Equal faces alone do not make vertices correspond: two subdivided spheres have them.
         same = np.array_equal(triangles, faces) and np.allclose(there, vertices)
-        points = align(moving, fixed, by="vertices" if same else "features", mirror=mirror).sphere
+        found = align(moving, fixed, by="vertices" if same else "features", mirror=mirror)
+        if found.method == "places":
+            text = (
+                "a surface has no features to align by, as a ball has none: colours keep their directions in space "
+                "(their places on the sphere with --aligned, aligned=True)"
+            )
+            warnings.warn(text, OmtwarpWarning, stacklevel=2)
+        points = found.sphere
     layout = make_atlas(atlas, size if size is not None else SIZE)
     picture = _on_sphere(source, sphere, layout, where)
     if onto is not None:

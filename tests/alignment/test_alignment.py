@@ -244,6 +244,22 @@ def test_superposition_takes_poses_and_sizes_out():
     np.testing.assert_allclose(scales * factors, scales[0] * factors[0])
 
 
+@pytest.mark.parametrize("digits", [15, 6])
+def test_balls_are_aligned_as_they_lie_in_space(digits):
+    """Two balls of other triangles, sizes and places, their maps turned at will: directions in space correspond."""
+    one, other = shapes.icosphere(7), shapes.icosphere(9)
+    rng = np.random.default_rng(3)
+    turn, again = random_rotation(rng), random_rotation(rng)
+    near = np.round(3.0 * one.vertices + (1.0, 2.0, 3.0), digits)
+    far = np.round(0.5 * other.vertices, digits)
+    found = align(
+        SpherePoints(mesh_grid(one.vertices @ turn.T, one.faces, "one"), near),
+        SpherePoints(mesh_grid(other.vertices @ again.T, other.faces, "other"), far),
+    )
+    assert found.method == "places" and "directions in space" in found.basis and found.score > 0.999
+    np.testing.assert_allclose(found.sphere, one.vertices @ again.T, atol=1e-4)
+
+
 def test_same_bits_twice():
     other = turned(blob_map(), random_rotation(1), noise=1e-3)
     one, two = align(blob_map(), other, by="features"), align(blob_map(), other, by="features")

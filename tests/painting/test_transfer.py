@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.materials import PaintedMesh
 from omtwarp.painting import paint, transfer_texture, unwrap_uv
 from omtwarp.texturing.patterns import Checker
@@ -103,3 +103,23 @@ def test_without_colours_there_is_nothing_to_carry():
     mesh = paint(result, unwrap_uv(result), pattern="checker", size=64)
     with pytest.raises(OmtwarpError, match="another mesh"):
         transfer_texture(mesh, (result[0] + 1, *result[1:]), result)
+
+
+def test_between_two_balls_colours_stay_where_they_are_in_space():
+    """Balls have no features to align by: a warning says what was done, and no colour moves."""
+    one, other = trimesh.creation.icosphere(subdivisions=3), trimesh.creation.icosphere(subdivisions=4)
+    points, places = np.asarray(one.vertices), np.asarray(other.vertices)
+    turn = trimesh.transformations.rotation_matrix(1.0, (1.0, 2.0, 0.5))[:3, :3]
+    colors = np.column_stack([np.where(points > 0.0, 255, 0), np.full(len(points), 255)]).astype(np.uint8)
+    mesh = PaintedMesh(points, np.asarray(one.faces), vertex_colors=colors)
+    with pytest.warns(OmtwarpWarning, match="keep their directions in space"):
+        made = transfer_texture(
+            mesh, (points, one.faces, points @ turn), (places, other.faces, places), size=192, device="cpu"
+        )
+    middle = made.vertices[made.faces].mean(axis=1)
+    height, width = made.materials[0].picture.shape[:2]
+    uv = made.uv.mean(axis=1)
+    shown = made.materials[0].picture[((1 - uv[:, 1]) * height).astype(int), (uv[:, 0] * width).astype(int), :3]
+    clear = np.abs(middle).min(axis=1) > 0.15
+    assert clear.sum() > 1000
+    np.testing.assert_array_equal(shown[clear] > 127, middle[clear] > 0.0)
