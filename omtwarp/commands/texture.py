@@ -199,7 +199,9 @@ def texture_mesh(
         if size == "auto":
             raise OmtwarpError("--size auto is for an atlas only, without --uv own, --keep-materials and --bake")
         if isinstance(sides, tuple):
-            raise OmtwarpError("--size takes a width only with --uv own, --keep-materials and --bake")
+            raise OmtwarpError(
+                "--size WIDTHxHEIGHT is for an atlas only, without --uv own, --keep-materials and --bake"
+            )
         width = sides
         for target in targets:
             check_output(target, (".glb", ".obj"), *given, finished, image, detail)
