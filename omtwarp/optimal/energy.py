@@ -118,7 +118,7 @@ class TransportEnergy:
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Return an object that factorises the matrices of :meth:`blocks`."""
-        return surface_saddle_factor(self.surface)
+        return surface_saddle_factor(self.surface, self.shape.workspace)
 
     def flip_free_steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along directions without flipping triangles."""

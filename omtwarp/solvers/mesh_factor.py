@@ -188,13 +188,13 @@ def surface_factor(surface: Surface, block: int = 1, workspace: Workspace | None
     )
 
 
-def surface_saddle_factor(surface: Surface) -> SaddlePointFactor:
-    """Create the chosen factorisation of saddle-point matrices on a surface."""
+def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) -> SaddlePointFactor:
+    """Create the chosen factorisation of saddle-point matrices on a surface; ``workspace`` as of :func:`mesh_factor`."""
     if solves_with_scipy():
         i, j = surface.edges.T
         return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])
     order = surface_dissection(surface)
-    return SaddleFactor(order, expanded=surface.kept("saddle-point order", lambda: expand(order)))
+    return SaddleFactor(order, workspace, surface.kept("saddle-point order", lambda: expand(order)))
 
 
 def saddle_factor(points: NDArray[np.float64], edges: NDArray[np.int32]) -> SaddlePointFactor:
