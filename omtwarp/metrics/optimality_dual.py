@@ -115,6 +115,12 @@ class TransportDual:
         mass: the m_i, shape [V].
         device: where kernels run.
         tolerance: see ``TOLERANCE``.
+
+    Attributes:
+        x, y: the points on the device.
+        log: log_y(x) at every vertex, shape [V, 3].
+        cost: c(x_i, y_i), shape [V].
+        shared: the points that stand for others; None where few are so close.
     """
 
     def __init__(
@@ -122,10 +128,10 @@ class TransportDual:
     ):
         self.device = resolve_device(device)
         self.surface, self.mass = surface, mass
-        self._x, self._y = vectors(x, self.device), vectors(y, self.device)
+        self.x, self.y = vectors(x, self.device), vectors(y, self.device)
         vertices, faces = surface.vertex_count, surface.face_count
         displaced = wp.empty(vertices, dtype=wp.vec3d, device=self.device)
-        self._launch(kernels.vertex_displacement, vertices, [self._y, self._x], [displaced])
+        self._launch(kernels.vertex_displacement, vertices, [self.y, self.x], [displaced])
         self.log: Array = displaced.numpy()
         self.cost: Array = 0.5 * (self.log**2).sum(axis=1)
         self.tolerance = tolerance * float(mass @ self.cost) / float(mass.sum())
@@ -133,12 +139,12 @@ class TransportDual:
         self.order = space_order(y[surface.faces].mean(axis=1))
         self._faces = wp.array(surface.faces[self.order], dtype=wp.vec3i, device=self.device)
         self._edge = wp.empty(faces, dtype=wp.vec3d, device=self.device)
-        self._launch(kernels.edge_bulges, faces, [self._y, self._faces, displaced], [self._edge])
+        self._launch(kernels.edge_bulges, faces, [self.y, self._faces, displaced], [self._edge])
         self._corners = y[surface.faces[self.order]]
         self._leaves = leaf_count(faces)
         # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
         self._nodes = wp.array(_interleaved(2 * self._leaves, core_count()), dtype=wp.int32, device=self.device)
-        self._shared = shared_sources(x, surface.edges, _CUBE * self.tolerance)
+        self.shared = shared_sources(x, surface.edges, _CUBE * self.tolerance)
         self._solver: EdgeLaplacianSolver | None = None
 
     @property
@@ -153,10 +159,7 @@ class TransportDual:
             The potential, shape [V], and the number of edges that admit no difference.
         """
         edges = self.surface.edges
-        ends = wp.array(edges, dtype=wp.vec2i, device=self.device)
-        low, high = (wp.empty(len(edges), dtype=wp.float64, device=self.device) for _ in range(2))
-        self._launch(kernels.admissible_differences, len(edges), [self._x, self._y, ends], [low, high])
-        lowest, highest = low.numpy(), high.numpy()
+        lowest, highest = self.admissible_differences()
         width = highest - lowest
         floor = max(_NARROWEST * float(np.median(np.abs(width))), np.finfo(float).tiny)
         weights = 1.0 / np.maximum(width, floor)
@@ -167,11 +170,24 @@ class TransportDual:
         self._solver = EdgeLaplacianSolver(self.surface, weights)
         return self._solver.solve(right), int((highest < lowest).sum())
 
+    def admissible_differences(self, of_sources: bool = False) -> tuple[Array, Array]:
+        """Return the least and the largest difference of ψ along every edge with which its ends do not swap partners.
+
+        Args:
+            of_sources: return those of φ, which belongs to the x_i.
+        """
+        edges = self.surface.edges
+        ends = wp.array(edges, dtype=wp.vec2i, device=self.device)
+        low, high = (wp.empty(len(edges), dtype=wp.float64, device=self.device) for _ in range(2))
+        pair = [self.y, self.x] if of_sources else [self.x, self.y]
+        self._launch(kernels.admissible_differences, len(edges), [*pair, ends], [low, high])
+        return low.numpy(), high.numpy()
+
     def bound(self, potential: Array) -> Bound:
         """Compute φ, the c-transform of ψ, at every x_i."""
         faces, nodes = self.surface.face_count, 2 * self._leaves
         nodal = wp.array(potential, dtype=wp.float64, device=self.device)
-        mesh = [self._y, self._faces, nodal, self._edge]
+        mesh = [self.y, self._faces, nodal, self._edge]
         places = wp.empty(kernels.SAMPLES * faces, dtype=wp.vec3d, device=self.device)
         values = wp.empty(kernels.SAMPLES * faces, dtype=wp.float64, device=self.device)
         self._launch(kernels.sample_triangles, faces, mesh, [places, values])
@@ -183,10 +199,10 @@ class TransportDual:
 
         launch_parts(kernels.build_nodes, nodes, of_nodes, self.device)
         own = self.cost - potential
-        asked = slice(None) if self._shared is None else self._shared.chosen
+        asked = slice(None) if self.shared is None else self.shared.chosen
         sources, seeds = (
             wp.array(values[asked], dtype=kind, device=self.device)
-            for values, kind in ((self._x.numpy(), wp.vec3d), (own, wp.float64))
+            for values, kind in ((self.x.numpy(), wp.vec3d), (own, wp.float64))
         )
         minimum = (wp.float64, wp.int32, wp.vec3d, wp.int32)
         found = [wp.empty(len(seeds), dtype=kind, device=self.device) for kind in minimum]
@@ -198,8 +214,8 @@ class TransportDual:
         launch_parts(kernels.c_transform, len(seeds), arguments, self.device)
         proven, leaf, weights, visited = (array.numpy() for array in found)
         face = np.where(leaf >= 0, self.order[np.maximum(leaf, 0)], -1)
-        if self._shared is not None:
-            proven, face, weights, visited = self._shared.spread(own, proven, face, weights, visited, self.surface)
+        if self.shared is not None:
+            proven, face, weights, visited = self.shared.spread(own, proven, face, weights, visited, self.surface)
         gap = own - proven
         return Bound(potential, gap, float(self.mass @ gap), face, weights, visited)
 
@@ -210,29 +226,7 @@ class TransportDual:
     @property
     def shrunken(self) -> bool:
         """Whether many of the x_i are so close to others that their transforms are computed once for all of them."""
-        return self._shared is not None
-
-    def largest_potential(self, transform: Array) -> Array:
-        """Return the largest values of ψ at the y_i that go with given values of φ at the x_i, shape [V] each.
-
-        With them φ(x_j) + ψ(y_i) <= c(x_j, y_i) for all i and j, whatever φ is.
-        """
-        sources, values = self._x.numpy(), transform
-        if self._shared is not None:  # c of a point is less than that of its stand-in by ``lowered`` at most
-            shared = self._shared
-            values = np.full(len(shared.chosen), -np.inf)
-            np.maximum.at(values, shared.of, transform + shared.lowered)
-            sources = sources[shared.chosen]
-        given = [wp.array(sources, dtype=wp.vec3d, device=self.device)]
-        given.append(wp.array(values, dtype=wp.float64, device=self.device))
-        seeds = wp.array(self.cost - transform, dtype=wp.float64, device=self.device)
-        largest = wp.empty(len(self.mass), dtype=wp.float64, device=self.device)
-
-        def of_images(part: slice) -> Arguments:
-            return [self._y[part], seeds[part], *given], [largest[part]]
-
-        launch_parts(kernels.largest_potentials, len(self.mass), of_images, self.device)
-        return largest.numpy()
+        return self.shared is not None
 
     def ascent_direction(self, current: Bound) -> tuple[Array, float]:
         """Find a change of ψ that raises the bound, and the slope of the bound along it.
@@ -265,9 +259,9 @@ class TransportDual:
         displaced = wp.empty(surface.vertex_count, dtype=wp.vec3d, device=self.device)
         bulges = wp.empty(count, dtype=wp.vec3d, device=self.device)
         means = wp.empty(count, dtype=wp.float64, device=self.device)
-        self._launch(kernels.vertex_displacement, surface.vertex_count, [self._x, self._y], [displaced])
-        self._launch(kernels.edge_bulges, count, [self._x, faces, displaced], [bulges])
-        self._launch(kernels.triangle_costs, count, [self._x, self._y, faces], [means])
+        self._launch(kernels.vertex_displacement, surface.vertex_count, [self.x, self.y], [displaced])
+        self._launch(kernels.edge_bulges, count, [self.x, faces, displaced], [bulges])
+        self._launch(kernels.triangle_costs, count, [self.x, self.y, faces], [means])
         masses = surface.face_areas * (self.mass / surface.vertex_areas)[corners].mean(axis=1)
         duals = quadratic_means(transform, corners, bulges.numpy())
         return Spread(float(masses @ means.numpy()), float(masses @ duals))

@@ -189,7 +189,7 @@ def surface_factor(surface: Surface, block: int = 1, workspace: Workspace | None
 
 
 def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) -> SaddlePointFactor:
-    """Create the chosen factorisation of saddle-point matrices on a surface; ``workspace`` as of :func:`mesh_factor`."""
+    """Create the chosen factorisation of a surface's saddle-point matrices; ``workspace`` as of :func:`mesh_factor`."""
     if solves_with_scipy():
         i, j = surface.edges.T
         return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])

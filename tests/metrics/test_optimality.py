@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.metrics.optimality import exact_transport, map_optimality, optimality, relative_curl
+from omtwarp.metrics.optimality import ascend, exact_transport, map_optimality, optimality, relative_curl
 from omtwarp.metrics.optimality_dual import TransportDual, space_order
+from omtwarp.metrics.optimality_sources import SourceDual
 from omtwarp.result import MapResult
 
 
@@ -219,7 +220,10 @@ def test_points_of_a_shrunken_limb_share_their_transform(apart):
 
 @pytest.mark.parametrize("apart", [1.0, 1e-7, 0.0])
 def test_the_largest_potential_is_the_c_transform_of_any_function(apart):
-    """It is the least c(x_j, y_i) - φ(x_j) over all pairs, and hardly less where points of a limb share theirs."""
+    """It is the least c(x_j, y_i) - φ(x_j) over all pairs, and hardly less where points of a limb share theirs.
+
+    Of points in one place all have the largest φ among them.
+    """
     x, y, masses, faces = latitude_map(8)
     rng = np.random.default_rng(4)
     limb = x[:, 2] > 0.5
@@ -228,10 +232,37 @@ def test_the_largest_potential_is_the_c_transform_of_any_function(apart):
     dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
     assert dual.shrunken == (apart < 1.0)
     transform = 0.1 * rng.normal(size=len(y))
-    exact = (0.5 * geodesic(x[None], y[:, None]) ** 2 - transform).min(axis=1)
-    found = dual.largest_potential(transform)
-    assert (found <= exact + 1e-12).all()
-    assert (found >= exact - (dual.tolerance if apart < 1.0 else 1e-12)).all()
+    costs = 0.5 * geodesic(x[None], y[:, None]) ** 2
+    exact = (costs - transform).min(axis=1)
+    found = SourceDual(dual).bound(transform)
+    assert (found.potential + found.at_images[:, None] <= costs + 1e-12).all()
+    assert (found.potential >= transform - 1e-12).all()
+    assert (found.at_images <= exact + 1e-12).all()
+    assert (found.at_images >= exact - (dual.tolerance if apart < 1.0 else 1e-12)).all()
+    assert found.excess == pytest.approx(masses @ (np.diag(costs) - found.potential - found.at_images))
+    if apart == 1.0:
+        np.testing.assert_array_equal(found.potential, transform)
+        nearest = np.argmin(costs - transform, axis=1)
+        chosen = space_order(x)
+        np.testing.assert_array_equal(chosen[found.nearest], nearest)
+
+
+def test_a_bound_raised_at_the_sources_comes_near_the_exact_optimum():
+    """A limb shrunken to a point, mapped by the latitude map with a twist: the optimum is known from all pairs."""
+    ot = pytest.importorskip("ot")
+    x, y, masses, faces = latitude_map(8, twist=0.3)
+    x[x[:, 2] > 0.5] = [0.0, 0.0, 1.0]
+    dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
+    assert dual.shrunken
+    least = ot.emd2(masses / masses.sum(), masses / masses.sum(), 0.5 * geodesic(x[:, None], y[None]) ** 2)
+    own = float(masses @ dual.cost) / masses.sum()
+    sources = SourceDual(dual)
+    first = sources.bound(sources.initial_potential())
+    raised, steps = ascend(sources, first, 20, lambda found, _: False)
+    bounds = [own - found.excess / masses.sum() for found in (first, raised)]
+    assert sources.ascent_direction(first)[1] > 0.0 and steps == 20
+    assert bounds[0] < bounds[1] <= least * (1.0 + 1e-9)
+    assert bounds[1] > 0.9995 * least
 
 
 @settings(max_examples=20, deadline=None)
