@@ -31,7 +31,6 @@ from omtwarp.commands.transfer import transfer
 from omtwarp.commands.unwrap import unwrap_mesh
 from omtwarp.errors import INTERRUPTED, OmtwarpError, one_line
 from omtwarp.interruptions import LINE, ending_the_process
-from omtwarp.version import package_version
 
 EXAMPLES = {
     "map": (
@@ -134,6 +133,8 @@ app.command("benchmark", cls=Command, short_help=SUMMARIES["benchmark"], epilog=
 
 def _show_version(wanted: bool) -> None:
     if wanted:
+        from omtwarp.version import package_version  # slow to import
+
         print(f"omtwarp {package_version()}")
         raise typer.Exit
 

@@ -23,7 +23,14 @@ UNUSED = frozenset({"ctypeslib", "f2py", "ma", "matlib", "polynomial", "testing"
 
 THREADS = "OPENBLAS_NUM_THREADS"
 BUILT_INS = "warp._src.builtins"
-SPATIAL_PARTS = ("_ckdtree", "_qhull")  # modules of scipy.spatial with all that commands use of it
+PARTS = {
+    "scipy.linalg": ("cython_blas", "cython_lapack"),
+    "scipy.sparse.linalg": (),
+    "scipy.sparse.csgraph": ("_traversal", "_min_spanning_tree", "_shortest_path"),
+    "scipy.spatial": ("_ckdtree", "_qhull"),
+}
+"""Packages of SciPy, and those of their modules that hold all that most commands use of them."""
+_OF_IMPORTS = ("__wrapped__", "__warningregistry__")  # names that Python itself asks modules for, which have none
 LIBRARIES = ("warp.so", "warp-clang.so")
 """Warp's libraries on Linux, where reading them takes longest: the first has code for all graphics cards in it."""
 
@@ -33,7 +40,8 @@ def import_scipy() -> None:
 
     SciPy looks up every name of NumPy, which imports the modules that NumPy leaves until they are used: 0.1 s. It reads
     and rewrites the documentation of its functions: 0.05 s. Threads of OpenBLAS, which maps do not use, wait for one
-    another while they start: 0.1 s of processor time. Its package of trees and hulls imports rotations and distances.
+    another while they start: 0.1 s of processor time. Its packages import all of themselves where a module or two are
+    used: 0.06 s. NumPy asks its module of masked arrays whether an array is one, and none is before that is imported.
     """
     if "scipy" in sys.modules:
         return
@@ -47,10 +55,13 @@ def import_scipy() -> None:
             np.__all__ = [name for name in exported if name not in UNUSED]
             np.__dir__ = lambda: [name for name in listed() if name not in UNUSED]  # type: ignore[method-assign, assignment]
             with _documentation_as_written():
-                import scipy.linalg
                 import scipy.sparse  # noqa: F401
 
-                _load_spatial_by_name()
+                for name, parts in PARTS.items():
+                    _load_by_name(name, parts)
+                importlib.import_module("scipy.linalg.cython_blas")  # starts OpenBLAS, while it may have one thread
+            if "numpy.ma" not in sys.modules:
+                np.ma = _MaskedArrays("numpy.ma")
         finally:
             np.__all__, np.__dir__ = exported, listed  # type: ignore[method-assign]
     finally:
@@ -58,25 +69,54 @@ def import_scipy() -> None:
             del os.environ[THREADS]
 
 
-def _load_spatial_by_name() -> None:
-    """Put a module in the place of ``scipy.spatial`` that loads trees and hulls, or all of the package, when asked."""
-    name = "scipy.spatial"
+class _MaskedArrays(ModuleType):
+    """Stands for NumPy's module of masked arrays until something else of it is used than the question for one."""
+
+    @staticmethod
+    def is_masked(array: object) -> bool:
+        """Return whether an array has masked entries."""
+        real = sys.modules.get("numpy.ma")
+        return real is not None and bool(real.is_masked(array))
+
+    @staticmethod
+    def isMaskedArray(array: object) -> bool:
+        """Return whether an array is one of NumPy's masked arrays."""
+        real = sys.modules.get("numpy.ma")
+        return real is not None and bool(real.isMaskedArray(array))
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(importlib.import_module("numpy.ma"), name)
+
+
+def _load_by_name(name: str, parts: tuple[str, ...]) -> None:
+    """Put a module in the place of a package that loads some of its modules, or all of it, when asked for a name.
+
+    Args:
+        name: of the package.
+        parts: names of its modules that are loaded alone where what is asked for is one of them, or in one of them.
+    """
     spec = importlib.util.find_spec(name)
     if name in sys.modules or spec is None or spec.loader is None or not spec.submodule_search_locations:
         return
     module, run = importlib.util.module_from_spec(spec), spec.loader.exec_module
 
     def look_up(attribute: str) -> object:
-        for part in SPATIAL_PARTS:
+        for part in () if attribute.startswith("__") else parts:
             found = importlib.import_module(f"{name}.{part}")
+            if attribute == part:
+                return found
             if not attribute.startswith("_") and hasattr(found, attribute):
                 return getattr(found, attribute)
+        if attribute in _OF_IMPORTS:
+            raise AttributeError(attribute)
         del module.__getattr__  # type: ignore[attr-defined]
         run(module)
         return getattr(module, attribute)
 
     module.__getattr__ = look_up  # type: ignore[method-assign]
     sys.modules[name] = module
+    parent, _, own = name.rpartition(".")
+    setattr(sys.modules[parent], own, module)
 
 
 @contextlib.contextmanager

@@ -97,7 +97,7 @@ def blas_threads(count: int) -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _controller() -> ThreadpoolController:
-    import scipy.linalg  # noqa: F401 (its library has to be loaded to be found)
+    from scipy.linalg import cython_blas  # noqa: F401 (its library has to be loaded to be found)
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

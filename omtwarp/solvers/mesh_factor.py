@@ -7,12 +7,11 @@ an ordinary sparse matrix of them and passes it to SuperLU.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import SuperLU, splu
 
 from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import solves_with_scipy
@@ -20,6 +19,9 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect, surface_dissection
 from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
 from omtwarp.solvers.cholesky.saddle import SaddleFactor, expand
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU
 
 
 class MeshFactor(Protocol):
@@ -69,6 +71,8 @@ class SparseFactor:
         Raises:
             NotPositiveDefinite: it is not positive definite, to round-off.
         """
+        from scipy.sparse.linalg import splu  # takes a hundredth of a second to import
+
         matrix = _block_matrix(self._count, self._edges, diagonal, off_diagonal, self._block)
         try:
             # Without pivoting the signs of the pivots are those of the eigenvalues.
@@ -122,6 +126,8 @@ class SparseSaddleFactor:
         Raises:
             NotPositiveDefinite: the matrix is singular.
         """
+        from scipy.sparse.linalg import splu  # takes a hundredth of a second to import
+
         first = _block_matrix(self._count, self._edges, diagonal, off_diagonal, 2)
         shape = (len(compliance), 2 * self._count)
         coupling = sparse.coo_matrix((gradients.ravel(), (self._rows, self._columns)), shape=shape)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import on_device, resolve_device
@@ -42,6 +41,8 @@ class Factorization:
     """
 
     def __init__(self, matrix: sparse.spmatrix):
+        from scipy.sparse.linalg import splu  # takes a hundredth of a second to import
+
         matrix = sparse.csc_matrix(matrix)
         self.size: int = matrix.shape[0]
         # Minimum degree on A + A' halves the fill of SuperLU's default column ordering, but is pathologically slow on

@@ -173,16 +173,18 @@ def texture(
     else:
         chosen = size
     source, layout, texels = _source(image, pattern, projection, atlas, chosen, seam)
-    bends = texels is None and smooth and np.sqrt(layout.width * layout.height / len(faces)) >= LEAST_BENT
-    # NumPy lets go of the interpreter in long operations: two threads take two thirds of the time of one.
+    bends = smooth and np.sqrt(layout.row_lengths.sum() / len(faces)) >= LEAST_BENT
+    # NumPy and kernels let go of the interpreter in long operations: two threads take two thirds of the time of one.
     with ThreadPoolExecutor(1) as aside:
         cutting = aside.submit(unwrap, sphere, faces, layout, rotation=rotation)
-        bending = Bending(smooth_curves(vertices, faces, sphere), layout) if bends else None
+        if texels is None:
+            where = resolve_device(device)
+            look = Look(layout, where)
+            if bends:
+                bending = Bending(smooth_curves(vertices, faces, sphere), layout)
+                look = BentLook(bending, cutting.result(), rotation, where)
+            texels = bake_bytes(source, look, projection=projection)
         cut = cutting.result()
-    if texels is None:
-        where = resolve_device(device)
-        look = BentLook(bending, cut, rotation, where) if bending is not None else Look(layout, where)
-        texels = bake_bytes(source, look, projection=projection)
     if texels.shape[2] == 4 and texels[..., 3].min() == 255:
         texels = texels[..., :3]
     return TexturedSurface(
