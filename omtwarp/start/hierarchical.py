@@ -1,7 +1,7 @@
 """A start map that always exists: simplify to a tetrahedron, then put the vertices back on the sphere round by round.
 
 Praun and Hoppe, "Spherical parametrization and remeshing" (2003); Hu, Fu and Liu, "Advanced hierarchical spherical
-parameterizations" (2017). A vertex returns inside the kernel of its ring's spherical polygon, never empty where
+parameterizations" (2018). A vertex returns inside the kernel of its ring's spherical polygon, never empty where
 the coarser map has no flip, and moves only where all triangles around it stay positive: so no triangle flips at any
 level, whatever the shape. Coarse triangles have the area of the part of the surface that they replace, so that a long
 limb keeps its share of the sphere where a conformal map would shrink it exponentially.
