@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import re
 import subprocess
@@ -85,10 +86,46 @@ EDITOR_POLICY = (
 )
 
 
+# The frame that VS Code's editor puts a notebook's outputs in, and how its renderer puts HTML there: as `innerHTML`.
+WEBVIEW = """<!doctype html><meta charset="utf-8"><body style="margin:0">
+<iframe id="webview" sandbox="allow-scripts allow-same-origin allow-forms allow-pointer-lock allow-downloads"
+ style="border:0;width:100%;height:600px" srcdoc="{}"></iframe></body>"""
+OUTPUT = """<!doctype html><meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{policy}">
+<body style="margin:0"><div id="output"></div><script type="text/plain" id="html">{encoded}</script>
+<script>document.getElementById("output").innerHTML =
+ new TextDecoder().decode(Uint8Array.from(atob(document.getElementById("html").textContent), c => c.charCodeAt(0)));
+</script></body>"""
+
+
 def drawn_over(framed: np.ndarray, still: np.ndarray) -> bool:
     """Whether the frame shows its controls, which stand at its bottom when the view draws, over the picture."""
     bottom = slice(-50, None)
     return bool((np.abs(framed[bottom] - still[bottom]).max(axis=2) > 0.2).mean() > 0.02)
+
+
+@pytest.mark.skipif(browser.PROGRAM is None, reason="no Chromium on this machine")
+def test_view_draws_in_the_frame_of_an_editor(view, tmp_path):
+    """In a sandboxed frame with VS Code's policy, into which its renderer writes the HTML: drawn without a network."""
+    encoded = base64.b64encode(view.encode()).decode()
+    output = OUTPUT.format(policy=EDITOR_POLICY, encoded=encoded)
+    (tmp_path / "editor.html").write_text(WEBVIEW.format(html.escape(output)), "utf-8")
+    inner = "document.getElementById('webview').contentDocument.querySelector('iframe')"
+    page = browser.Browser(tmp_path / "profile")
+    try:
+        page.ask("Page.navigate", url=(tmp_path / "editor.html").as_uri())
+        page.wait_for(f"document.readyState === 'complete' && {inner} !== null")
+        page.run(f"{inner}.style.visibility = 'hidden'")
+        still = page.picture("#webview")[:460]
+        page.run(f"{inner}.style.visibility = ''")
+        end = time.monotonic() + browser.PATIENCE
+        while not drawn_over(framed := page.picture("#webview")[:460], still) and time.monotonic() < end:
+            time.sleep(0.2)
+        assert drawn_over(framed, still), page.complaints
+        assert page.complaints == []
+        assert all(address.startswith(("file:", "data:", "blob:", "about:")) for address in page.requests)
+    finally:
+        page.close()
+    assert np.ptp(framed, axis=2).max() > 0.4 and framed.std() > 0.05
 
 
 @pytest.mark.skipif(browser.PROGRAM is None, reason="no Chromium on this machine")
