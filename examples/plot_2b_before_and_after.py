@@ -2,24 +2,29 @@
 Circles before and after transport
 ==================================
 
-Moser's flow makes areas nearly right, with no other criterion. The optimal map keeps the areas around
-vertices and, of all maps that do, moves mass the least. Circles on the sphere, pulled back, show the difference.
+The conformal map keeps angles, and areas not at all. Moser's flow makes areas nearly right, with no other criterion.
+The optimal map keeps the areas around vertices and, of all maps that do, moves mass the least. Circles on the sphere,
+pulled back, show the difference.
 """
 
+import numpy as np
+
 import omtwarp
-from omtwarp.render import SurfaceView, sheet
+from omtwarp.render import ScalarField, SurfaceView, sheet
 from omtwarp.texturing import rasterize
 
 circles = rasterize("circles", 2048)
 
 
-def before_and_after(mesh):
-    """Views of a mesh through Moser's map and through the optimal map."""
-    result = omtwarp.map_to_sphere(mesh)
-    for stage in ("moser", "sphere"):
-        print(f"{stage:8s} {result.distortion(stage)}")
-    maps = (result.moser, result.sphere)
+def before_and_after(result):
+    """Views of a mesh through its conformal map, through Moser's map and through the optimal map."""
+    for stage in ("conformal", "moser", "sphere"):
+        print(f"{stage:10s} {result.distortion(stage)}")
+    maps = (result.conformal, result.moser, result.sphere)
     return [SurfaceView(result.vertices, result.faces, image=circles, sphere=sphere) for sphere in maps]
+
+
+captions = ["conformal map", "Moser's map", "optimal map"]
 
 
 # %%
@@ -27,19 +32,22 @@ def before_and_after(mesh):
 # outlines stay jagged in both maps: there the triangles are too large for how fast the map changes.
 
 sheet(
-    before_and_after(omtwarp.shapes.demo_shape(8000)),
-    captions=["Moser's map", "optimal map"],
-    size=(640, 600),
+    before_and_after(omtwarp.map_to_sphere(omtwarp.shapes.demo_shape(8000))),
+    captions=captions,
+    size=(480, 480),
     up="z",
     front="-y",
     views=(40.0, 15.0),
 )
 
 # %%
-# A bent tube that thins towards one end, as a hippocampus does.
+# A bent tube that thins towards one end, as a hippocampus does. Moser's map of it is nearly optimal already, and the
+# circles look alike. The last picture is their difference: the angle between the two images of every point.
 
+result = omtwarp.map_to_sphere(omtwarp.shapes.tube(3.0, bend=1.8, taper=0.6, face_count=6000))
+apart = np.rad2deg(np.arccos(np.clip((result.moser * result.sphere).sum(axis=1), -1.0, 1.0)))
 sheet(
-    before_and_after(omtwarp.shapes.tube(3.0, bend=1.8, taper=0.6, face_count=6000)),
-    captions=["Moser's map", "optimal map"],
-    size=(640, 320),
+    [*before_and_after(result), SurfaceView(result.vertices, result.faces, scalar=ScalarField(apart, label="degrees"))],
+    captions=[*captions, "from Moser's to the optimal map"],
+    size=(420, 340),
 )
