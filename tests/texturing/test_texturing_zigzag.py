@@ -47,18 +47,18 @@ def smooth_length(points, deviation=SMOOTHING):
     return length(low(1.0 / along[-1])), length(low(deviation))  # without the raster's steps of a pixel
 
 
-def edges_in(grey, hidden):
+def edges_in(grey, hidden, shortest=SHORTEST):
     """Closed edges of dark regions, clear of what is hidden: points in pixels, shape [N, 2] each."""
     wide = binary_dilation(hidden, iterations=4)
     for line in contour_generator(z=grey, name="serial").lines(0.5):
-        if np.array_equal(line[0], line[-1]) and np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > SHORTEST:
+        if np.array_equal(line[0], line[-1]) and np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > shortest:
             if not map_coordinates(wide.astype(np.uint8), line.T[::-1], order=0).any():
                 yield line[:-1]
 
 
-def zigzag(grey, hidden):
+def zigzag(grey, hidden, shortest=SHORTEST):
     """Length of all edges over that of the smooth curves through them, and how many there are."""
-    pairs = np.array([smooth_length(line) for line in edges_in(grey, hidden)])
+    pairs = np.array([smooth_length(line) for line in edges_in(grey, hidden, shortest)])
     return pairs[:, 0].sum() / pairs[:, 1].sum(), len(pairs)
 
 
@@ -93,9 +93,9 @@ def test_the_measure_sees_a_zigzag():
     assert ratio > 1.02
 
 
-def seen(textured, view):
-    """The zigzag of circles on the creature from one side."""
-    pose = {"size": (SIZE, SIZE), "views": view, "up": "z", "front": "-y", "light": "flat", "backend": "warp"}
+def seen(textured, view, size=SIZE):
+    """The zigzag of circles on the creature from one side, in a square picture."""
+    pose = {"size": (size, size), "views": view, "up": "z", "front": "-y", "light": "flat", "backend": "warp"}
     grey = np.asarray(preview(textured, background="white", **pose).convert("L")) / 255.0
     low = textured.vertices.min(axis=0)
     places = (255.0 * (textured.vertices - low) / np.ptp(textured.vertices, axis=0).max()).astype(np.uint8)
@@ -105,7 +105,24 @@ def seen(textured, view):
     for axis in (0, 1):
         jump = np.abs(np.diff(levels[..., :3], axis=axis)).max(axis=2) > JUMP
         hidden |= np.pad(jump, [(int(axis == 0), 0), (int(axis == 1), 0)])
-    return zigzag(grey, hidden)
+    return zigzag(grey, hidden, SHORTEST * size / SIZE)
+
+
+def test_texels_do_not_show_as_saw_teeth():
+    """At 1024 x 1024 with the size that is chosen: no more zigzag than with four times as many texels.
+
+    Textures of few texels show that the measure sees their teeth.
+    """
+    result = map_to_sphere(shapes.demo_shape(4000), device="cpu")
+    black = Circles()
+    black.palette, black.background = np.zeros_like(black.palette), np.ones(3)
+    found = {
+        size: seen(texture(result, pattern=black, size=size, device="cpu"), "left", 1024)[0]
+        for size in (None, "auto", 512, 256)
+    }
+    print(found)
+    assert found[None] < 1.02 and found[None] < found["auto"] + 0.001
+    assert 1.02 < found[512] < found[256]
 
 
 @pytest.mark.parametrize("faces", [4000, pytest.param(20000, marks=pytest.mark.skipif(
