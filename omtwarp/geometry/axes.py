@@ -132,6 +132,16 @@ def turned_towards(
     return np.ascontiguousarray(sphere @ (left @ right).T)
 
 
+def turned_about_pole(
+    sphere: NDArray[np.float64], target: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Turn points about the z axis to agree best with others; arguments as of :func:`turned_towards`."""
+    here, there = (points[:, 0] + 1j * points[:, 1] for points in (sphere, target))
+    agreement = complex((weights * there * here.conj()).sum())
+    turned = here * (agreement / abs(agreement)) if agreement else here
+    return np.stack([turned.real, turned.imag, sphere[:, 2]], axis=1)
+
+
 def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
     """Return a right-handed frame with an axis first or last; the coordinate axis farthest from it gives another."""
     towards = np.eye(3)[int(np.argmin(np.abs(axis)))]
@@ -141,4 +151,12 @@ def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
     return np.stack([axis, other, third] if first else [other, third, axis])
 
 
-__all__ = ["OBLIQUE", "Axes", "order_by_place", "principal_axes", "rotation_onto_axes", "turned_towards"]
+__all__ = [
+    "OBLIQUE",
+    "Axes",
+    "order_by_place",
+    "principal_axes",
+    "rotation_onto_axes",
+    "turned_about_pole",
+    "turned_towards",
+]

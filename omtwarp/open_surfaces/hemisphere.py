@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
+from omtwarp.geometry.axes import turned_about_pole
 from omtwarp.mesh.surface import Surface
+from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.symmetric import ACROSS, folded_map
+from omtwarp.options import Progress
+from omtwarp.start.choice import UNEVEN_AREA_WEIGHT, is_uneven
 from omtwarp.topology.doubling import Double
 from omtwarp.untangling.untangle import RepairBudget, untangle
 
@@ -94,4 +101,45 @@ def symmetric_map(
     return None
 
 
-__all__ = ["is_symmetric", "mirror_frame", "symmetric_map", "symmetrised"]
+def symmetric_start(
+    double: Double, surface: Surface, source: Floats, *, device: str | None = "auto", progress: Progress | None = None
+) -> Floats | None:
+    """Make a symmetric map without flips from coarse to fine, turned about the axis of the mirror towards another map.
+
+    Args:
+        double: the surface and its copy.
+        surface: the same as a surface.
+        source: a symmetric map of it, flipped triangles and all, shape [W, 3].
+        device: where vertices move.
+        progress: called as ``progress("start", placed, vertices, {})``.
+
+    Returns:
+        The map, on uneven surfaces the better one in area of two, shape [W, 3]; None where float64 has no room for one.
+    """
+    from omtwarp.start.hemispherical import hemispherical_embedding  # its kernels are read for few surfaces
+
+    own, masses = double.half, surface.vertex_areas
+    faces, areas = surface.faces[: surface.face_count // 2], surface.face_areas[: surface.face_count // 2]
+    embed = partial(
+        hemispherical_embedding, surface.scaled_vertices[own], faces, areas, device=device, progress=progress
+    )
+    trials = [partial(embed, thorough=True)]
+    if is_uneven(surface):
+        trials.append(partial(embed, area_weight=UNEVEN_AREA_WEIGHT, by_distance=True))
+    best, least = None, np.inf
+    for trial in trials:
+        try:
+            half = trial()
+        except OmtwarpError:
+            continue
+        image = np.zeros_like(source)
+        image[double.copied, 0] = 1.0  # until they get mirror images
+        image[own] = turned_about_pole(half, source[own], masses[own])
+        image = folded_map(double, image / np.linalg.norm(image, axis=1)[:, None])
+        area = measure_triangles(surface.vertices, surface.faces, image, device=device).area["surface"]
+        if area < least and is_bijective(image, surface.faces, device=device):
+            best, least = image, area
+    return best
+
+
+__all__ = ["is_symmetric", "mirror_frame", "symmetric_map", "symmetric_start", "symmetrised"]

@@ -66,6 +66,7 @@ def symmetric_optimal_map(
     iterations: int = 40,
     gain: float = GAIN,
     cost: str = Cost.SQUARED,
+    far: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -77,7 +78,7 @@ def symmetric_optimal_map(
         sphere: a symmetric map without flips to begin with (see :func:`folded_map`), shape [W, 3].
         start: the points x that are transported, symmetric, shape [W, 3].
         shape_weight, area_weight, area_penalty, multipliers: as of :func:`omtwarp.optimal_map`.
-        iterations, gain, cost, device, progress: as of :func:`omtwarp.optimal_map`.
+        iterations, gain, cost, far, device, progress: as of :func:`omtwarp.optimal_map`.
 
     Returns:
         The map, symmetric to the last bit.
@@ -99,6 +100,7 @@ def symmetric_optimal_map(
         gain=gain,
         iterations=iterations,
         progress=progress,
+        far=far,
     )
 
 

@@ -88,7 +88,7 @@ def bijective_start(
     mesh = surface.on(device)
     conformal: ConformalMap | None = None
     many = 0
-    uneven = bool(surface.face_areas.max() > UNEVEN * surface.face_areas.mean())
+    uneven = is_uneven(surface)
     budget = RepairBudget(surface, UNEVEN_REPAIR if uneven else 1.0)
     try:
         conformal = conformal_map(surface, device=device, progress=progress)
@@ -148,6 +148,11 @@ def _coarse_to_fine(
     if other_area < least and is_bijective(other, surface.faces, device=device):
         return other, other_area
     return sphere, least
+
+
+def is_uneven(surface: Surface) -> bool:
+    """Return whether the triangles of a surface differ in area by orders of magnitude, as those of drawn parts do."""
+    return bool(surface.face_areas.max() > UNEVEN * surface.face_areas.mean())
 
 
 def shrunken_triangles(surface: Surface, sphere: NDArray[np.float64]) -> int:

@@ -19,6 +19,7 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import Surface
 from omtwarp.start.decimation_kernels import (
     FORBIDDEN_COST,
+    INSIDE,
     MAX_VALENCE,
     NO_KEY,
     gather_rings,
@@ -77,11 +78,17 @@ class Removal:
 
 @dataclass
 class Hierarchy:
-    """Levels from the input (first) to a tetrahedron (last); ``removals[k]`` leads from level k to level k + 1."""
+    """Levels from the input (first) to the coarsest, mostly a tetrahedron.
+
+    Attributes:
+        levels: the meshes.
+        removals: of vertices; number k leads from level k to level k + 1.
+        coarsest: faces of the last level, shape [4, 3], or [6, 3] where some vertices are on a boundary.
+    """
 
     levels: list[Level]
     removals: list[Removal]
-    tetrahedron: NDArray[np.int32]
+    coarsest: NDArray[np.int32]
 
 
 def integers(values: NDArray, device: wp.Device) -> wp.array:
@@ -89,8 +96,10 @@ def integers(values: NDArray, device: wp.Device) -> wp.array:
     return wp.array(values, dtype=wp.int32, device=device)
 
 
-def simplify(surface: Surface, device: wp.Device, *, by_distance: bool = False) -> Hierarchy:
-    """Remove vertices until four are left.
+def simplify(
+    surface: Surface, device: wp.Device, *, by_distance: bool = False, kinds: NDArray[np.int32] | None = None
+) -> Hierarchy:
+    """Remove vertices until four are left, or five where some are on a boundary.
 
     Args:
         surface: Closed, oriented manifold of genus 0.
@@ -98,6 +107,9 @@ def simplify(surface: Surface, device: wp.Device, *, by_distance: bool = False) 
         by_distance: remove the vertices that are nearest to others first, in place of those with the smallest triangles
             around them. Where triangles differ in area by orders of magnitude, needles beside a large triangle would
             stay until last.
+        kinds: whether each vertex is inside a surface, on its boundary, or the pole of the fan that closes its hole
+            (``INSIDE``, ``RIM`` and ``POLE`` of :mod:`omtwarp.start.decimation_kernels`), shape [V]; all inside by
+            default. The boundary stays a loop without chords, of three vertices in the end, and the pole stays.
 
     Raises:
         OmtwarpError: the mesh is not closed, oriented, manifold, connected or not of genus 0.
@@ -110,18 +122,20 @@ def simplify(surface: Surface, device: wp.Device, *, by_distance: bool = False) 
     points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
     alive = np.arange(count, dtype=np.int32)
     even_share = _EVEN_SHARE_BY_DISTANCE if by_distance else _EVEN_SHARE
+    device_kinds = integers(np.full(count, INSIDE) if kinds is None else kinds, device)
+    fewest = 4 if kinds is None else 5
     levels: list[Level] = []
     removals: list[Removal] = []
     while True:
         offsets, heads, thirds, half_edge_faces = _half_edges(faces, count)
         compact = np.append(offsets[alive], offsets[-1])
         levels.append(Level(alive, compact, heads, thirds, half_edge_faces, masses))
-        if len(alive) == 4:
+        if len(alive) == fewest:
             break
         adjacency = [integers(x, device) for x in (offsets, heads, thirds, half_edge_faces)]
         device_masses: wp.array = wp.array(masses, dtype=wp.float64, device=device)
         device_alive = integers(alive, device)
-        cost, target = _propose(device_alive, adjacency, device_masses, points, by_distance, device)
+        cost, target = _propose(device_alive, device_kinds, adjacency, device_masses, points, by_distance, device)
         chosen = _select(cost, alive, count, len(removals), device_alive, adjacency, device)
         valences = np.diff(offsets)[alive[chosen]]
         rings, fan_masses = _rings(alive[chosen], target[chosen], adjacency, device_masses, points, even_share, device)
@@ -159,6 +173,7 @@ def _half_edges(faces: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32]
 
 def _propose(
     alive: wp.array,
+    kinds: wp.array,
     adjacency: list[wp.array],
     masses: wp.array,
     points: wp.array,
@@ -170,7 +185,7 @@ def _propose(
     wp.launch(
         propose_collapses,
         dim=len(alive),
-        inputs=[alive, *adjacency, masses, points, by_distance],
+        inputs=[alive, kinds, *adjacency, masses, points, by_distance],
         outputs=[cost, target],
         device=device,
     )

@@ -9,6 +9,7 @@ limb keeps its share of the sphere where a conformal map would shrink it exponen
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,7 +24,7 @@ from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Progress
-from omtwarp.start.decimation import Level, Removal, integers, simplify
+from omtwarp.start.decimation import Hierarchy, Level, Removal, integers, simplify
 from omtwarp.start.decimation_kernels import MAX_VALENCE
 from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices, triangle_coefficients
 
@@ -107,25 +108,24 @@ def hierarchical_embedding(
     where = resolve_device(device)
     history: list[dict[str, int]] = []
     hierarchy = simplify(surface, where, by_distance=by_distance)
-    small, usual, final = _THOROUGH_SWEEPS if thorough else (_SMALL_SWEEPS, _SWEEPS, _FINAL_SWEEPS)
-    if by_distance:
-        small, usual, final = _SWEEPS_BY_DISTANCE
-    embedding = _Embedding(surface, hierarchy.levels[-1], hierarchy.tetrahedron, area_weight, where)
-    for level, removal in zip(hierarchy.levels[-2::-1], hierarchy.removals[::-1], strict=True):
-        embedding.insert(removal)
-        embedding.enter(level)
-        embedding.relax(removal.vertices)
-        embedding.sweep(small if len(level.vertices) < _SMALL_LEVEL else usual)
-        history.append({"iteration": len(history), "vertices": len(level.vertices)})
+    embedding = Embedding(surface, hierarchy.levels[-1], hierarchy.coarsest, area_weight, where)
+    for placed in embedding.refined(hierarchy, *sweeps(thorough, by_distance)):
+        history.append({"iteration": len(history), "vertices": placed})
         if progress is not None:
-            progress("start", len(level.vertices), surface.vertex_count, {})
-    embedding.sweep(final)
+            progress("start", placed, surface.vertex_count, {})
     sphere = np.empty((surface.vertex_count, 3))
     sphere[order] = embedding.sphere.numpy()
     flips = count_flips(sphere, given.faces)
     if flips:
         raise OmtwarpError(f"the coarse-to-fine embedding has {flips} triangle(s) that float64 cannot keep positive")
     return HierarchicalEmbedding(sphere, history)
+
+
+def sweeps(thorough: bool, by_distance: bool) -> tuple[int, int, int]:
+    """Return how often every vertex is moved on small levels, on others, and at the end."""
+    if by_distance:
+        return _SWEEPS_BY_DISTANCE
+    return _THOROUGH_SWEEPS if thorough else (_SMALL_SWEEPS, _SWEEPS, _FINAL_SWEEPS)
 
 
 def renumbered(surface: Surface, order: NDArray[np.intp]) -> Surface:
@@ -140,8 +140,15 @@ def renumbered(surface: Surface, order: NDArray[np.intp]) -> Surface:
     return Surface(surface.vertices[order], places[surface.faces], areas)
 
 
-class _Embedding:
+class Embedding:
     """Positions on the sphere of one level's vertices; no call leaves a triangle of that level flipped.
+
+    Args:
+        surface: of the finest level.
+        level: the coarsest, of vertices that :meth:`place` knows where to put.
+        coarsest: its faces.
+        area_weight: see :func:`hierarchical_embedding`.
+        device: where vertices move.
 
     Attributes:
         sphere: Unit vectors of all vertices of the input, those placed so far valid.
@@ -150,14 +157,12 @@ class _Embedding:
     """
 
     def __init__(
-        self, surface: Surface, level: Level, tetrahedron: NDArray[np.int32], area_weight: float, device: wp.Device
+        self, surface: Surface, level: Level, coarsest: NDArray[np.int32], area_weight: float, device: wp.Device
     ):
         start = np.zeros((surface.vertex_count, 3))
-        start[level.vertices] = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3.0)
-        if np.linalg.det(start[tetrahedron[0]]) < 0:
-            start[level.vertices] *= -1.0
+        self.place(level.vertices, coarsest, start)
         colours = np.zeros(surface.vertex_count, dtype=np.int32)
-        colours[level.vertices] = np.arange(4)
+        colours[level.vertices] = np.arange(len(level.vertices))
         self.device = device
         self.area_weight = area_weight
         self.points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
@@ -165,23 +170,31 @@ class _Embedding:
         self.colours = integers(colours, device)
         self.enter(level)
 
+    def place(self, vertices: NDArray[np.int32], coarsest: NDArray[np.int32], sphere: NDArray[np.float64]) -> None:
+        """Put the vertices of the coarsest level, a tetrahedron, on the sphere; ``sphere`` has shape [V, 3]."""
+        sphere[vertices] = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3.0)
+        if np.linalg.det(sphere[coarsest[0]]) < 0:
+            sphere[vertices] *= -1.0
+
+    def refined(self, hierarchy: Hierarchy, small: int, usual: int, final: int) -> Iterator[int]:
+        """Put all vertices back, and yield how many are placed after each level.
+
+        Args:
+            hierarchy: the levels.
+            small, usual, final: moves of every vertex on small levels, on others, and at the end.
+        """
+        for level, removal in zip(hierarchy.levels[-2::-1], hierarchy.removals[::-1], strict=True):
+            self.insert(removal)
+            self.enter(level)
+            self.relax(removal.vertices)
+            self.sweep(small if len(level.vertices) < _SMALL_LEVEL else usual)
+            yield len(level.vertices)
+        self.sweep(final)
+
     def insert(self, removal: Removal) -> None:
         """Insert removed vertices; where a kernel is too thin for float64, relax the coarser map and try again."""
-        size = len(removal.vertices)
-        vertices, rings, valences = (
-            integers(x, self.device) for x in (removal.vertices, removal.rings, removal.valences)
-        )
-        normals: wp.array = wp.empty(size * MAX_VALENCE, dtype=wp.vec3d, device=self.device)
-        least: wp.array = wp.empty(size, dtype=wp.float64, device=self.device)
         for _ in range(_INSERTION_ATTEMPTS):
-            wp.launch(
-                insert_vertices,
-                dim=size,
-                inputs=[vertices, rings, valences, normals, self.sphere, self.colours],
-                outputs=[least],
-                device=self.device,
-            )
-            worst = least.numpy().min()
+            worst = self.put_back(removal)
             if worst > _LEAST_DETERMINANT:
                 return
             self.sweep(_SMALL_SWEEPS)
@@ -189,6 +202,17 @@ class _Embedding:
             f"the coarse-to-fine embedding found no place for a vertex among {len(self.level.vertices)} others "
             f"(determinant {worst:.1e}): float64 cannot separate them"
         )
+
+    def put_back(self, removal: Removal) -> float:
+        """Place removed vertices and colour them; return the least determinant of a triangle around one of them."""
+        size = len(removal.vertices)
+        normals: wp.array = wp.empty(size * MAX_VALENCE, dtype=wp.vec3d, device=self.device)
+        least: wp.array = wp.empty(size, dtype=wp.float64, device=self.device)
+        inputs = [*(integers(x, self.device) for x in (removal.vertices, removal.rings, removal.valences)), normals]
+        wp.launch(
+            insert_vertices, dim=size, inputs=[*inputs, self.sphere, self.colours], outputs=[least], device=self.device
+        )
+        return float(least.numpy().min())
 
     def enter(self, level: Level) -> None:
         """Begin a level whose vertices are all placed."""
@@ -215,18 +239,21 @@ class _Embedding:
         )
         colour = self.colours.numpy()[level.vertices]
         self.slots = integers(np.argsort(colour, kind="stable"), self.device)
+        self.kept: list[wp.array] = []  # what recorded launches read
         ends = np.cumsum(np.bincount(colour))
         # Recorded launches: on small levels a launch costs more than its kernel.
         self.moves = [
-            self._move(self.slots[begin:end])
+            move
             for begin, end in zip(np.append(0, ends[:-1]), ends, strict=True)
             if end > begin
+            for move in self.moves_of(self.slots[int(begin) : int(end)])
         ]
 
     def relax(self, vertices: NDArray[np.int32]) -> None:
         """Move these vertices, no two of which are neighbours."""
         slots = integers(np.searchsorted(self.level.vertices, vertices), self.device)
-        self._move(slots).launch()
+        for move in self.moves_of(slots):
+            move.launch()
 
     def sweep(self, times: int) -> None:
         """Move every vertex ``times`` times, colour by colour."""
@@ -234,18 +261,23 @@ class _Embedding:
             for move in self.moves:
                 move.launch()
 
-    def _move(self, slots: wp.array) -> wp.Launch:
-        """Return a recorded launch that moves the vertices in these slots of the level.
+    def moves_of(self, slots: wp.array) -> list[wp.Launch]:
+        """Return recorded launches that move the vertices in these slots of the level.
 
         The caller keeps ``slots`` alive.
         """
+        return [self.recorded(relax_vertices, slots)]
+
+    def recorded(self, kernel: wp.Kernel, slots: wp.array, *more: object) -> wp.Launch:
+        """Return a recorded launch of a kernel that moves vertices; ``more`` are its last inputs."""
         area_weight, count = self.area_weight, len(self.level.vertices)
         if 4 * count <= len(self.sphere):
             area_weight = max(area_weight, _COARSE_AREA_WEIGHT / count)
+        mesh = [self.vertices, self.offsets, self.heads, self.thirds, self.coefficients]
         move = wp.launch(
-            relax_vertices,
+            kernel,
             dim=len(slots),
-            inputs=[slots, self.vertices, self.offsets, self.heads, self.thirds, self.coefficients, area_weight],
+            inputs=[slots, *mesh, area_weight, *more],
             outputs=[self.sphere],
             device=self.device,
             record_cmd=True,

@@ -232,3 +232,142 @@ def relax_vertices(
             sphere[v] = trial
             return
         step *= HALF
+
+
+@wp.func
+def half_energy(
+    x: wp.vec3d,
+    begin: wp.int32,
+    end: wp.int32,
+    heads: wp.array[wp.int32],
+    thirds: wp.array[wp.int32],
+    coefficients: wp.array[wp.vec4d],
+    sphere: wp.array[wp.vec3d],
+    area_weight: wp.float64,
+    least_determinant: wp.float64,
+    pole: wp.int32,
+) -> wp.float64:
+    """Return what :func:`star_energy` does, without the triangles at the pole, which only may not flip."""
+    energy = wp.float64(0.0)
+    for h in range(begin, end):
+        a = sphere[heads[h]]
+        b = sphere[thirds[h]]
+        det = wp.dot(x, wp.cross(a, b - a))
+        if det <= least_determinant:
+            return _INFEASIBLE
+        if heads[h] != pole and thirds[h] != pole:
+            k = coefficients[h]
+            stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
+            energy += k[3] * (stretch + TWO * area_weight * k[3]) / det + HALF * area_weight * det
+    return energy
+
+
+@wp.kernel
+def insert_on_equator(
+    removed: wp.array[wp.int32],
+    rings: wp.array2d[wp.int32],
+    valences: wp.array[wp.int32],
+    pole: int,
+    # Data in and out:
+    sphere: wp.array[wp.vec3d],
+    colours: wp.array[wp.int32],
+    # Data out:
+    least_determinants: wp.array[wp.float64],
+):
+    """Put every vertex on the arc of the equator between its neighbours there, and colour it unlike its ring.
+
+    One of them is the first of the ring, from which a part of the arc sees the whole ring: the vertex goes to the
+    middle of that part. The other one is on the other side of the pole.
+    """
+    i, _compiled_once = wp.tid()
+    v = removed[i]
+    count = valences[i]
+    used = int(0)
+    other = int(0)
+    for k in range(count):
+        used = used | (1 << colours[rings[i, k]])
+        if rings[i, k] == pole:
+            other = k + 1
+            if k > 1:
+                other = k - 1
+    colour = int(0)
+    while ((used >> colour) & 1) == 1:
+        colour += 1
+    colours[v] = colour
+    first = sphere[rings[i, 0]]
+    second = sphere[rings[i, other]]
+    far = ONE
+    for k in range(count):
+        a = sphere[rings[i, k]]
+        b = sphere[rings[i, (k + 1) % count]]
+        normal = wp.cross(a, b - a)
+        begin = wp.dot(first, normal)
+        end = wp.dot(second, normal)
+        if end < ZERO and begin > ZERO:
+            far = wp.min(far, begin / (begin - end))
+    share = HALF * far
+    best = wp.normalize((ONE - share) * first + share * second)
+    sphere[v] = wp.vec3d(best[0], best[1], ZERO)
+    least = wp.float64(2.0)
+    for k in range(count):
+        least = wp.min(least, wp.dot(sphere[v], wp.cross(sphere[rings[i, k]], sphere[rings[i, (k + 1) % count]])))
+    least_determinants[i] = least
+
+
+@wp.kernel
+def slide_on_equator(
+    slots: wp.array[wp.int32],
+    vertices: wp.array[wp.int32],
+    offsets: wp.array[wp.int32],
+    heads: wp.array[wp.int32],
+    thirds: wp.array[wp.int32],
+    coefficients: wp.array[wp.vec4d],
+    area_weight: wp.float64,
+    pole: int,
+    # Data in and out:
+    sphere: wp.array[wp.vec3d],
+):
+    """Take a Newton step with a line search along the equator, see :func:`relax_vertices`."""
+    slot, _compiled_once = wp.tid()
+    i = slots[slot]
+    v = vertices[i]
+    begin = offsets[i]
+    end = offsets[i + 1]
+    x = sphere[v]
+    along = wp.vec3d(-x[1], x[0], ZERO)
+    gradient = ZERO
+    radial = ZERO
+    curvature = ZERO
+    least = wp.float64(2.0)
+    for h in range(begin, end):
+        a = sphere[heads[h]]
+        b = sphere[thirds[h]]
+        normal = wp.cross(a, b - a)
+        det = wp.dot(x, normal)
+        least = wp.min(least, det)
+        if heads[h] != pole and thirds[h] != pole:
+            k = coefficients[h]
+            stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
+            top = k[3] * (stretch + TWO * area_weight * k[3])
+            slope = TWO * k[3] * (k[1] * (x - b) + k[2] * (x - a))
+            by_det = HALF * area_weight - top / (det * det)
+            turned = wp.dot(normal, along)
+            leaning = wp.dot(slope, along)
+            gradient += leaning / det + by_det * turned
+            radial += wp.dot(slope, x) / det + by_det * det
+            curvature += (TWO * k[3] * (k[1] + k[2]) - TWO * leaning * turned / det) / det
+            curvature += TWO * top * turned * turned / (det * det * det)
+    curvature += wp.max(-radial, ZERO)
+    if least <= ZERO or not (curvature > ZERO) or gradient == ZERO:
+        return
+    bound = wp.min(_SAFE_DETERMINANT, HALF * least)
+    energy = half_energy(x, begin, end, heads, thirds, coefficients, sphere, area_weight, ZERO, pole)
+    move = -gradient / curvature
+    step = ONE / wp.max(ONE, wp.abs(move))
+    for _ in range(_HALVINGS):
+        there = wp.normalize(x + (step * move) * along)
+        value = half_energy(there, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, pole)
+        if value < energy + _SUFFICIENT_DECREASE * step * move * gradient:
+            sphere[v] = there
+            return
+        step *= HALF

@@ -153,6 +153,21 @@ def test_areas_are_even_where_the_cut_leaves_long_limbs():
     assert not any("thickness" in warning["text"] for warning in result.report["warnings"])
 
 
+def test_limbs_that_the_conformal_map_shrinks_begin_with_a_map_from_coarse_to_fine():
+    """From Moser's map, which could not be repaired, this one ended at an area distortion of 8.2."""
+    whole = shapes.limbs(length=8.0, sharpness=9.0, sphere=3920)
+    level = whole.vertices[:, 0] - whole.vertices[:, 0].min()
+    vertices, faces = without(whole, level > 0.25 * level.max())
+    kept = max(parts_of(vertices, faces), key=lambda part: len(part.faces))
+    result = omtwarp.map_surface((kept.vertices, kept.faces), domain="hemisphere", device="cpu")
+    measured, stages = result.distortion(), {stage["name"]: stage for stage in result.report["stages"]}
+    assert stages["moser"]["area"]["surface"] > 100.0
+    assert stages["omt"]["ended"] == "optimal" and "from coarse to fine" in stages["omt"]["gave_up"]
+    assert measured.flips == 0 and result.certificate.bijective and measured.area["surface"] < 2.01
+    rim = max(boundary_loops(result.faces, len(result.vertices)), key=len)
+    assert not result.sphere[rim, 2].any()
+
+
 def test_small_filling_takes_a_hundredth():
     ball = shapes.icosphere(6)
     mesh = without(ball, ball.vertices[:, 2] > -0.7)
