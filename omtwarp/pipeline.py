@@ -153,7 +153,7 @@ CONTINUATION_OF_HALVES = (*CONTINUATION, (1e-5, 1e5, 300.0, 25))
 # shape term before the cost they are off by 0.4 % after as many, at 2.07. A box with fans of needles starts at 2.09 and
 # ends with areas off by 4 %, at 2.02.
 ROUGH_AREA = 2.05
-# Of Moser's map of a hemisphere: above, a map made from coarse to fine takes its place where that is better. A ball with
+# Of Moser's map of a hemisphere: above, one made from coarse to fine takes its place where that is better. A ball with
 # four limbs eight radii long, cut at a quarter, ends at 2.005 in place of 8.2.
 FAR_AREA = 3.0
 ROUGH_ROUNDS = ((0.1, 300.0, 10.0, 15), (0.1, 400.0, 100.0, 20))

@@ -75,9 +75,11 @@ TRIALS = 6  # lengths of an ascent step that are tried, each shorter than the on
 # Factors of a step that has not raised the bound and of one that has, and the share of the last direction in the next
 # (heavy ball, Polyak 1964): the bound has kinks, between which ascent swings. The first are for few steps. A cortex of
 # 2,500 vertices ends at a gap of 0.0999 in place of 0.1005 % with the second, which are for more.
-# The first length is the first number times the excess over its slope: a parabola whose least excess is zero has it at
-# 2. On a bunny one step of that length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172.
-FEW_STEPS, OF_FEW, OF_MANY = 3, (2.0, 0.4, 1.6, 0.0), (1.0, 0.5, 1.2, 0.3)
+FEW_STEPS, OF_FEW, OF_MANY = 3, (0.4, 1.6, 0.0), (0.5, 1.2, 0.3)
+# Above so many points the first length is the second number times the excess over its slope, else one of them: a
+# parabola whose least excess is zero has it at 2, and a bound takes long. On a bunny of 35,000 vertices one step of that
+# length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small meshes end farther above zero.
+MANY_POINTS, FIRST_OF_MANY_POINTS = 8_000, 2.0
 
 STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its bound
 MOST_PIVOTS = 10_000_000  # of the network simplex: POT's default of 100,000 ends too soon above some thousand points
@@ -360,7 +362,7 @@ def ascend(dual: DualProblem[Found], best: Found, most: int, near: Callable[[Fou
     Returns:
         The best bound, and the steps taken.
     """
-    first, shorter, longer, kept = OF_FEW if most <= FEW_STEPS else OF_MANY
+    shorter, longer, kept = OF_FEW if most <= FEW_STEPS else OF_MANY
     length: float | None = None
     direction: Array | None = None
     for done in range(most):
@@ -369,7 +371,9 @@ def ascend(dual: DualProblem[Found], best: Found, most: int, near: Callable[[Fou
         steepest, slope = dual.ascent_direction(best)
         if not slope > 0.0:
             return best, done
-        length = first * best.excess / slope if length is None else length
+        if length is None:
+            many = most <= FEW_STEPS and len(steepest) > MANY_POINTS
+            length = (FIRST_OF_MANY_POINTS if many else 1.0) * best.excess / slope
         direction = steepest if direction is None else kept * direction + (1.0 - kept) * steepest
         for _ in range(TRIALS):
             trial = dual.bound(best.potential + length * direction)
