@@ -823,7 +823,8 @@ class _Run:
         """Whether Moser's flow left the map as it was, with areas that are far from right."""
         unmoved = self.maps[Stage.MOSER] is self.maps[Stage.CONFORMAL]
         substitute = self.origin["route"] == "hierarchical"
-        return substitute and unmoved and self.records[-1].area["surface"] > ROUGH_AREA
+        area = self.records[-1].area["surface"]
+        return substitute and ((unmoved and area > ROUGH_AREA) or (self.mirror is not None and area > FAR_AREA))
 
     @property
     def shrunken(self) -> int:

@@ -76,9 +76,9 @@ TRIALS = 6  # lengths of an ascent step that are tried, each shorter than the on
 # (heavy ball, Polyak 1964): the bound has kinks, between which ascent swings. The first are for few steps. A cortex of
 # 2,500 vertices ends at a gap of 0.0999 in place of 0.1005 % with the second, which are for more.
 FEW_STEPS, OF_FEW, OF_MANY = 3, (0.4, 1.6, 0.0), (0.5, 1.2, 0.3)
-# Above so many points the first length is the second number times the excess over its slope, else one of them: a
-# parabola whose least excess is zero has it at 2, and a bound takes long. On a bunny of 35,000 vertices one step of that
-# length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small meshes end farther above zero.
+# Above so many points the first length is the second number times the excess over its slope, else once that: a
+# parabola whose least excess is zero has it at 2, and a bound takes long. On a bunny of 35,000 vertices one step of
+# that length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small meshes end farther above zero.
 MANY_POINTS, FIRST_OF_MANY_POINTS = 8_000, 2.0
 
 STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its bound
