@@ -47,6 +47,7 @@ HEAVY_ROOMS = {
     "omtwarp.solvers": {"omtwarp.solvers.multigrid"},
     "omtwarp.spheres": {"omtwarp.wavelets"},
     "omtwarp.start": {"omtwarp.start.hierarchical"},
+    "omtwarp.open_surfaces": {"omtwarp.start.hemispherical"},
     # A driver waits for processes, and draws pictures at the end.
     "omtwarp.cohort": {"omtwarp.cohort.page"},
     # A picture by OpenGL needs no Warp, and the process that draws it nothing but its own modules.
