@@ -579,42 +579,60 @@ class _Run:
 
     def transport_by_newton(self) -> tuple[OptimalMap, float]:
         """Return the discrete optimal map, areas around vertices kept and cost at its minimum, and its shape weight."""
-        surface, initial = self.surface, self.sphere
         assert self.source is not None
-        if self.mirror is not None and self.records[-1].area["surface"] > FAR_AREA:
-            coarse = self.coarse_start(self.mirror)
-            if coarse is not None and self.area_error(coarse) < self.area_error(initial):
-                initial = coarse
-                self.give_up("Moser's map: one made from coarse to fine has less wrong areas")
-        if mostly_shrunken(surface, self.source) and (self.mirror is None or is_symmetric(self.mirror, initial)):
+        initial = self.nearer_in_area(self.sphere)
+        symmetric = self.mirror is None or is_symmetric(self.mirror, initial)
+        if symmetric and mostly_shrunken(self.surface, self.source):
             give_back()
-            return self.by_continuation(
-                initial, CONTINUATION if self.mirror is None else CONTINUATION_OF_HALVES, far=True
-            )
-        sphere = initial
-        if self.origin["route"] == "hierarchical" and not self.shrunken and not self.rough:
-            sphere = self.smoothed(sphere, UNTWISTING_WEIGHT, UNTWISTING_TOLERANCE, UNTWISTING_STEPS)
-        repaired = self.origin["route"] != "conformal" or any(record.details.get("repaired") for record in self.records)
-        sphere = self.smoothed(sphere, tolerance=SMOOTHING_TOLERANCE if repaired else UNREPAIRED_TOLERANCE)
+            rounds = CONTINUATION if self.mirror is None else CONTINUATION_OF_HALVES
+            return self.by_continuation(initial, rounds, far=True)
+        sphere = self.without_slivers(initial)
         give_back()  # the largest matrices follow
-        if self.rough and (self.mirror is None or is_symmetric(self.mirror, initial)):
-            if self.mirror is not None:
-                sphere = self.symmetric(sphere, repair=True)
-                sphere = sphere if is_symmetric(self.mirror, sphere) else initial
-            found, weight = self.by_continuation(sphere, ROUGH_ROUNDS)
-            if self.options.optimality:  # far above any bound, which ascent would take long to improve
-                self.measured = self.bounded(found.sphere, improve=False)
-            return found, weight
+        if symmetric and self.rough:
+            return self.by_rough_rounds(initial, sphere)
         weight = self.first_shape_weight(sphere)
-        sphere = self.symmetric(sphere, repair=True)
-        if self.mirror is not None and not is_symmetric(self.mirror, sphere):
-            sphere = self.optimal(sphere, weight).sphere  # the optimal map is symmetric up to the mesh's error
-            frame = mirror_frame(self.mirror, sphere, surface.vertex_areas)
-            sphere = self.symmetric(sphere @ frame, repair=True)
+        sphere = self.made_symmetric(sphere, weight)
         found, weight = self.lowering_shape_weight(self.optimal, sphere, weight)
         if self.mirror is None and self.shrunken and not found.converged:
             found, weight = self.nearer_to_optimal(found, weight)
         return found, weight
+
+    def nearer_in_area(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return Moser's map, or for a hemisphere whose areas it leaves far off a better one from coarse to fine."""
+        if self.mirror is None or self.records[-1].area["surface"] <= FAR_AREA:
+            return sphere
+        coarse = self.coarse_start(self.mirror)
+        if coarse is None or self.area_error(coarse) >= self.area_error(sphere):
+            return sphere
+        self.give_up("Moser's map: one made from coarse to fine has less wrong areas")
+        return coarse
+
+    def without_slivers(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return Moser's map smoothed, after twists of a substitute start were undone."""
+        if self.origin["route"] == "hierarchical" and not self.shrunken and not self.rough:
+            sphere = self.smoothed(sphere, UNTWISTING_WEIGHT, UNTWISTING_TOLERANCE, UNTWISTING_STEPS)
+        repaired = self.origin["route"] != "conformal" or any(record.details.get("repaired") for record in self.records)
+        return self.smoothed(sphere, tolerance=SMOOTHING_TOLERANCE if repaired else UNREPAIRED_TOLERANCE)
+
+    def by_rough_rounds(self, initial: NDArray[np.float64], smooth: NDArray[np.float64]) -> tuple[OptimalMap, float]:
+        """Return the map of a drawn part from a smoothed one, or for a hemisphere from a symmetric one."""
+        sphere = smooth
+        if self.mirror is not None:
+            sphere = self.symmetric(smooth, repair=True)
+            sphere = sphere if is_symmetric(self.mirror, sphere) else initial
+        found, weight = self.by_continuation(sphere, ROUGH_ROUNDS)
+        if self.options.optimality:  # far above any bound, which ascent would take long to improve
+            self.measured = self.bounded(found.sphere, improve=False)
+        return found, weight
+
+    def made_symmetric(self, sphere: NDArray[np.float64], weight: float) -> NDArray[np.float64]:
+        """Return a symmetric map of a double near another one, if need be from the optimal map; others unchanged."""
+        sphere = self.symmetric(sphere, repair=True)
+        if self.mirror is not None and not is_symmetric(self.mirror, sphere):
+            sphere = self.optimal(sphere, weight).sphere  # the optimal map is symmetric up to the mesh's error
+            frame = mirror_frame(self.mirror, sphere, self.surface.vertex_areas)
+            sphere = self.symmetric(sphere @ frame, repair=True)
+        return sphere
 
     def smoothed(
         self,
