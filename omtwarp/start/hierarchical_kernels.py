@@ -7,6 +7,7 @@ from omtwarp.start.decimation_kernels import MAX_VALENCE
 wp.set_module_options(KERNEL_OPTIONS)
 
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
+_NO_POLE = wp.constant(-1)  # of a closed surface
 _INFEASIBLE = wp.constant(wp.float64(1.0e300))  # energy of a ring with a flipped triangle: more than any other
 # det[a, b, c] evaluated in float64 from unit vectors is right to about 3e-16: no move may bring a triangle nearer to 0
 # than this, unless it is already nearer.
@@ -23,6 +24,20 @@ def least_dot(x: wp.vec3d, normals: wp.array[wp.vec3d], begin: wp.int32, count: 
     for k in range(count):
         least = wp.min(least, wp.dot(x, normals[begin + k]))
     return least
+
+
+@wp.func
+def unused_colour(
+    rings: wp.array2d[wp.int32], row: wp.int32, valence: wp.int32, colours: wp.array[wp.int32]
+) -> wp.int32:
+    """Return the least colour that no vertex of a ring has."""
+    used = int(0)
+    for k in range(valence):
+        used = used | (1 << colours[rings[row, k]])
+    colour = int(0)
+    while ((used >> colour) & 1) == 1:
+        colour += 1
+    return colour
 
 
 @wp.kernel
@@ -47,16 +62,11 @@ def insert_vertices(
     v = removed[i]
     count = valences[i]
     begin = i * _MAX_VALENCE
-    used = int(0)
     for k in range(count):
-        used = used | (1 << colours[rings[i, k]])
         a = sphere[rings[i, k]]
         b = sphere[rings[i, (k + 1) % count]]
         normals[begin + k] = wp.normalize(wp.cross(a, b - a))
-    colour = int(0)
-    while ((used >> colour) & 1) == 1:
-        colour += 1
-    colours[v] = colour
+    colours[v] = unused_colour(rings, i, count, colours)
 
     best = wp.vec3d()
     best_margin = wp.float64(-2.0)
@@ -132,10 +142,11 @@ def star_energy(
     sphere: wp.array[wp.vec3d],
     area_weight: wp.float64,
     least_determinant: wp.float64,
+    pole: wp.int32,
 ) -> wp.float64:
-    """Return the energy of the triangles around a vertex at ``x``.
+    """Return the energy of the triangles around a vertex at ``x``, without those at the pole.
 
-    It is infeasible where a determinant is not above the bound.
+    It is infeasible where a determinant is not above the bound, at the pole too.
 
     A triangle of target area A contributes A (|J|^2 + w (D^2 + 1)) / D with D = det / (2A) and A |J|^2 half the sum of
     cotangents times squared opposite edges. det and not the area is linear in ``x`` and negative where flipped; the two
@@ -149,8 +160,9 @@ def star_energy(
         det = wp.dot(x, wp.cross(a, b - a))
         if det <= least_determinant:
             return _INFEASIBLE
-        stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
-        energy += k[3] * (stretch + TWO * area_weight * k[3]) / det + HALF * area_weight * det
+        if heads[h] != pole and thirds[h] != pole:
+            stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
+            energy += k[3] * (stretch + TWO * area_weight * k[3]) / det + HALF * area_weight * det
     return energy
 
 
@@ -227,39 +239,11 @@ def relax_vertices(
     step = ONE / wp.max(ONE, wp.length(direction))
     for _ in range(_HALVINGS):
         trial = wp.normalize(x + step * direction)
-        value = star_energy(trial, begin, end, heads, thirds, coefficients, sphere, area_weight, bound)
+        value = star_energy(trial, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, _NO_POLE)
         if value < energy + _SUFFICIENT_DECREASE * step * descent:
             sphere[v] = trial
             return
         step *= HALF
-
-
-@wp.func
-def half_energy(
-    x: wp.vec3d,
-    begin: wp.int32,
-    end: wp.int32,
-    heads: wp.array[wp.int32],
-    thirds: wp.array[wp.int32],
-    coefficients: wp.array[wp.vec4d],
-    sphere: wp.array[wp.vec3d],
-    area_weight: wp.float64,
-    least_determinant: wp.float64,
-    pole: wp.int32,
-) -> wp.float64:
-    """Return what :func:`star_energy` does, without the triangles at the pole, which only may not flip."""
-    energy = wp.float64(0.0)
-    for h in range(begin, end):
-        a = sphere[heads[h]]
-        b = sphere[thirds[h]]
-        det = wp.dot(x, wp.cross(a, b - a))
-        if det <= least_determinant:
-            return _INFEASIBLE
-        if heads[h] != pole and thirds[h] != pole:
-            k = coefficients[h]
-            stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
-            energy += k[3] * (stretch + TWO * area_weight * k[3]) / det + HALF * area_weight * det
-    return energy
 
 
 @wp.kernel
@@ -282,18 +266,13 @@ def insert_on_equator(
     i, _compiled_once = wp.tid()
     v = removed[i]
     count = valences[i]
-    used = int(0)
     other = int(0)
     for k in range(count):
-        used = used | (1 << colours[rings[i, k]])
         if rings[i, k] == pole:
             other = k + 1
             if k > 1:
                 other = k - 1
-    colour = int(0)
-    while ((used >> colour) & 1) == 1:
-        colour += 1
-    colours[v] = colour
+    colours[v] = unused_colour(rings, i, count, colours)
     first = sphere[rings[i, 0]]
     second = sphere[rings[i, other]]
     far = ONE
@@ -361,12 +340,12 @@ def slide_on_equator(
     if least <= ZERO or not (curvature > ZERO) or gradient == ZERO:
         return
     bound = wp.min(_SAFE_DETERMINANT, HALF * least)
-    energy = half_energy(x, begin, end, heads, thirds, coefficients, sphere, area_weight, ZERO, pole)
+    energy = star_energy(x, begin, end, heads, thirds, coefficients, sphere, area_weight, ZERO, pole)
     move = -gradient / curvature
     step = ONE / wp.max(ONE, wp.abs(move))
     for _ in range(_HALVINGS):
         there = wp.normalize(x + (step * move) * along)
-        value = half_energy(there, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, pole)
+        value = star_energy(there, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, pole)
         if value < energy + _SUFFICIENT_DECREASE * step * move * gradient:
             sphere[v] = there
             return
