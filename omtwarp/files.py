@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import secrets
 import shutil
 import stat
 import tempfile
@@ -69,7 +70,8 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *
         if _is_one_of(target, inputs):
             raise OmtwarpError(f"cannot write '{path}': it is the input; choose another name")
         if target.parent not in _places:
-            os.rmdir(tempfile.mkdtemp(prefix=PREFIX, dir=target.parent))
+            with _new_folder(target.parent):
+                pass
     except OSError as error:
         raise _cannot_write(given, error) from None
     return target
@@ -208,11 +210,13 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
     try:
         target = _destination(given)
         _sweep(target.parent)
-        folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=target.parent))
-        _places[folder] = target
-        with _held(folder), removed_at_the_end(folder):
-            yield folder / target.name
-            _move(folder, target, given, tuple(keep))
+        with _new_folder(target.parent) as folder:
+            _places[folder] = target
+            try:
+                yield folder / target.name
+                _move(folder, target, given, tuple(keep))
+            finally:
+                _places.pop(folder, None)
     except BrokenPipeError:  # by standard output, not by a file
         raise
     except OmtwarpError as error:
@@ -221,10 +225,6 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
         raise OmtwarpError(str(error).replace(str(folder), str(given.parent))) from None
     except OSError as error:
         raise _cannot_write(given, error) from error
-    finally:
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-            _places.pop(folder, None)
 
 
 def _move(folder: Path, target: Path, given: Path, keep: tuple[Path | None, ...]) -> None:
@@ -257,12 +257,21 @@ def scratch() -> Iterator[Path]:
     """Yield a new directory among the system's temporary ones, and remove it at the end."""
     parent = Path(tempfile.gettempdir())
     _sweep(parent)
-    folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
-    try:
-        with _held(folder), removed_at_the_end(folder):
-            yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with _new_folder(parent) as folder:
+        yield folder
+
+
+@contextlib.contextmanager
+def _new_folder(parent: Path) -> Iterator[Path]:
+    """Yield a new directory that is held, and remove it at the end; interruptions remove it from the first moment."""
+    folder = parent / f"{PREFIX}{secrets.token_hex(8)}"
+    with removed_at_the_end(folder):
+        try:
+            folder.mkdir(mode=0o700)
+            with _held(folder):
+                yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextlib.contextmanager
