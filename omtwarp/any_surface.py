@@ -268,8 +268,16 @@ def _placed(each: SurfaceMap, centre: Floats, share: float) -> SurfaceMap:
     frame = turn @ np.diag([-1.0, 1.0, 1.0]) if length > 0.0 else turn
     about: SurfaceReport = each.report["surface"] | {"share_of_sphere": share, "centre": centre.tolist()}
     turned = _turned(each, frame.T)
-    filled = None if each.filled_sphere is None else each.filled_sphere @ frame.T
-    return replace(turned, domain=Domain.CAP, filled_sphere=filled, report=each.report | {"surface": about})
+    filled, before = (
+        None if points is None else points @ frame.T for points in (each.filled_sphere, each.filled_conformal)
+    )
+    return replace(
+        turned,
+        domain=Domain.CAP,
+        filled_sphere=filled,
+        filled_conformal=before,
+        report=each.report | {"surface": about},
+    )
 
 
 def _reach(each: SurfaceMap, centre: Floats) -> float:
@@ -566,6 +574,7 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
         filled_vertices=opened.filled.vertices if filled else None,
         filled_faces=opened.filled.faces.astype(np.int64) if filled else None,
         filled_sphere=sphere[: len(opened.filled.vertices)] if filled else None,
+        filled_conformal=closed.conformal[: len(opened.filled.vertices)] if filled else None,
         filled_loop=opened.filled.patch if filled else None,
     )
 

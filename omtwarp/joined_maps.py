@@ -110,6 +110,7 @@ class _Filling(TypedDict, total=False):
     loop_pairs: NDArray[np.int64] | None
     filled_vertices: Floats
     filled_sphere: Floats
+    filled_conformal: Floats
     filled_faces: NDArray[np.int64]
     filled_loop: NDArray[np.int64]
 
@@ -120,7 +121,7 @@ def _filling(
     """Join the arrays about filled loops; there are none where no loop was filled."""
     if all(part.loops is None for part in maps):
         return {}
-    loops, ends, pairs, points, images, faces, marks = [], [], [], [], [], [], []
+    loops, ends, pairs, points, images, starts, faces, marks = [], [], [], [], [], [], [], []
     entries = numbered = 0
     for part, number in zip(maps, numbers, strict=True):
         own = len(part.vertices)
@@ -133,6 +134,7 @@ def _filling(
         count += new
         points.append(_known(part.filled_vertices)[own:])
         images.append(_known(part.filled_sphere)[own:])
+        starts.append(_known(part.filled_conformal)[own:])
         faces.append(place[part.filled_faces])
         marks.append(np.where(_known(part.filled_loop) >= 0, _known(part.filled_loop) + numbered, -1))
         loops.append(number[part.loops])
@@ -149,6 +151,7 @@ def _filling(
         "loop_pairs": np.concatenate(pairs) if pairs else None,
         "filled_vertices": np.concatenate([at_vertices([part.vertices for part in maps]), *points]),
         "filled_sphere": np.concatenate([at_vertices([part.sphere for part in maps]), *images]),
+        "filled_conformal": np.concatenate([at_vertices([part.conformal for part in maps]), *starts]),
         "filled_faces": np.concatenate(faces)[order],
         "filled_loop": filled[order],
     }

@@ -260,6 +260,14 @@ class MapResult(Shown):
             raise OmtwarpError(f"this map has no stage '{stage}'")
         return measure_triangles(self.vertices, self.faces, points)
 
+    def closed(self) -> MapResult:
+        """Return the map of the closed surface, which covers the sphere: this map, or the one with holes filled.
+
+        Raises:
+            OmtwarpError: a :class:`~omtwarp.SurfaceMap` covers a part of the sphere only, or several spheres.
+        """
+        return self
+
     @cached_property
     def certificate(self) -> Certificate:
         """The certificate of the final map, computed from its arrays at the first use."""
@@ -311,7 +319,7 @@ def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
             words = f"'{source}' is not a map: {error}; make one with 'omtwarp map MESH -o MAP.npz'"
             raise OmtwarpError(words) from None
     if arrays.pop(OF_A_TORUS, None) is not None:
-        raise OmtwarpError(f"'{source}' is a map to a torus, where one to the sphere is needed")
+        raise OmtwarpError(f"'{source}' is a map to a torus, where one to the sphere is needed, as --cut makes")
     return arrays
 
 

@@ -57,6 +57,8 @@ class SphereGrid:
         shape: how N values are laid out: (N,), or (height, width) for pictures, row by row.
         pixel_corners: corners of the pixels' polygons, in order, shape [M, 4, 3]; two are equal in a triangle.
         pixel_owners: the point that each polygon belongs to, shape [M].
+        own: how many points and faces are of a surface itself; later ones fill its holes and hold no data. None where
+            all are of the surface.
     """
 
     name: str
@@ -65,6 +67,7 @@ class SphereGrid:
     shape: tuple[int, ...]
     pixel_corners: Floats | None = None
     pixel_owners: Integers | None = None
+    own: tuple[int, int] | None = None
 
     def __repr__(self) -> str:
         return f"SphereGrid({self.name}, {len(self.points)} points)"
@@ -81,9 +84,21 @@ class SphereGrid:
         faces[inward] = faces[inward][:, [0, 2, 1]]
         return faces
 
+    @property
+    def own_points(self) -> int:
+        """Number of points that hold data, the first ones."""
+        return len(self.points) if self.own is None else self.own[0]
+
+    @property
+    def own_triangles(self) -> Integers:
+        """The triangles without those that fill holes, int32, shape [F, 3]."""
+        return self.triangles if self.own is None else self.triangles[: self.own[1]]
+
     @cached_property
     def cells(self) -> tuple[Floats, Integers]:
         """Corners [M, 4, 3] of convex spherical polygons that cover the sphere once, and the point of each [M].
+
+        What fills holes has none.
 
         Raises:
             OmtwarpError: triangles are turned over, so that nothing is covered once.
@@ -97,11 +112,11 @@ class SphereGrid:
                 f"{self.name}: {len(flips)} triangles are turned over, first face {flips[0]}: areas of overlap need a "
                 "sphere without flips; use barycentric or nearest"
             )
-        return vertex_cells(self.points, faces)
+        return vertex_cells(self.points, self.own_triangles)
 
     @cached_property
     def areas(self) -> Floats:
-        """Area of the cells of every point on the unit sphere, shape [N]; the sum is 4π."""
+        """Area of the cells of every point on the unit sphere, shape [N]; the sum is 4π where no holes are filled."""
         corners, owners = self.cells
         return np.bincount(owners, weights=polygon_areas(corners), minlength=len(self.points)).astype(np.float64)
 
@@ -151,13 +166,16 @@ def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:
     return array / radii[:, None]
 
 
-def mesh_grid(points: ArrayLike, faces: ArrayLike, name: str = "the sphere") -> SphereGrid:
+def mesh_grid(
+    points: ArrayLike, faces: ArrayLike, name: str = "the sphere", own: tuple[int, int] | None = None
+) -> SphereGrid:
     """Return a triangulated sphere as a grid.
 
     Args:
         points: vertices of a sphere about the origin, of any radius, shape [V, 3].
         faces: whole numbers, shape [F, 3].
         name: how messages call it.
+        own: see :class:`SphereGrid`.
 
     Raises:
         OmtwarpError: not a sphere, faces that name other vertices, or triangles that do not cover the sphere once.
@@ -172,9 +190,10 @@ def mesh_grid(points: ArrayLike, faces: ArrayLike, name: str = "the sphere") -> 
         raise OmtwarpError(f"{name}: the triangles are clockwise seen from outside; reverse them")
     if abs(cover - 1.0) > WHOLE_COVER:
         raise OmtwarpError(
-            f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times; maps of closed surfaces do"
+            f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times; maps of closed and of filled "
+            "surfaces do"
         )
-    return SphereGrid(name, unit, corners, (len(unit),))
+    return SphereGrid(name, unit, corners, (len(unit),), own=own)
 
 
 def named_grid(name: str) -> SphereGrid:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path
-from omtwarp.inputs import open_input, read_arrays
+from omtwarp.inputs import holds_array, open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, whole_numbers
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
 from omtwarp.options import Domain
@@ -52,6 +52,7 @@ class SurfaceMap(MapResult):
         filled_vertices: vertices of the surface as filled, those of the map first, shape [W, 3].
         filled_faces: faces of the surface as filled, those of the map first, shape [H, 3].
         filled_sphere: the map of ``filled_vertices``, shape [W, 3].
+        filled_conformal: the map of ``filled_vertices`` that transport started from, shape [W, 3].
         filled_loop: the loop that each face of ``filled_faces`` fills, -1 for the surface's own, shape [H].
 
     Example:
@@ -74,6 +75,7 @@ class SurfaceMap(MapResult):
     filled_vertices: Array | None = None
     filled_faces: NDArray[np.int64] | None = None
     filled_sphere: Array | None = None
+    filled_conformal: Array | None = None
     filled_loop: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
@@ -85,8 +87,9 @@ class SurfaceMap(MapResult):
         if self.filled_faces is not None:
             points = self.vertices if self.filled_vertices is None else self.filled_vertices
             whole_numbers(self.filled_faces, "'filled_faces'", (None, 3), below=len(points))
-        if self.filled_sphere is not None:
-            require_unit_length(self.filled_sphere, "filled_sphere")
+        for name in ("filled_sphere", "filled_conformal"):
+            if name in fitting:
+                require_unit_length(fitting[name], name)
         for name in ("part", "loops", "loop_ends", "loop_pairs", "split_edges"):
             if name in fitting and fitting[name].size and fitting[name].min() < 0:
                 raise OmtwarpError(f"'{name}': {int(fitting[name].min())} is out of range, at least 0")
@@ -118,6 +121,44 @@ class SurfaceMap(MapResult):
         scale = np.ones(len(self.vertices))
         scale[self.faces] = np.sqrt(ratio[self.part])[:, None]
         return measure_triangles(self.vertices * scale[:, None], self.faces, points)
+
+    def closed(self) -> MapResult:
+        """Return the map of the surface with its holes filled, or with both sides of its cuts, which covers the sphere.
+
+        Its first vertices and faces are those of this map. Its density is that of the filling's own area, also where
+        the filling is small on the sphere.
+
+        Raises:
+            OmtwarpError: the map is to a hemisphere, a disk or a cap, or of several parts.
+
+        Example:
+            >>> import omtwarp
+            >>> ball = omtwarp.shapes.icosphere(8)
+            >>> result = omtwarp.map_surface((ball.vertices, ball.faces[1:]), domain="sphere", device="cpu")
+            >>> result, result.closed()
+            (SurfaceMap(sphere, 642 vertices, 1279 faces), MapResult(643 vertices, 1282 faces, omt))
+        """
+        if self.part is not None:
+            raise OmtwarpError("several parts do not cover one sphere: map each part by itself")
+        if self.domain != Domain.SPHERE:
+            raise OmtwarpError(
+                f"a map to a {self.domain} does not cover the sphere: map the mesh with --fill-area natural "
+                "(domain='sphere' in Python)"
+            )
+        if self.filled_faces is None or self.filled_vertices is None or self.filled_sphere is None:
+            return self
+        if self.filled_conformal is None:
+            raise OmtwarpError("the map does not have the conformal map of what fills its holes: map the mesh again")
+        whole = Surface(self.filled_vertices, self.filled_faces.astype(np.int32))
+        image = triangle_areas(self.filled_conformal, whole.faces)
+        return MapResult(
+            vertices=self.filled_vertices,
+            faces=whole.faces,
+            sphere=self.filled_sphere,
+            conformal=self.filled_conformal,
+            density=3.0 * whole.vertex_areas / whole.sum_to_vertices(image * (SPHERE_AREA / image.sum())),
+            report=self.report,
+        )
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -165,6 +206,16 @@ class SurfaceMap(MapResult):
         return result
 
 
+def read_map(path: str | os.PathLike[str]) -> MapResult:
+    """Read a map to the sphere or to a part of it: a :class:`SurfaceMap` where the file says to which domain.
+
+    Raises:
+        OmtwarpError: the file is missing, or is no map to the sphere.
+    """
+    file = as_path(path)
+    return (SurfaceMap if file.is_file() and holds_array(file, "domain") else MapResult).load(file)
+
+
 class _Arrays(TypedDict, total=False):
     """The arrays that a map of a surface has in addition to those of :class:`MapResult`, typed as in ``_LAYOUT``."""
 
@@ -177,6 +228,7 @@ class _Arrays(TypedDict, total=False):
     filled_vertices: Array
     filled_faces: NDArray[np.int64]
     filled_sphere: Array
+    filled_conformal: Array
     filled_loop: NDArray[np.int64]
 
 
@@ -206,7 +258,8 @@ _LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "filled_vertices": (np.float64, ("W", 3)),
     "filled_faces": (np.int64, ("H", 3)),
     "filled_sphere": (np.float64, ("W", 3)),
+    "filled_conformal": (np.float64, ("W", 3)),
     "filled_loop": (np.int64, ("H",)),
 }
 
-__all__ = ["SurfaceMap"]
+__all__ = ["SurfaceMap", "read_map"]

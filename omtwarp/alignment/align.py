@@ -23,6 +23,7 @@ from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.resampling.resample import PointsLike
 from omtwarp.result import MapResult
 from omtwarp.spheres import SphereGrid
+from omtwarp.surface_map import SurfaceMap
 
 Floats = NDArray[np.float64]
 
@@ -72,8 +73,9 @@ class Alignment:
 def mirror_image(points: SpherePoints) -> SpherePoints:
     """Mirror a map: x changes its sign on surface and sphere, and every face its orientation."""
     faces = np.ascontiguousarray(points.grid.triangles[:, ::-1])
-    grid = SphereGrid(f"{points.grid.name}, mirrored", points.grid.points @ MIRROR, faces, points.grid.shape)
-    return SpherePoints(grid, None if points.vertices is None else points.vertices @ MIRROR)
+    name, own = f"{points.grid.name}, mirrored", points.grid.own
+    grid = SphereGrid(name, points.grid.points @ MIRROR, faces, points.grid.shape, own=own)
+    return SpherePoints(grid, None if points.vertices is None else points.vertices @ MIRROR, points.origin)
 
 
 def align_to_axes(given: PointsLike) -> Alignment:
@@ -84,7 +86,8 @@ def align_to_axes(given: PointsLike) -> Alignment:
     the middle one at +y and that of the shortest at the north pole (+z) [1]_.
 
     An ellipsoid does not determine the directions: each axis points to where the surface has its longer tail (positive
-    third moment of area). If the three signs make a mirror image, the least certain one is reversed.
+    third moment of area). If the three signs make a mirror image, the least certain one is reversed. Filled holes count
+    as they are filled, as in the harmonics of :func:`omtwarp.shape_analysis.expand`.
 
     Args:
         given: a map with its surface (see :func:`omtwarp.resampling.as_points`).
@@ -95,7 +98,8 @@ def align_to_axes(given: PointsLike) -> Alignment:
     .. [1] C. Brechbühler, G. Gerig, O. Kübler, "Parametrization of closed surfaces for 3-D shape description",
        Comput. Vis. Image Underst. 61 (1995), section 4.4.
     """
-    points = as_points(given, "the map")
+    open_points = as_points(given, "the map")
+    points = open_points.closed()
     if points.vertices is None:
         raise OmtwarpError(f"{points.grid.name}: a sphere without its surface has no axes: give a map")
     weights = sphere_weights(points)
@@ -111,7 +115,7 @@ def align_to_axes(given: PointsLike) -> Alignment:
         signs[np.argmin(np.abs(skewness))] *= -1.0
     rotation = signs[:, None] * parameters
     frame = (axes * signs).T
-    turned = points.grid.points @ rotation.T
+    turned = _own_turned(open_points, rotation)
     return Alignment(rotation, turned, "axes", float(certain[1]), -1.0, False, frame, "the shape's own axes")
 
 
@@ -132,6 +136,8 @@ def align(
     correlated over all rotations at once, and Newton's method ends at the maximum, where noisy features, whose values
     differ between neighbours, have less weight. Surfaces without features, such as two balls, stay as they lie in
     space: their directions from their centres correspond.
+
+    What fills the holes of a surface (:func:`omtwarp.map_surface`) has no weight, in features as in scores.
 
     Two maps of one surface need no search: each vertex is brought to the vertex of the same number by least squares
     [1]_. ``by="auto"`` does so where both have the same faces, no features are given, and the two surfaces are one up
@@ -241,6 +247,15 @@ def turned_map(result: MapResult, alignment: Alignment) -> MapResult:
         return None if points is None else points @ alignment.rotation.T
 
     mirrored = alignment.mirrored
+    if isinstance(result, SurfaceMap):
+        filled, faces = result.filled_vertices, result.filled_faces
+        result = replace(
+            result,
+            filled_vertices=filled @ MIRROR if mirrored and filled is not None else filled,
+            filled_faces=np.ascontiguousarray(faces[:, ::-1]) if mirrored and faces is not None else faces,
+            filled_sphere=turned(result.filled_sphere),
+            filled_conformal=turned(result.filled_conformal),
+        )
     return replace(
         result,
         vertices=result.vertices @ MIRROR if mirrored else result.vertices,
@@ -254,13 +269,19 @@ def turned_map(result: MapResult, alignment: Alignment) -> MapResult:
     )
 
 
+def _own_turned(points: SpherePoints, rotation: Floats) -> Floats:
+    """Return a sphere's points, without those that fill holes, after a rotation."""
+    turned = points.grid.points @ rotation.T
+    return turned[: points.grid.own_points]
+
+
 def _by_vertices(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
     weights = sphere_weights(fixed)
     left, values, right = np.linalg.svd((moving.grid.points * weights[:, None]).T @ fixed.grid.points)
     sign = np.sign(np.linalg.det(left @ right))
     rotation = (left @ np.diag([1.0, 1.0, sign]) @ right).T
     score = float((values[0] + values[1] + sign * values[2]) / weights.sum())
-    turned = moving.grid.points @ rotation.T
+    turned = _own_turned(moving, rotation)
     return Alignment(rotation, turned, "vertices", score, -1.0, False, basis="equal faces, as asked for")
 
 
@@ -280,7 +301,7 @@ def _by_features(
     if len(ours) > 1:  # all features determine the region; the exact rotation is that of the least noisy ones
         errors = np.hypot(coefficient_errors(ours, moving), coefficient_errors(theirs, fixed))
         best = improved(a, b, best, errors.min() / np.maximum(errors, np.finfo(float).tiny))
-    turned = moving.grid.points @ best.rotation.T
+    turned = _own_turned(moving, best.rotation)
     basis = ", ".join(ours)
     return Alignment(best.rotation, turned, "features", best.score, best.runner_up, False, basis=basis)
 
@@ -291,7 +312,7 @@ def _by_places(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
     rotation = theirs.T @ ours
     basis = "directions in space, as a side has no features"
     score = min(ours_score, theirs_score)
-    return Alignment(rotation, moving.grid.points @ rotation.T, "places", score, -1.0, False, basis=basis)
+    return Alignment(rotation, _own_turned(moving, rotation), "places", score, -1.0, False, basis=basis)
 
 
 def _onto_directions(points: SpherePoints) -> tuple[Floats, float]:

@@ -29,8 +29,11 @@ LEAST_SHAPE = 1e-5
 
 
 def sphere_weights(points: SpherePoints) -> Floats:
-    """Return a third of the spherical triangles' areas around every vertex, shape [V]; the sum is 4π."""
-    faces = points.grid.triangles
+    """Return a third of the spherical triangles' areas around every vertex, shape [V].
+
+    The sum is 4π, less what fills holes: values there are not the surface's, and count for nothing.
+    """
+    faces = points.grid.own_triangles
     angles = triangle_solid_angles(*(points.grid.points[faces[:, k]] for k in range(3)))
     return np.bincount(faces.ravel(), np.repeat(angles / 3.0, 3), minlength=len(points.grid.points)).astype(np.float64)
 
@@ -60,16 +63,18 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
 
 
 def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose: str) -> dict[str, Floats]:
-    """Return the features as float64 arrays of one number per vertex.
+    """Return the features as float64 arrays of one number per vertex, 0 in what fills holes.
 
     Raises:
         OmtwarpError: a feature has another length, or numbers that are not finite.
     """
-    count = len(points.grid.points)
+    count = points.grid.own_points
+    filling = np.zeros(len(points.grid.points) - count)
     out = {}
     for name, values in given.items():
-        array = real_numbers(values, f"feature '{name}' of {whose}", (count,))
-        out[name] = in_range(array)
+        array = points.at_own_points(np.asarray(values))
+        array = real_numbers(array, f"feature '{name}' of {whose}", (count,))
+        out[name] = np.concatenate([in_range(array), filling])
     return out
 
 
@@ -121,7 +126,7 @@ def coefficient_errors(features: Mapping[str, Floats], points: SpherePoints) -> 
     Noise that is independent between vertices enters a coefficient with the vertex's area on the sphere.
     """
     weights = sphere_weights(points)
-    faces = points.grid.triangles
+    faces = points.grid.own_triangles
     count = len(points.grid.points)
     around = np.bincount(faces.ravel(), minlength=count) * 2.0
     errors = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
-from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -68,7 +67,8 @@ def procrustes_mean(
 
     Spheres are turned to the mean of the surfaces' features (:func:`omtwarp.align`), which is recomputed from the
     rotated spheres until none moves. The surfaces at the grid's points then are superposed on their mean by
-    translations and rotations, in the same manner [1]_.
+    translations and rotations, in the same manner [1]_. Filled holes are part of the surfaces, but have no weight where
+    the spheres are aligned.
 
     Args:
         maps: at least two maps with their surfaces, in any form that :func:`omtwarp.align` takes.
@@ -111,8 +111,8 @@ def procrustes_mean(
             break
     surfaces = []
     for k, (one, turn) in enumerate(zip(members, rotations, strict=True)):
-        turned = SphereGrid(one.grid.name, one.grid.points @ turn.T, one.grid.faces, one.grid.shape)
-        surfaces.append(resample(SpherePoints(turned, one.vertices), common, device=device).surface())
+        turned = replace(one.grid, points=one.grid.points @ turn.T)
+        surfaces.append(resample(SpherePoints(turned, one.vertices).closed(), common, device=device).surface())
         if progress is not None:
             progress("resample", k + 1, len(members), {})
     posed, average, scales, poses = superpose(np.stack(surfaces), common.grid.areas, scale)

@@ -252,35 +252,32 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
     """
     import_scipy()
     from omtwarp.inputs import holds_array
-    from omtwarp.result import OF_TORUS_MAPS, MapResult
-    from omtwarp.surface_map import SurfaceMap
+    from omtwarp.result import OF_TORUS_MAPS
+    from omtwarp.surface_map import read_map
 
     if path.is_file() and holds_array(path, *OF_TORUS_MAPS):
         from omtwarp.torus.torus_map import TorusMap
 
         if not torus:
-            raise OmtwarpError(f"'{path}' is a map to a torus: this command takes maps to the sphere")
+            raise OmtwarpError(f"'{path}' is a map to a torus: this command takes maps to the sphere, as --cut makes")
         return TorusMap.load(path)
-    return (SurfaceMap if path.is_file() and holds_array(path, "domain") else MapResult).load(path)
+    return read_map(path)
 
 
 def require_whole(result: MapResult, name: object) -> MapResult:
-    """Make sure that a map covers the sphere, as integrals over it and harmonics need.
+    """Make sure that a map covers the sphere, with what fills its holes, as integrals over it and harmonics need.
 
     Args:
         result: a map.
         name: of its file, for the message.
 
     Raises:
-        OmtwarpError: the map covers a hemisphere, a disk or a cap, or each part of it has a domain of its own.
+        OmtwarpError: the map covers a hemisphere, a disk or a cap, or is of several parts.
     """
-    from omtwarp.surface_map import SurfaceMap
-
-    if isinstance(result, SurfaceMap) and (result.domain != "sphere" or result.part is not None):
-        where = "several domains" if result.part is not None else f"a {result.domain}"
-        raise OmtwarpError(
-            f"'{name}' is a map to {where}: this command takes maps of closed surfaces, which cover the sphere"
-        )
+    try:
+        result.closed()
+    except OmtwarpError as error:
+        raise OmtwarpError(f"'{name}': {error}") from None
     return result
 
 

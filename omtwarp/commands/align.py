@@ -109,7 +109,7 @@ def align_map(
         if output.suffix.lower() == ".npz":
             _save_map(source, output, found)
         else:
-            faces = moving.grid.triangles[:, ::-1] if found.mirrored else moving.grid.triangles
+            faces = moving.grid.own_triangles[:, ::-1] if found.mirrored else moving.grid.own_triangles
             write_mesh(output, radius * found.sphere, faces, spherical=True, like=source)
         notify(3)
     if as_json:

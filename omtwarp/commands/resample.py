@@ -108,7 +108,9 @@ def resample_map(
     elif not quiet:
         kind = "labels" if as_labels else "data"
         what = "the surface" if given is None else f"{kind} with {given.values.shape[1]} column(s)"
-        print(f"{output}: {what}, {chosen}, from {found.matrix.shape[1]} to {found.matrix.shape[0]} points")
+        line = f"{output}: {what}, {chosen}, from {found.matrix.shape[1]} to {found.matrix.shape[0]} points"
+        empty = 0 if given is None else int(found.empty.sum())
+        print(f"{line}, {empty} of them 0 as they lie in filled holes" if empty else line)
 
 
 def _check_outputs(
@@ -151,10 +153,10 @@ def _write_surface(output: Path, found: Resampling, like: Path | None, target: s
     """
     from omtwarp.mesh.write import write_mesh
 
-    faces = found.target.grid.faces
-    if faces is None:
+    grid = found.target.grid
+    if grid.faces is None:
         raise OmtwarpError(f"{target} has no triangles that a surface could have: give --data, or another target")
-    write_mesh(output, found.surface(), faces, like=like)
+    write_mesh(output, found.surface(), grid.own_triangles, like=like)
 
 
 def _write_extras(found: Resampling, sphere: Path | None, matrix: Path | None) -> None:
@@ -162,7 +164,8 @@ def _write_extras(found: Resampling, sphere: Path | None, matrix: Path | None) -
     from omtwarp.mesh.write import write_mesh
 
     if sphere is not None:
-        write_mesh(sphere, found.target.grid.points, found.target.grid.triangles, spherical=True)
+        grid = found.target.grid
+        write_mesh(sphere, grid.points[: grid.own_points], grid.own_triangles, spherical=True)
     if matrix is not None:
         found.save(matrix)
 
@@ -180,7 +183,7 @@ def _write(output: Path, found: Resampling, given: VertexData, as_labels: bool) 
     moved = given.with_values(values)
     grid = found.target.grid
     shown = found.target.vertices if found.target.vertices is not None else grid.points
-    write_data(output, moved, None if grid.faces is None else (shown, grid.faces))
+    write_data(output, moved, None if grid.faces is None else (shown[: grid.own_points], grid.own_triangles))
 
 
 def _record(found: Resampling, output: Path, given: VertexData | None) -> dict[str, object]:
@@ -190,6 +193,7 @@ def _record(found: Resampling, output: Path, given: VertexData | None) -> dict[s
         "source": found.source.grid.name,
         "target": found.target.grid.name,
         "shape": list(found.target.grid.shape),
+        "empty": int(found.empty.sum()),
         "matrix": {"rows": found.matrix.shape[0], "columns": found.matrix.shape[1], "entries": int(found.matrix.nnz)},
     }
     return record if given is None else record | {"columns": list(given.names), "structure": given.structure}

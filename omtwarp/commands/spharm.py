@@ -61,6 +61,8 @@ def spharm(
 ) -> None:
     """Expand a surface in spherical harmonics over its map to the sphere (SPHARM).
 
+    Holes are expanded as they were filled, but count for nothing in the error.
+
     Harmonics are real and orthonormal, without the Condon-Shortley phase; a .coef file has SPHARM-PDM's own order and
     signs.
     """
@@ -77,12 +79,12 @@ def spharm(
         check_output(reconstruction, tuple(MESH_SUFFIXES), mesh, finished, output)
     start_device(device)
     result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose)
-    require_whole(result, finished or mesh)
-    mesh_grid(result.sphere, result.faces, str(finished or mesh))  # harmonics need a map that covers the sphere once
+    whole = require_whole(result, finished or mesh).closed()
+    mesh_grid(whole.sphere, whole.faces, str(finished or mesh))  # harmonics need a map that covers the sphere once
     with progress_bar(quiet, verbose) as progress:
         if progress is not None:
             progress("spharm", 0, 2, {})
-        found = expand(result.sphere, result.vertices, degree, faces=result.faces, method=fit.value)
+        found = expand(whole.sphere, whole.vertices, degree, faces=whole.faces, method=fit.value)
         if progress is not None:
             progress("spharm", 1, 2, {})
         again = found.at(result.sphere)

@@ -11,11 +11,12 @@ from omtwarp.alignment import align
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.materials.base import Floats, Ints, Material
+from omtwarp.materials.base import Floats, Material
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.painting.painter import SIZE
 from omtwarp.painting.texels import PADDING, bake_materials
-from omtwarp.resampling import SpherePoints
+from omtwarp.resampling import SpherePoints, as_points
+from omtwarp.result import MapResult
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.baking import bake_to_uv, own_at_parts, picture_source, sphere_layout
@@ -80,9 +81,9 @@ def transfer_texture(
     if plain and len(source.materials) == 1 and source.vertex_colors is None:
         raise OmtwarpError("nothing to transfer: the mesh has neither a picture nor colours")
     if not aligned:
-        moving, fixed = _points(points, triangles, there), _points(sphere, faces, vertices)
+        moving, fixed = _points(other), _points(result)
         # Equal faces alone do not make vertices correspond: two subdivided spheres have them.
-        same = np.array_equal(triangles, faces) and np.allclose(there, vertices)
+        same = np.array_equal(moving.grid.triangles, fixed.grid.triangles) and np.allclose(there, vertices)
         found = align(moving, fixed, by="vertices" if same else "features", mirror=mirror)
         if found.method == "places":
             text = (
@@ -115,7 +116,10 @@ def transfer_texture(
     )
 
 
-def _points(sphere: Floats, faces: Ints, vertices: Floats) -> SpherePoints:
+def _points(result: Map) -> SpherePoints:
+    if isinstance(result, MapResult):
+        return as_points(result, "the map")  # with what fills its holes
+    vertices, faces, sphere = as_map(result)
     return SpherePoints(mesh_grid(sphere, faces, "the map"), vertices)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias, TypeGuard
 
@@ -24,6 +24,7 @@ from omtwarp.options import Interpolation, choose
 from omtwarp.resampling import weights
 from omtwarp.result import OF_MAPS, MapResult
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
+from omtwarp.surface_map import read_map
 
 Floats = NDArray[np.float64]
 
@@ -35,18 +36,34 @@ class SpherePoints:
     Attributes:
         grid: the points, their triangles or pixels.
         vertices: the surface's vertices, float64, shape [N, 3]; None for a sphere alone.
+        origin: where handles were cut, the vertex of the input that each of the surface's own points is, shape [S].
     """
 
     grid: SphereGrid
     vertices: Floats | None = None
+    origin: NDArray[np.int64] | None = None
 
     def surface_areas(self) -> Floats:
-        """Return the area at every point, shape [N]: a third of the triangles around a vertex, or that of a cell."""
+        """Return the area at every point, shape [N]: a third of the triangles around a vertex, or that of a cell.
+
+        What fills holes has none.
+        """
         if self.vertices is None or self.grid.faces is None:
             return self.grid.areas
-        shares = np.repeat(triangle_areas(self.vertices, self.grid.faces) / 3.0, 3)
-        count = len(self.vertices)
-        return np.bincount(self.grid.faces.ravel(), weights=shares, minlength=count).astype(np.float64)
+        faces = self.grid.own_triangles
+        shares = np.repeat(triangle_areas(self.vertices, faces) / 3.0, 3)
+        return np.bincount(faces.ravel(), weights=shares, minlength=len(self.vertices)).astype(np.float64)
+
+    def closed(self) -> SpherePoints:
+        """Return the same points, those that fill holes counted as the surface's."""
+        return replace(self, grid=replace(self.grid, own=None))
+
+    def at_own_points(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """Return data at the surface's own points: as given, or those of the input's vertices at copies along cuts."""
+        count = self.grid.own_points
+        if self.origin is None or values.ndim == 0 or len(values) == count or len(values) != self.origin.max() + 1:
+            return values
+        return values[self.origin]
 
 
 PointsLike: TypeAlias = SpherePoints | SphereGrid | MapResult | str | os.PathLike[str] | MeshLike
@@ -57,9 +74,10 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
     """Convert one end of a resampling from any accepted form.
 
     Args:
-        given: a :class:`~omtwarp.MapResult`; the name of a grid (see :mod:`omtwarp.spheres`); a file: a map in
-            ``.npz``, a ``.ply`` with the sphere as px, py and pz at the vertices, or a mesh that is a sphere about
-            the origin, of any radius; ``(points, faces)``; anything with ``vertices`` and ``faces``; or a grid.
+        given: a :class:`~omtwarp.MapResult`, with what fills its holes; the name of a grid (see
+            :mod:`omtwarp.spheres`); a file: a map in ``.npz``, a ``.ply`` with the sphere as px, py and pz at the
+            vertices, or a mesh that is a sphere about the origin, of any radius; ``(points, faces)``; anything with
+            ``vertices`` and ``faces``; or a grid.
         name: how messages call it.
 
     Raises:
@@ -70,13 +88,13 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
     if isinstance(given, SphereGrid):
         return SpherePoints(given)
     if isinstance(given, MapResult):
-        return SpherePoints(mesh_grid(given.sphere, given.faces, name), given.vertices)
+        return _points_of_map(given, name)
     if isinstance(given, str) and is_named(given):
         return SpherePoints(named_grid(given))
     if isinstance(given, str | os.PathLike):
         path = Path(given)
         if path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS):
-            return as_points(MapResult.load(path), str(path))
+            return as_points(read_map(path), str(path))
         mesh = read_mesh(path)
         beside = _sphere_beside(path)
         if beside is not None:
@@ -87,6 +105,19 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
     if hasattr(given, "vertices") and hasattr(given, "faces"):
         return SpherePoints(mesh_grid(given.vertices, given.faces, name))
     raise OmtwarpError(f"{name}: expected a map, a sphere, a file or a grid's name, got {type(given).__name__}")
+
+
+def _points_of_map(result: MapResult, name: str) -> SpherePoints:
+    """Return the points of a map, with what fills holes, which is marked."""
+    try:
+        closed = result.closed()
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{name}: {error}") from None
+    if closed is result:
+        return SpherePoints(mesh_grid(result.sphere, result.faces, name), result.vertices)
+    own, origin = (len(result.vertices), len(result.faces)), result.vertex_origin
+    copies = origin is not None and origin.min() >= 0 and origin.max() + 1 < len(origin)
+    return SpherePoints(mesh_grid(closed.sphere, closed.faces, name, own), closed.vertices, origin if copies else None)
 
 
 def file_points(given: str | os.PathLike[str], surface: Path | None) -> SpherePoints:
@@ -123,21 +154,28 @@ class Resampling:
     """A linear map of data at the points of one sphere to those of another.
 
     Attributes:
-        matrix: sparse float64, shape [T, S]; rows sum to 1.
+        matrix: sparse float64, shape [T, S]; rows sum to 1, or are empty where the source has a filled hole.
         method: how its weights were chosen.
         source, target: the two ends.
+        device: where the matrix was computed.
     """
 
     matrix: sparse.csr_matrix
     method: Interpolation
     source: SpherePoints
     target: SpherePoints
+    device: str | None = "auto"
 
     def __repr__(self) -> str:
         return f"Resampling({self.source.grid.name} -> {self.target.grid.name}, {self.method})"
 
+    @property
+    def empty(self) -> NDArray[np.bool_]:
+        """Which target points lie in what fills the source's holes, and get no data, shape [T]."""
+        return np.diff(self.matrix.indptr) == 0
+
     def apply(self, values: ArrayLike) -> Floats:
-        """Resample numbers at the source points.
+        """Resample numbers at the source points. Target points in filled holes of the source get 0.
 
         Args:
             values: finite numbers, shape [S] or [S, K].
@@ -149,7 +187,7 @@ class Resampling:
             OmtwarpError: the values have another length, or are not finite.
         """
         given = values.astype(np.float64) if _of_truth(values) else values
-        array = real_numbers(given, "the data", None, finite=False)
+        array = self.source.at_own_points(real_numbers(given, "the data", None, finite=False))
         self._require_length(array)
         if not np.isfinite(array).all():
             bad = ~np.isfinite(array).reshape(len(array), -1).all(axis=1)
@@ -163,6 +201,7 @@ class Resampling:
         """Resample labels: each target point takes the label with the largest sum of weights.
 
         With conservative weights that is the label of largest overlap with its cell. Of equals, the smallest key wins.
+        Target points in filled holes of the source get 0, which files of labels have for what has none.
 
         Args:
             keys: whole numbers, shape [S].
@@ -173,7 +212,8 @@ class Resampling:
         Raises:
             OmtwarpError: another length, or numbers that are not whole.
         """
-        array = whole_numbers(keys.astype(np.int64) if _of_truth(keys) else keys, "the labels", (None,))
+        given = whole_numbers(keys.astype(np.int64) if _of_truth(keys) else keys, "the labels", (None,))
+        array = self.source.at_own_points(given)
         self._require_length(array)
         names, index = np.unique(array, return_inverse=True)
         members = sparse.csr_matrix(
@@ -183,20 +223,25 @@ class Resampling:
         votes.sort_indices()
         rows = np.repeat(np.arange(votes.shape[0]), np.diff(votes.indptr))
         order = np.lexsort((votes.indices, -votes.data, rows))
-        first = order[np.searchsorted(rows[order], np.arange(votes.shape[0]))]
-        return np.asarray(names[votes.indices[first]])
+        filled = np.flatnonzero(~self.empty)
+        found = np.zeros(votes.shape[0], dtype=np.int64)
+        found[filled] = names[votes.indices[order[np.searchsorted(rows[order], filled)]]]
+        return found
 
     def surface(self) -> Floats:
         """Resample the source's surface to the target's points, float64, shape [T, 3].
 
-        With the target's faces it is the same surface on another mesh, which is common to all subjects.
+        With the target's faces it is the same surface on another mesh, which is common to all subjects. Holes of the
+        source stay filled.
 
         Raises:
             OmtwarpError: the source is a sphere alone.
         """
         if self.source.vertices is None:
             raise OmtwarpError("the source is a sphere without its surface: there is nothing to resample but data")
-        return self.apply(self.source.vertices)
+        if self.source.grid.own is None:
+            return self.apply(self.source.vertices)
+        return resample(self.source.closed(), self.target, method=self.method, device=self.device).surface()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the matrix as ``.npz``, to be read with :func:`scipy.sparse.load_npz`.
@@ -227,6 +272,10 @@ def resample(
 
     The spheres are not rotated: align them first (:func:`omtwarp.align`).
 
+    Of a surface whose holes were filled (:func:`omtwarp.map_surface`), data are at its own vertices: nothing is
+    resampled from the filling, and :attr:`Resampling.empty` says which target points lie there. The surface itself is
+    resampled with it.
+
     Args:
         source: a map, a sphere, a file or the name of a grid (:func:`as_points`).
         target: the same.
@@ -255,22 +304,27 @@ def resample(
     chosen = choose(Interpolation, method)
     here, there = as_points(source, "the source"), as_points(target, "the target")
     if chosen is Interpolation.NEAREST:
-        matrix = weights.nearest(here.grid, there.grid)
+        matrix = weights.nearest(here.grid, there.grid, device)
     elif chosen is Interpolation.CONSERVATIVE:
         matrix = weights.conservative(here.grid, there.grid, device)
     elif chosen is Interpolation.BARYCENTRIC:
         matrix = weights.barycentric(here.grid, there.grid, device)
     else:
+        # Source points in a filled hole of the target give their area to what is there, not to the hole's rim.
         given = here.surface_areas() if source_areas is None else _areas(source_areas, here, "source")
+        whole = there.closed()
         if target_areas is not None:
             wanted = _areas(target_areas, there, "target")
+            wanted[there.grid.own_points :] = whole.surface_areas()[there.grid.own_points :]
         elif here.vertices is not None and there.grid.faces is not None:
-            moved = weights.barycentric(here.grid, there.grid, device) @ here.vertices
-            wanted = SpherePoints(there.grid, np.asarray(moved)).surface_areas()
+            moved = weights.barycentric(here.closed().grid, whole.grid, device) @ here.vertices
+            wanted = SpherePoints(whole.grid, np.asarray(moved)).surface_areas()
         else:
-            wanted = there.grid.areas if here.vertices is None else there.surface_areas()
-        matrix = weights.adaptive(here.grid, there.grid, given, wanted, device)
-    return Resampling(matrix, chosen, here, there)
+            wanted = whole.grid.areas if here.vertices is None else whole.surface_areas()
+        matrix = weights.adaptive(here.grid, whole.grid, given, wanted, device)
+    if here.grid.own is not None or there.grid.own is not None:
+        matrix = sparse.csr_matrix(matrix[: there.grid.own_points, : here.grid.own_points])
+    return Resampling(matrix, chosen, here, there, device)
 
 
 def _of_truth(values: object) -> TypeGuard[NDArray[np.bool_]]:
@@ -279,10 +333,11 @@ def _of_truth(values: object) -> TypeGuard[NDArray[np.bool_]]:
 
 
 def _areas(given: ArrayLike, points: SpherePoints, name: str) -> Floats:
-    areas = real_numbers(given, f"the areas of the {name}", (len(points.grid.points),))
+    count = points.grid.own_points
+    areas = real_numbers(given, f"the areas of the {name}", (count,))
     if areas.min(initial=0.0) < 0.0:
         raise OmtwarpError(f"the areas of the {name} must be at least 0, not {areas.min():g}")
-    return areas
+    return np.concatenate([areas, np.zeros(len(points.grid.points) - count)])
 
 
 __all__ = ["Resampling", "SpherePoints", "as_points", "file_points", "resample"]

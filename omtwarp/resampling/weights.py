@@ -13,22 +13,36 @@ from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
 
+# Barycentric coordinate up to which a point is on a side of a triangle: single precision puts vertices of the rim of a
+# filled hole so far into its filling.
+RIM = 1e-6
+
 
 def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
     """Return the matrix of linear interpolation in the flat triangle nearest to each target point, shape [T, S].
 
-    The weights are those of Connectome Workbench's BARYCENTRIC. Constants are kept, integrals are not.
+    The weights are those of Connectome Workbench's BARYCENTRIC. Constants are kept, integrals are not. Rows of points
+    in what fills holes of the source are empty.
     """
     faces = source.triangles
     found = Locator(source.points, faces, device=device).find_closest(target.points)
-    return found.matrix(faces, len(source.points))
+    matrix = found.matrix(faces, len(source.points))
+    if source.own is None:
+        return matrix
+    of_surface = np.where(faces[found.faces] < source.own[0], found.coordinates, 0.0).sum(axis=1)
+    on_rim = (found.coordinates.min(axis=1) < RIM) & (of_surface > 1.0 - RIM)
+    return _without_rows(matrix, (found.faces >= source.own[1]) & ~on_rim)
 
 
-def nearest(source: SphereGrid, target: SphereGrid) -> sparse.csr_matrix:
-    """Return the matrix that takes the value of the source point nearest to each target point, shape [T, S]."""
-    _, chosen = cKDTree(source.points).query(target.points)
+def nearest(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
+    """Return the matrix that takes the value of the source point nearest to each target point, shape [T, S].
+
+    Rows of points in what fills holes of the source are empty.
+    """
+    _, chosen = cKDTree(source.points[: source.own_points]).query(target.points)
     count = len(target.points)
-    return sparse.csr_matrix((np.ones(count), chosen, np.arange(count + 1)), shape=(count, len(source.points)))
+    matrix = sparse.csr_matrix((np.ones(count), chosen, np.arange(count + 1)), shape=(count, len(source.points)))
+    return matrix if source.own is None else _without_rows(matrix, _empty(barycentric(source, target, device)))
 
 
 def adaptive(
@@ -65,6 +79,8 @@ def adaptive(
     given = np.asarray(by_area.sum(axis=0)).ravel()
     scale = np.divide(source_areas, given, out=np.zeros_like(given), where=given > 0)
     corrected = sparse.csr_matrix(by_area @ sparse.diags_array(scale))
+    if source.own is not None:
+        corrected = _without_rows(corrected, _empty(forward))
     return _rows_to_one(corrected)
 
 
@@ -72,9 +88,27 @@ def conservative(source: SphereGrid, target: SphereGrid, device: str | None = "a
     """Return the matrix of means over each target cell of the function that is constant on source cells, [T, S].
 
     Overlaps are exact (:func:`omtwarp.resampling.overlap.overlap_areas`), so that integrals with respect to the cells'
-    areas are kept up to round-off, as are constants, bounds and signs.
+    areas are kept up to round-off, as are constants, bounds and signs. What fills holes has no cells: means are over
+    the rest, and rows are empty where nothing is left.
     """
     return _rows_to_one(overlap_areas(target, source, device=device))
+
+
+def _empty(matrix: sparse.csr_matrix) -> NDArray[np.bool_]:
+    """Return which rows hold nothing, shape [T]."""
+    return np.diff(matrix.indptr) == 0
+
+
+def _without_rows(matrix: sparse.csr_matrix, left_out: NDArray[np.bool_]) -> sparse.csr_matrix:
+    """Return the matrix with some rows emptied; none is stored there.
+
+    Args:
+        matrix: shape [T, S].
+        left_out: which rows, shape [T].
+    """
+    kept = sparse.csr_matrix(sparse.diags_array((~left_out).astype(float)) @ matrix)
+    kept.eliminate_zeros()
+    return kept
 
 
 def _rows_to_one(matrix: sparse.csr_matrix) -> sparse.csr_matrix:

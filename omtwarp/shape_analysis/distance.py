@@ -19,7 +19,7 @@ from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints
 from omtwarp.result import MapResult
 from omtwarp.shape_analysis.expansion import expand
-from omtwarp.spheres import mesh_grid
+from omtwarp.spheres import mesh_grid, unit_sphere
 from omtwarp.texturing.density import vertex_density
 from omtwarp.transport.cost import transport_cost
 from omtwarp.transport.flow import optimal_transport
@@ -66,7 +66,7 @@ def shape_distance(
     Both distances ignore position and rotation. Points correspond where the area-preserving maps, turned to one another
     (:func:`omtwarp.align`), have them at the same place of the sphere; the surfaces are sums of harmonics up to
     ``degree``. The densities are areas over areas under the conformal maps, and their distance the root of the least
-    transport cost between them [1]_; it ignores size.
+    transport cost between them [1]_; it ignores size. Holes count as they are filled, with the filling's own area.
 
     Args:
         first: a map with its conformal map, as :func:`omtwarp.map_to_sphere` makes them.
@@ -95,9 +95,11 @@ def shape_distance(
     """
     degree = check_degree(degree)
     found = align(first, second)
+    whole = first.closed(), second.closed()
+    spheres = unit_sphere(whole[0].sphere) @ found.rotation.T, whole[1].sphere
     coefficients = [
         expand(sphere, one.vertices, degree, faces=one.faces).coefficients[1:]
-        for sphere, one in ((found.sphere, first), (second.sphere, second))
+        for sphere, one in zip(spheres, whole, strict=True)
     ]
     if scale:
         coefficients = [numbers * np.sqrt(SPHERE_AREA / (numbers**2).sum()) for numbers in coefficients]
@@ -140,13 +142,15 @@ def transport_distance(first: MapResult, second: MapResult, *, device: str | Non
     Raises:
         OmtwarpError: a conformal map that does not cover the sphere once.
     """
-    ends = [
-        SpherePoints(mesh_grid(one.conformal, one.faces, f"the conformal map of the {name} shape"), one.vertices)
-        for one, name in ((first, "first"), (second, "second"))
-    ]
-    turned = align(*ends, by="features").sphere
-    target = vertex_density(second.conformal, second.faces, second.density, device=device)
-    return density_distance(Surface(first.vertices, first.faces), turned, target, device=device)
+    whole = first.closed(), second.closed()
+    ends = []
+    for one, closed, name in zip((first, second), whole, ("first", "second"), strict=True):
+        own = None if closed is one else (len(one.vertices), len(one.faces))
+        grid = mesh_grid(closed.conformal, closed.faces, f"the conformal map of the {name} shape", own)
+        ends.append(SpherePoints(grid, closed.vertices))
+    turned = ends[0].grid.points @ align(*ends, by="features").rotation.T
+    target = vertex_density(whole[1].conformal, whole[1].faces, whole[1].density, device=device)
+    return density_distance(Surface(whole[0].vertices, whole[0].faces), turned, target, device=device)
 
 
 def density_distance(surface: Surface, sphere: Floats, target: TargetDensity, *, device: str | None = "auto") -> float:

@@ -169,11 +169,12 @@ def study_group(
     if labels is not None and names is not None:
         chosen = np.array([label == names[1] for label in labels])
         difference = group_difference(found.surfaces, chosen, names, found.faces, permutations, seed)
-    spheres = [one.sphere @ turn.T for one, turn in zip(maps, found.rotations, strict=True)]
+    whole = [one.closed() for one in maps]
+    spheres = [one.sphere @ turn.T for one, turn in zip(whole, found.rotations, strict=True)]
     return GroupStudy(
         found,
         principal_components(moved, shares, components),
-        distance_matrix(spheres, list(maps), degree, scale),
+        distance_matrix(spheres, whole, degree, scale),
         np.sqrt(np.einsum("v,nvd->n", shares, moved**2)),
         difference,
         transport_matrix(maps, device=device, progress=progress) if transport else None,

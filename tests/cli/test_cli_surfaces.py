@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from omtwarp.cli import main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
+from omtwarp.shape_analysis import expand
 
 
 def run(capsys, *arguments) -> tuple[int, str, str]:
@@ -130,11 +133,43 @@ def test_torus(capsys, tmp_path):
 KINDS = {
     "hemisphere": ("open", "--hemisphere"),
     "disk": ("open", "--disk"),
-    "filled": ("open", "--fill-area", "small"),
+    "cap": ("open", "--cap"),
+    "natural": ("open", "--fill-area", "natural"),
+    "small": ("open", "--fill-area", "small"),
+    "exact": ("open", "--fill-area", "small", "--exact"),
     "parts": ("two", "--components"),
     "together": ("two", "--together"),
     "cut": ("pretzel", "--cut"),
     "torus": ("ring", "--torus"),
+}
+PART = "does not cover the sphere: map the mesh with --fill-area natural"
+SEVERAL = "several parts do not cover one sphere: map each part by itself"
+TORUS = "is a map to a torus"
+# Commands that need the whole sphere take filled and cut surfaces, and say what to do of others.
+NOT_THE_SPHERE = {"hemisphere": PART, "disk": PART, "cap": PART, "parts": SEVERAL, "together": SEVERAL, "torus": TORUS}
+OVERLAPPING = {"parts": "with --together", "torus": TORUS}
+COMMANDS = {
+    "align {map} -o {out}.npz": NOT_THE_SPHERE,
+    "align {map} --to {closed} -o {out}.ply": NOT_THE_SPHERE,
+    "align {closed} --to {map} -o {out}.npz --by features": NOT_THE_SPHERE,
+    "resample {map} --to {closed} -o {out}.ply": NOT_THE_SPHERE,
+    "resample {map} --to ico2 --data {data} -o {out}.npy --matrix {out}.npz": NOT_THE_SPHERE,
+    "resample {map} --to ico2 --data {data} -o {out}.npy --method conservative --labels": NOT_THE_SPHERE,
+    "resample {closed} --to {map} -o {out}.ply --sphere {out}.off": NOT_THE_SPHERE,
+    "spharm {map} -o {out}.csv --degree 3 --reconstruction {out}.ply": NOT_THE_SPHERE,
+    "distance {map} {closed} --degree 3": NOT_THE_SPHERE,
+    "group {map} {closed} -o {out} --grid ico1 --degree 3": NOT_THE_SPHERE,
+    "transfer {painted} {mesh} --map-from {closed} --map-to {map} -o {out}.glb --size 32": NOT_THE_SPHERE
+    | {"exact": "not in the mesh", "cut": ""},
+    "texture {map} -o {out}.glb --size 64": {},
+    "texture {map} -o {out}.obj --pattern checker --size 64": {},
+    "texture {map} -o {out}.ply --size 64": {},
+    "texture {map} -o {out}.glb --bake ao --size 64": OVERLAPPING,
+    "unwrap --map {map} -o {out}.glb": OVERLAPPING,
+    "preview {map} -o {out}.png --size 48": {},
+    "film {map} -o {out}.gif --size 32x32 --seconds 0.2 --fps 5": OVERLAPPING,
+    "report {map} -o {out}.html": {},
+    "texture {mesh} -o {out}.glb": dict.fromkeys(KINDS, "'omtwarp map' with --"),
 }
 
 
@@ -155,33 +190,51 @@ def maps(tmp_path_factory):
         with pytest.raises(SystemExit) as ended:
             main(["map", str(folder / f"{mesh}.ply"), "-o", str(folder / f"{kind}.npz"), "--quiet", *options])
         assert not ended.value.code, kind
+        with np.load(folder / f"{kind}.npz") as arrays:
+            np.save(folder / f"{kind}.npy", np.arange(len(arrays["vertices"])))
+    main_words = ["texture", str(folder / "closed.npz"), "-o", str(folder / "painted.ply"), "--size", "64", "--quiet"]
+    with pytest.raises(SystemExit):
+        main(main_words)
     return folder
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    ("command", "told"),
-    [
-        ("align {map} -o {out}.npz", "cover the sphere"),
-        ("resample {map} --to {closed} -o {out}.ply", "cover the sphere"),
-        ("resample {closed} --to {map} -o {out}.ply", "cover the sphere"),
-        ("spharm {map} -o {out}.csv --degree 3", "cover the sphere"),
-        ("distance {map} {closed}", "cover the sphere"),
-        ("group {map} {closed} -o {out}", "cover the sphere"),
-        ("unwrap {mesh} -o {out}.glb", "with --"),
-        ("texture {map} -o {out}.glb --size 64", ""),
-    ],
-)
-def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, kind, command, told):
-    """Commands that need the whole sphere refuse other maps in one line and write nothing."""
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, tmp_path, kind, command):
+    """Each command takes each kind of map, or refuses it in one line and writes nothing."""
+    told = COMMANDS[command].get(kind, "")
     words = {"map": maps / f"{kind}.npz", "mesh": maps / f"{KINDS[kind][0]}.ply", "closed": maps / "closed.npz"}
-    out = maps / f"{kind}_out"
-    status, _, err = run(capsys, *(word.format(out=out, **words) for word in command.split()))
+    words |= {"data": maps / f"{kind}.npy", "painted": maps / "painted.ply", "out": tmp_path / "out"}
+    status, shown, err = run(capsys, *(word.format(**words) for word in command.split()))
     assert status == (1 if told else 0) and "Traceback" not in err, err
     if told:
-        expected = "map to a torus" if kind == "torus" and told.startswith("cover") else told
-        assert expected in err and len(err.splitlines()) == 1, err
-        assert not list(maps.glob("*_out*"))
+        assert told in err and len(err.splitlines()) == 1, err
+        assert not list(tmp_path.iterdir())
     else:
-        assert out.with_suffix(".glb").stat().st_size > 1000
-        out.with_suffix(".glb").unlink()
+        assert shown
+        for word in command.split():
+            if word.startswith("{out}"):
+                assert (tmp_path / word.format(out="out")).stat().st_size > 100
+
+
+def test_resampling_says_how_many_points_lie_in_filled_holes(capsys, maps, tmp_path):
+    words = ["resample", maps / "natural.npz", "--to", "ico3", "--data", maps / "natural.npy", "-o", tmp_path / "d.npy"]
+    status, out, err = run(capsys, *words)
+    empty = int((np.load(tmp_path / "d.npy") == 0.0).sum())
+    assert status == 0 and f"to 642 points, {empty} of them 0 as they lie in filled holes" in out and empty > 50, err
+
+
+def test_error_of_harmonics_is_that_of_the_surface(capsys, maps, tmp_path):
+    """Coefficients are those of the surface with its filling, the error that of the surface alone."""
+    status, out, err = run(
+        capsys, "spharm", maps / "natural.npz", "-o", tmp_path / "c.csv", "--degree", "5", "--json", "--quiet"
+    )
+    assert status == 0, err
+    result = omtwarp.SurfaceMap.load(maps / "natural.npz")
+    closed = result.closed()
+    found = expand(closed.sphere, closed.vertices, 5, faces=closed.faces)
+    written = np.loadtxt(tmp_path / "c.csv", delimiter=",", skiprows=1)[:, 2:]
+    assert written == pytest.approx(found.coefficients)
+    apart = ((found.at(result.sphere) - result.vertices) ** 2).sum(axis=1)
+    areas = omtwarp.Surface(result.vertices, result.faces).vertex_areas
+    assert json.loads(out)["rms_error"] == pytest.approx(np.sqrt(areas @ apart / areas.sum()))
