@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, cast
 
+# Degrees are whole numbers but for the round-off of a million solid angles, as in omtwarp.spheres.
+WHOLE_COVER = 1e-6
+
 if TYPE_CHECKING:
     from omtwarp.result import MapReport, MapResult
     from omtwarp.torus.torus_map import TorusMap
@@ -17,6 +20,9 @@ class MapFacts(TypedDict):
     report: str | None
     vertices: int
     faces: int
+    copied_vertices: int
+    new_vertices: int
+    input_faces: int
     bijective: bool
     flips: int
     degree: float
@@ -43,6 +49,7 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
         "report": None if report is None else str(report),
         "vertices": len(result.vertices),
         "faces": len(result.faces),
+        **_counts(result),
         "bijective": certificate.bijective,
         "flips": certificate.flips,
         "degree": last["degree"],
@@ -54,15 +61,56 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
     }
 
 
+class _Counts(TypedDict):
+    """Vertices of a map that the input does not have, and the number of the input's faces."""
+
+    copied_vertices: int
+    new_vertices: int
+    input_faces: int
+
+
+def _counts(result: MapResult | TorusMap) -> _Counts:
+    """Count the copies of vertices along cuts, new vertices, and the faces that triangles are parts of."""
+    import numpy as np
+
+    of_vertices, of_faces = result.vertex_origin, result.face_origin
+    copied = new = 0
+    if of_vertices is not None:
+        known = of_vertices[of_vertices >= 0]
+        copied, new = len(known) - len(np.unique(known)), len(of_vertices) - len(known)
+    faces = len(result.faces)
+    if of_faces is not None:
+        faces = len(np.unique(of_faces[of_faces >= 0])) + int((of_faces < 0).sum())
+    return {"copied_vertices": copied, "new_vertices": new, "input_faces": faces}
+
+
+def sizes(result: MapResult | TorusMap) -> str:
+    """Return the sizes of a map's mesh in words: those of the input, and what cuts and new vertices added."""
+    return _sizes(len(result.vertices), len(result.faces), **_counts(result))
+
+
+def _sizes(vertices: int, faces: int, copied_vertices: int, new_vertices: int, input_faces: int) -> str:
+    more = [f"{copied_vertices} copies along cuts"] * bool(copied_vertices)
+    more += [f"{new_vertices} new ones"] * bool(new_vertices)
+    line = " and ".join([f"{vertices - copied_vertices - new_vertices} vertices", *more])
+    return f"{line}, {input_faces} faces" + (f" in {faces} parts" if faces > input_faces else "")
+
+
 def summary(facts: MapFacts) -> str:
     """Return a line for readers about a finished map and its files."""
-    line = f"{facts['output']}: {facts['vertices']} vertices, {facts['faces']} faces; {quality(facts)}"
+    added = facts["copied_vertices"], facts["new_vertices"], facts["input_faces"]
+    line = f"{facts['output']}: {_sizes(facts['vertices'], facts['faces'], *added)}; {quality(facts)}"
     return line if facts["report"] is None else f"{line}; report {facts['report']}"
 
 
 def quality(facts: MapFacts) -> str:
-    """Return the figures of a map's quality: flips, degree, area, angle, and the gap where it was computed."""
-    line = f"flips {facts['flips']}, degree {facts['degree']:.6f}"
+    """Return the figures of a map's quality: flips, degree, area, angle, and the gap where it was computed.
+
+    Of a map to a part of the sphere, the degree is the share that is covered.
+    """
+    degree = facts["degree"]
+    whole = abs(degree - round(degree)) < WHOLE_COVER
+    line = f"flips {facts['flips']}, " + (f"degree {degree:.6f}" if whole else f"{degree:.2%} of the sphere covered")
     of_parts = "" if facts["largest_area_error"] is None else " (of the quarters)"
     line += f", area {facts['area']:.4f}{of_parts}, angle {facts['angle']:.4f}"
     if facts["largest_area_error"] is not None:

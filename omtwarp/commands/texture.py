@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypedDict, Unpack
 
 import typer
 
+from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import (
     CostOption,
     DeviceOption,
@@ -291,7 +292,7 @@ def _texture(
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files]}
     facts |= {"vertices": len(result.vertices), "faces": len(result.faces)}
     facts |= {"pictures": [{"what": "colour", "width": width, "height": height}]}
-    line = f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, textured, "
+    line = f"{output}: {sizes(result)}, textured, "
     line += f"{width} x {height} texels{blurred}{with_files(files)}"
     return facts, line
 
@@ -406,11 +407,11 @@ def _paint(
     facts |= {"vertices": len(result.vertices)}
     facts |= {"faces": len(result.faces), "pictures": pictures}
     wanted = options["size"] or max((int(one["width"]) for one in pictures), default=0)
-    sizes = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
+    drawn = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
     if any(one["what"] == "occlusion" and int(one["width"]) < wanted for one in pictures):
-        sizes.append(f"occlusion by {MOST_RAYS // 1_000_000} million rays at most")
-    looks = ", ".join(dict.fromkeys(sizes)) or "no picture"
-    return facts, f"{output}: {len(result.vertices)} vertices, {len(result.faces)} faces, {looks}{with_files(files)}"
+        drawn.append(f"occlusion by {MOST_RAYS // 1_000_000} million rays at most")
+    looks = ", ".join(dict.fromkeys(drawn)) or "no picture"
+    return facts, f"{output}: {sizes(result)}, {looks}{with_files(files)}"
 
 
 def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption, output_option
 from omtwarp.commands._painted import painted_map
 from omtwarp.commands._streams import input_file, say
@@ -76,6 +77,6 @@ def transfer(
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
-    line = f"{output}: {len(other.vertices)} vertices, {len(other.faces)} faces, with the texture of {source}"
+    line = f"{output}: {sizes(other)}, with the texture of {source}"
     line += with_files(files)
     show_facts(facts, line, as_json=as_json, quiet=quiet)

@@ -52,6 +52,24 @@ def test_options_map_and_the_other_commands_take_the_result(capsys, open_mesh, o
         assert status == 0, err
 
 
+def test_summary_tells_the_sizes_of_the_input(capsys, open_mesh):
+    """Vertices and faces that the map has in addition are named beside them."""
+    target, mesh = open_mesh.with_name("m.npz"), read_mesh(open_mesh)
+    given, count = len(mesh.vertices), len(mesh.faces)
+    status, out, err = run(capsys, "map", open_mesh, "-o", target, "--fill-area", "natural", "--exact")
+    new = len(omtwarp.SurfaceMap.load(target).vertices) - given
+    assert status == 0 and f"{given} vertices and {new} new ones, {count} faces in {4 * count} parts; flips 0" in out, (
+        err
+    )
+    status, out, err = run(capsys, "map", open_mesh, "-o", target, "--hemisphere", "--json")
+    facts = json.loads(out)
+    result = omtwarp.SurfaceMap.load(target)
+    assert (
+        facts["new_vertices"] == len(result.split_edges) == facts["vertices"] - given and facts["copied_vertices"] == 0
+    )
+    assert facts["input_faces"] == count and facts["faces"] == len(result.faces), err
+
+
 def test_disk_is_written_flat(capsys, open_mesh):
     status, _, err = run(capsys, "map", open_mesh, "-o", open_mesh.with_name("disk.off"), "--disk", "--until", "omt")
     assert status == 0, err
@@ -79,7 +97,9 @@ def test_parts(capsys, tmp_path):
         status, _, err = run(capsys, *words, "--map", tmp_path / "m.npz", "-o", tmp_path / "m.glb")
         assert status == 1 and "--together" in err and len(err.splitlines()) == 1
     status, out, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together")
-    assert status == 0 and "flips 0, degree 0.97" in out, err
+    slit = len(omtwarp.SurfaceMap.load(tmp_path / "m.npz").vertices) - 324
+    assert status == 0 and f"324 vertices and {slit} copies along cuts, 640 faces; flips 0, 97." in out, err
+    assert slit > 0 and "% of the sphere covered" in out
     status, _, err = run(capsys, "unwrap", "--map", tmp_path / "m.npz", "-o", tmp_path / "m.glb", "--quiet")
     assert status == 0, err
     status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together", "--disk")
@@ -93,7 +113,12 @@ def test_handles(capsys, tmp_path):
     assert status == 1 and "--cut" in err
     status, _, err = run(capsys, "map", tmp_path / "pretzel.ply", "-o", tmp_path / "m.npz", "--cut", "--quiet")
     assert status == 0, err
-    assert len(omtwarp.SurfaceMap.load(tmp_path / "m.npz").loop_pairs) == 2
+    result = omtwarp.SurfaceMap.load(tmp_path / "m.npz")
+    assert len(result.loop_pairs) == 2
+    copies = len(result.vertices) - surface.vertex_count
+    status, out, err = run(capsys, "texture", tmp_path / "m.npz", "-o", tmp_path / "m.glb", "--size", "64")
+    words = f"{surface.vertex_count} vertices and {copies} copies along cuts, {surface.face_count} faces, textured"
+    assert status == 0 and words in out, err
 
 
 def test_torus(capsys, tmp_path):
