@@ -15,7 +15,7 @@ from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
 from omtwarp.materials.base import Bytes, Floats, Ints
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.data import read_data
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.painting import kernels
 from omtwarp.painting.texels import PADDING, bake_corners, covered
 from omtwarp.render.colors import colormap_table
@@ -62,9 +62,7 @@ class Target:
 
 def _uv_area(uv: Floats) -> float:
     """Return the share of the picture that triangles [T, 3, 2] cover, at most 1."""
-    one, other = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    area = 0.5 * np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()
-    return float(np.clip(area, 0.0, 1.0))
+    return float(np.clip(np.abs(plane_areas(uv)).sum(), 0.0, 1.0))
 
 
 def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
