@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.write import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
 
-# Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, targets, modes.
+# Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, modes.
 REPEAT, CLAMP = 10497, 33071
 LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
 FLOAT, UNSIGNED_INT = 5126, 5125
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 TRIANGLES = 4
 WEBP = "EXT_texture_webp"  # of textures: without it, pictures are PNG or JPEG
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
