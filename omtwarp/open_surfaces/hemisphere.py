@@ -132,10 +132,10 @@ def symmetric_start(
             half = trial()
         except OmtwarpError:
             continue
-        image = np.zeros_like(source)
-        image[double.copied, 0] = 1.0  # until they get mirror images
-        image[own] = turned_about_pole(half, source[own], masses[own])
-        image = folded_map(double, image / np.linalg.norm(image, axis=1)[:, None])
+        turned = turned_about_pole(half, source[own], masses[own])
+        image = np.zeros_like(source)  # of the copy until it gets mirror images
+        image[own] = turned / np.linalg.norm(turned, axis=1)[:, None]
+        image = folded_map(double, image)
         area = measure_triangles(surface.vertices, surface.faces, image, device=device).area["surface"]
         if area < least and is_bijective(image, surface.faces, device=device):
             best, least = image, area
