@@ -158,17 +158,13 @@ class TransportDual:
         Returns:
             The potential, shape [V], and the number of edges that admit no difference.
         """
-        edges = self.surface.edges
         lowest, highest = self.admissible_differences()
         width = highest - lowest
         floor = max(_NARROWEST * float(np.median(np.abs(width))), np.finfo(float).tiny)
         weights = 1.0 / np.maximum(width, floor)
         weights /= weights.mean()
-        flow = weights * (0.5 * (lowest + highest))
-        count = len(self.mass)
-        right = (np.bincount(edges[:, 1], flow, count) - np.bincount(edges[:, 0], flow, count)).astype(np.float64)
         self._solver = EdgeLaplacianSolver(self.surface, weights)
-        return self._solver.solve(right), int((highest < lowest).sum())
+        return self._solver.fit(0.5 * (lowest + highest)), int((highest < lowest).sum())
 
     def admissible_differences(self, of_sources: bool = False) -> tuple[Array, Array]:
         """Return the least and the largest difference of ψ along every edge with which its ends do not swap partners.

@@ -80,16 +80,12 @@ class SourceDual:
         self._radii = wp.array(np.maximum.reduceat(apart, self._first), dtype=wp.float64, device=dual.device)
         ends = x[dual.surface.edges]
         weights = 1.0 / np.maximum(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), CLOSEST)
-        self._weights = weights / weights.mean()
-        self._solver = EdgeLaplacianSolver(dual.surface, self._weights)
+        self._solver = EdgeLaplacianSolver(dual.surface, weights / weights.mean())
 
     def initial_potential(self) -> Array:
         """Fit φ to the middles of the differences along edges with which neither end would swap partners, shape [V]."""
-        edges, count = self._dual.surface.edges, len(self._of)
         low, high = self._dual.admissible_differences(of_sources=True)
-        flow = self._weights * (0.5 * (low + high))
-        right = (np.bincount(edges[:, 1], flow, count) - np.bincount(edges[:, 0], flow, count)).astype(np.float64)
-        return self._solver.solve(right)
+        return self._solver.fit(0.5 * (low + high))
 
     def bound(self, potential: Array) -> SourceBound:
         """Compute the largest ψ that goes with φ, shape [V], after points were raised to what their stand-in allows.

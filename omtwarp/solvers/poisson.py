@@ -191,6 +191,7 @@ class EdgeLaplacianSolver:
         diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)
         # The pinned vertex stays in the matrix without couplings: its unknown is its right-hand side, zero.
         joined = (edges[:, 0] != pinned) & (edges[:, 1] != pinned)
+        self._edges, self._weights, self._count = edges, weights, count
         self._pinned = pinned
         self._fallback: LaplacianSolver | None = None
         self._factor = surface_factor(surface)
@@ -212,3 +213,12 @@ class EdgeLaplacianSolver:
         right[self._pinned] = 0.0
         out = self._factor.solve(right)
         return out - out.mean(axis=0)
+
+    def fit(self, differences: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return values at vertices, shape [V], whose differences u_j - u_i along edges (i, j) fit those given [E].
+
+        They are the least squares under the weights.
+        """
+        edges, flow = self._edges, self._weights * differences
+        right = np.bincount(edges[:, 1], flow, self._count) - np.bincount(edges[:, 0], flow, self._count)
+        return self.solve(right.astype(np.float64))
