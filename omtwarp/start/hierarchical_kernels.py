@@ -40,6 +40,17 @@ def unused_colour(
     return colour
 
 
+@wp.func
+def least_of_ring(
+    x: wp.vec3d, rings: wp.array2d[wp.int32], row: wp.int32, valence: wp.int32, sphere: wp.array[wp.vec3d]
+) -> wp.float64:
+    """Return the least determinant of the triangles between ``x`` and the sides of a ring."""
+    least = wp.float64(2.0)
+    for k in range(valence):
+        least = wp.min(least, wp.dot(x, wp.cross(sphere[rings[row, k]], sphere[rings[row, (k + 1) % valence]])))
+    return least
+
+
 @wp.kernel
 def insert_vertices(
     removed: wp.array[wp.int32],
@@ -88,10 +99,7 @@ def insert_vertices(
                     best_margin = margin
                     best = y
     sphere[v] = best
-    least = wp.float64(2.0)
-    for k in range(count):
-        least = wp.min(least, wp.dot(best, wp.cross(sphere[rings[i, k]], sphere[rings[i, (k + 1) % count]])))
-    least_determinants[i] = least
+    least_determinants[i] = least_of_ring(best, rings, i, count, sphere)
 
 
 @wp.kernel
@@ -286,11 +294,9 @@ def insert_on_equator(
             far = wp.min(far, begin / (begin - end))
     share = HALF * far
     best = wp.normalize((ONE - share) * first + share * second)
-    sphere[v] = wp.vec3d(best[0], best[1], ZERO)
-    least = wp.float64(2.0)
-    for k in range(count):
-        least = wp.min(least, wp.dot(sphere[v], wp.cross(sphere[rings[i, k]], sphere[rings[i, (k + 1) % count]])))
-    least_determinants[i] = least
+    placed = wp.vec3d(best[0], best[1], ZERO)
+    sphere[v] = placed
+    least_determinants[i] = least_of_ring(placed, rings, i, count, sphere)
 
 
 @wp.kernel
