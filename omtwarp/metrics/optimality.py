@@ -80,6 +80,8 @@ FEW_STEPS, OF_FEW, OF_MANY = 3, (0.4, 1.6, 0.0), (0.5, 1.2, 0.3)
 # parabola whose least excess is zero has it at 2, and a bound takes long. On a bunny of 35,000 vertices one step of
 # that length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small meshes end farther above zero.
 MANY_POINTS, FIRST_OF_MANY_POINTS = 8_000, 2.0
+# Potentials given were raised already: steps of more than this times that length fail on a cortex, in four trials.
+FIRST_OF_GIVEN = 1.0 / 16.0
 
 STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its bound
 MOST_PIVOTS = 10_000_000  # of the network simplex: POT's default of 100,000 ends too soon above some thousand points
@@ -254,17 +256,18 @@ def _measure(
     notify(1, {})
     fitted, swapped = dual.initial_potential()
     notify(2, {})
-    best = dual.bound(fitted)
+    best, first = dual.bound(fitted), 1.0
     if potential is not None:
         given = real_numbers(potential, "potential", mass.shape)
         other = dual.bound(given)
-        best = other if other.excess < best.excess else best
+        if other.excess < best.excess:
+            best, first = other, FIRST_OF_GIVEN
     cost = 2.0 * float(mass @ dual.cost)
     far = 2.0 * best.excess >= cost > 0.0  # where points are far apart a potential fitted to them may bound nothing
     if far:
         dual.flatten()
         best = dual.bound(np.zeros_like(mass))
-    best, steps = _ascended(dual, best, ascent_steps, enough, notify)
+    best, steps = _ascended(dual, best, ascent_steps, enough, notify, first)
     transform, at_images = dual.cost - best.potential - best.vertex_gap, best.potential
     spread = dual.spread(transform)
     uniform = spread.transform + dual.integral(best.potential)
@@ -302,7 +305,12 @@ def _measure(
 
 
 def _ascended(
-    dual: TransportDual, best: Bound, most: int, enough: float, notify: Callable[[int, Record], None]
+    dual: TransportDual,
+    best: Bound,
+    most: int,
+    enough: float,
+    notify: Callable[[int, Record], None],
+    first: float = 1.0,
 ) -> tuple[Bound, int]:
     """Raise a bound by at most so many steps, or until the gap is small enough; return it and the steps taken."""
     cost = 2.0 * float(dual.mass @ dual.cost)
@@ -313,7 +321,7 @@ def _ascended(
         notify(STEPS_BEFORE + done, {"gap": 2.0 * found.excess / cost})
         return False
 
-    return ascend(dual, best, most, near)
+    return ascend(dual, best, most, near, first)
 
 
 def _raised_at_sources(dual: TransportDual, transform: Array, most: int, enough: float) -> tuple[SourceBound, int]:
@@ -350,7 +358,9 @@ class DualProblem(Protocol[Found]):
         """Return a change of the potential, and the slope of the bound along it."""
 
 
-def ascend(dual: DualProblem[Found], best: Found, most: int, near: Callable[[Found, int], bool]) -> tuple[Found, int]:
+def ascend(
+    dual: DualProblem[Found], best: Found, most: int, near: Callable[[Found, int], bool], first: float = 1.0
+) -> tuple[Found, int]:
     """Raise a bound by steps along ascent directions, each of which is shortened until it raises the bound.
 
     Args:
@@ -358,6 +368,7 @@ def ascend(dual: DualProblem[Found], best: Found, most: int, near: Callable[[Fou
         best: the bound to begin with.
         most: steps at most.
         near: whether a bound after a number of steps is near enough to the cost.
+        first: length of the first step, in units of what would bring a straight line to zero.
 
     Returns:
         The best bound, and the steps taken.
@@ -373,7 +384,7 @@ def ascend(dual: DualProblem[Found], best: Found, most: int, near: Callable[[Fou
             return best, done
         if length is None:
             many = most <= FEW_STEPS and len(steepest) > MANY_POINTS
-            length = (FIRST_OF_MANY_POINTS if many else 1.0) * best.excess / slope
+            length = (FIRST_OF_MANY_POINTS if many else first) * best.excess / slope
         direction = steepest if direction is None else kept * direction + (1.0 - kept) * steepest
         for _ in range(TRIALS):
             trial = dual.bound(best.potential + length * direction)

@@ -28,6 +28,8 @@ _NARROWEST = 1e-3  # of the median interval: flipped triangles make empty ones, 
 # the points in each cube of this side, in units of the tolerance, and lowered for the others by what it can differ, at
 # most 0.43 of the tolerance. For a person of 27,000 vertices that takes a third of the time.
 _CUBE = 0.05
+# Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
+_LEAST_POINTS = 128
 _MIN_SHARED = 0.05  # of the edges shorter than the cube, below which there is little to share
 
 
@@ -207,7 +209,7 @@ class TransportDual:
             inputs = [sources[part], seeds[part], *mesh, places, values, self._leaves, self.tolerance, *tree]
             return inputs, [array[part] for array in found]
 
-        launch_parts(kernels.c_transform, len(seeds), arguments, self.device)
+        launch_parts(kernels.c_transform, len(seeds), arguments, self.device, _LEAST_POINTS)
         proven, leaf, weights, visited = (array.numpy() for array in found)
         face = np.where(leaf >= 0, self.order[np.maximum(leaf, 0)], -1)
         if self.shared is not None:
