@@ -327,6 +327,7 @@ class _Run:
         self.repair_given_up = False  # after the work that it may take
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
         self.origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where the mesh was quartered
+        self.drawn_out = False  # whether the conformal map shrinks most triangles to points
         self.first: wp.array | None = None
         self.source: NDArray[np.float64] | None = None
         self.measured: Optimality | None = None  # of the map by Newton's method
@@ -454,6 +455,8 @@ class _Run:
         # The cost depends only on where points lie under the conformal map; triangles may be flipped there.
         if start.conformal is not None and np.isfinite(start.conformal.sphere).all():
             self.source = start.conformal.sphere
+            # Now: limbs of a double may be points in one half alone, which the mean of both halves hides.
+            self.drawn_out = mostly_shrunken(self.surface, self.source)
             if not start.route.startswith("conformal"):
                 sphere = turned_towards(sphere, self.source, self.surface.vertex_areas)
         sphere = self.orient(sphere)
@@ -583,7 +586,7 @@ class _Run:
         assert self.source is not None
         initial = self.nearer_in_area(self.sphere)
         symmetric = self.mirror is None or is_symmetric(self.mirror, initial)
-        if symmetric and mostly_shrunken(self.surface, self.source):
+        if symmetric and self.drawn_out:
             give_back()
             rounds = CONTINUATION if self.mirror is None else CONTINUATION_OF_HALVES
             return self.by_continuation(initial, rounds, far=True)
@@ -873,7 +876,7 @@ class _Run:
             device=self.device,
             progress=self.progress,
         )
-        if mostly_shrunken(self.surface, self.source):
+        if self.drawn_out:
             first = 1  # further ones gain little there, while those at the sources are quick
             measure = partial(measure, enough=MAX_GAP)
         found = measure(ascent_steps=first if improve else ASCENT_STEPS)

@@ -256,12 +256,7 @@ def _measure(
     notify(1, {})
     fitted, swapped = dual.initial_potential()
     notify(2, {})
-    best, first = dual.bound(fitted), 1.0
-    if potential is not None:
-        given = real_numbers(potential, "potential", mass.shape)
-        other = dual.bound(given)
-        if other.excess < best.excess:
-            best, first = other, FIRST_OF_GIVEN
+    best, first = _better_of(dual, fitted, potential)
     cost = 2.0 * float(mass @ dual.cost)
     far = 2.0 * best.excess >= cost > 0.0  # where points are far apart a potential fitted to them may bound nothing
     if far:
@@ -302,6 +297,16 @@ def _measure(
         vertex_gap=vertex_gap,
         stream=stream,
     )
+
+
+def _better_of(dual: TransportDual, fitted: Array, potential: ArrayLike | None) -> tuple[Bound, float]:
+    """Return the better bound of a potential fitted and one given, if any, and the length of the first step from it."""
+    best = dual.bound(fitted)
+    if potential is not None:
+        given = dual.bound(real_numbers(potential, "potential", dual.mass.shape))
+        if given.excess < best.excess:
+            return given, FIRST_OF_GIVEN
+    return best, 1.0
 
 
 def _ascended(
