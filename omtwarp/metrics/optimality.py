@@ -208,7 +208,8 @@ def map_optimality(
         The report.
 
     Raises:
-        OmtwarpError: the result has no map of that stage.
+        OmtwarpError: the result has no map of that stage, or is of a surface with holes, handles or several parts,
+            whose report says how far it is from optimal.
 
     Example:
         >>> import omtwarp
@@ -217,6 +218,11 @@ def map_optimality(
         >>> bool(omtwarp.map_optimality(result).gap < 0.1)
         True
     """
+    if hasattr(result, "domain"):
+        raise OmtwarpError(
+            "this measure is for closed surfaces of genus 0: of others see report['optimality'], of parts "
+            "report['parts']"
+        )
     points = (
         getattr(result, stage, None) if isinstance(stage, str) and stage in ("sphere", "moser", "transported") else None
     )

@@ -20,7 +20,7 @@ from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
-from omtwarp.options import Interpolation, choose
+from omtwarp.options import Domain, Interpolation, choose
 from omtwarp.resampling import weights
 from omtwarp.result import OF_MAPS, MapResult
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
@@ -100,6 +100,8 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
         if beside is not None:
             return SpherePoints(mesh_grid(beside, mesh.faces, str(path)), mesh.vertices)
         return SpherePoints(mesh_grid(mesh.vertices, mesh.faces, str(path)))
+    if getattr(given, "domain", None) == Domain.TORUS:
+        raise OmtwarpError(f"{name}: a map to a torus, where one to the sphere is needed, as domain='sphere' makes")
     if isinstance(given, tuple | list) and len(given) == 2:
         return SpherePoints(mesh_grid(given[0], given[1], name))
     if hasattr(given, "vertices") and hasattr(given, "faces"):

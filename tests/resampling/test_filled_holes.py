@@ -192,6 +192,23 @@ def test_file_of_a_filled_map_gives_the_same(filled, tmp_path):
     assert np.array_equal(read.matrix.toarray(), resample(filled, "ico2", device="cpu").matrix.toarray())
 
 
+def test_maps_to_a_torus_are_named():
+    ring = shapes.rings(1, cell=0.45)
+    result = omtwarp.map_surface((ring.vertices, ring.faces))
+    for use in (lambda: align(result), lambda: resample("ico2", result), lambda: shape_distance(result, result)):
+        with pytest.raises(OmtwarpError, match="a map to a torus, where one to the sphere is needed"):
+            use()
+    with pytest.raises(OmtwarpError, match=r"see report\['optimality'\]"):
+        omtwarp.map_optimality(result)
+    assert result.report["optimality"]["gap"] < 0.01
+
+
+def test_optimality_of_a_filled_map_is_in_its_report(filled):
+    with pytest.raises(OmtwarpError, match=r"see report\['optimality'\]"):
+        omtwarp.map_optimality(filled)
+    assert filled.report["optimality"]["gap"] < 0.01
+
+
 def test_cut_surface(cut):
     """Data of the input's vertices count at both copies along the cuts."""
     count, result = cut
