@@ -188,7 +188,9 @@ def _check_domain(domain: Domain, part_count: int, components: bool, together: b
     if domain == Domain.TORUS:
         raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
     if part_count > 1 and not components:
-        raise OmtwarpError(f"the surface has {part_count} parts: components=True maps each by itself")
+        raise OmtwarpError(
+            f"the surface has {part_count} parts: --components (components=True in Python) maps each by itself"
+        )
 
 
 def _certify(maps: list[SurfaceMap]) -> None:

@@ -19,15 +19,12 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import cast
 
 from omtwarp.cohort.item import Job
-from omtwarp.cohort.work import run_item
+from omtwarp.cohort.work import mapped, run_item
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.write import write_mesh
-from omtwarp.options import MapKeywords
-from omtwarp.pipeline import map_to_sphere
 
 POLL = 0.02  # seconds between polls of an item, where the system cannot wait for it
 PR_SET_PDEATHSIG = 1  # of Linux's prctl
@@ -63,12 +60,11 @@ def _load(job: Job) -> None:
 
     A map does this that is small enough to start no thread, which a fork would lose.
     """
-    options = cast(MapKeywords, {name: value for name, value in job.options.items() if name != "repair"})
     surface = blob(0, sphere=320)
     with tempfile.TemporaryDirectory() as folder:
         write_mesh(Path(folder) / "warm.ply", surface.vertices, surface.faces)
         mesh = read_mesh(Path(folder) / "warm.ply")
-        map_to_sphere((mesh.vertices, mesh.faces), **options).save(Path(folder) / "warm.npz")
+        mapped((mesh.vertices, mesh.faces), job.options).save(Path(folder) / "warm.npz")
     gc.collect()
     gc.freeze()  # collections in forks leave these pages shared
 

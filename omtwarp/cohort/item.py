@@ -31,7 +31,7 @@ class Job:
         path: of its mesh.
         folder: of the cohort's results.
         key: hash of input, options and version; a record with the same key is final.
-        options: of :func:`omtwarp.map_to_sphere`, and ``repair``.
+        options: of :func:`omtwarp.map_to_sphere`, ``repair``, and ``fill_area`` where holes are filled.
         time_limit: seconds.
         memory_limit: bytes that the item may allocate beyond what the process starts with; 0 for no limit.
     """

@@ -16,7 +16,7 @@ from omtwarp.cohort.manifest import Item
 from omtwarp.cohort.table import write_table
 from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import MapKeywords, MapOptions, Progress
+from omtwarp.options import FillArea, MapKeywords, MapOptions, Progress, choose
 
 TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
 
@@ -52,6 +52,7 @@ def run_cohort(
     collect: bool = False,
     progress: Progress | None = None,
     repair: bool = False,
+    fill_area: str | None = None,
     **options: Unpack[MapKeywords],
 ) -> CohortResult:
     """Map many surfaces, each in a process of its own; a surface that fails becomes a row of the table.
@@ -71,6 +72,8 @@ def run_cohort(
         collect: only write the table and the page of what is there.
         progress: called as ``progress("cohort", done, total, {"failed": ...})``.
         repair: repair meshes first, as ``omtwarp map --repair`` does.
+        fill_area: fill holes of surfaces, on the sphere with their own area (``natural``) or a ``small`` one, see
+            :func:`omtwarp.map_surface`; without it surfaces with holes are failures.
         options: of :func:`omtwarp.map_to_sphere`.
 
     Raises:
@@ -97,6 +100,8 @@ def run_cohort(
     if workers < 1:
         raise OmtwarpError(f"{workers} workers: there must be one at least")
     asked = _asked(options) | {"repair": repair}
+    if fill_area is not None:
+        asked["fill_area"] = str(choose(FillArea, fill_area))
     target = Path(folder).absolute()
     make_folders(target)
     jobs = [

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
+from omtwarp.any_surface import map_surface
 from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, locked, read_record, write_record
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.repair import repair
 from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.options import MapKeywords
+from omtwarp.options import Domain, MapKeywords
 from omtwarp.pipeline import map_to_sphere
 from omtwarp.result import MapResult
 
@@ -40,16 +43,30 @@ def run_item(job: Job) -> Row:
 
 
 def _map(job: Job) -> Row:
-    options = dict(job.options)
-    repair_first = bool(options.pop("repair", False))
+    repair_first = bool(job.options.get("repair"))
     mesh = read_joined_mesh(Path(job.path), triangulate=repair_first)
     vertices, faces = mesh.vertices, mesh.faces
     if repair_first:
-        repaired = repair(vertices, faces)
+        repaired = repair(vertices, faces, whole="fill_area" not in job.options)
         vertices, faces = repaired.vertices, repaired.faces
-    result = map_to_sphere((vertices, faces), **cast(MapKeywords, options))
+    result = mapped((vertices, faces), job.options)
     result.save(job.map_file)
     return numbers_of(result)
+
+
+def mapped(mesh: MeshLike, asked: Mapping[str, object]) -> MapResult:
+    """Map a surface to the sphere, its holes filled where the options have ``fill_area``.
+
+    Args:
+        mesh: the surface.
+        asked: the options of a job.
+    """
+    options = cast(MapKeywords, {name: value for name, value in asked.items() if name not in ("repair", "fill_area")})
+    if "fill_area" not in asked:
+        return map_to_sphere(mesh, **options)
+    area = str(asked["fill_area"])
+    result = map_surface(mesh, domain=Domain.SPHERE, fill_area=area, components=False, cut=False, **options)
+    return cast(MapResult, result)  # as the domain is no torus
 
 
 def numbers_of(result: MapResult) -> Row:
@@ -90,4 +107,4 @@ def _peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-__all__ = ["numbers_of", "run_item"]
+__all__ = ["mapped", "numbers_of", "run_item"]

@@ -15,6 +15,7 @@ import typer
 from omtwarp.commands._options import (
     CostOption,
     DeviceOption,
+    FillAreaOption,
     MethodOption,
     QuietOption,
     RefineOption,
@@ -87,6 +88,7 @@ def cohort(
     cost: CostOption = MapOptions.cost,
     scheme: SchemeOption = MapOptions.scheme,
     refine: RefineOption = str(Refinement.NONE),
+    fill_area: FillAreaOption = None,
     repair: RepairOption = False,
     device: DeviceOption = MapOptions.device,
     solver: SolverOption = MapOptions.solver,
@@ -117,6 +119,7 @@ def cohort(
             collect=collect,
             progress=progress,
             repair=repair,
+            fill_area=fill_area,
             method=method,
             until=until,
             cost=cost,

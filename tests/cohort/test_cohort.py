@@ -35,6 +35,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, demo_shape
 from omtwarp.mesh.write import write_mesh
 from omtwarp.result import MapResult
+from omtwarp.surface_map import read_map
 
 PATIENCE = 240.0  # seconds; only a machine that does nothing for us makes a test wait so long
 PR_SET_CHILD_SUBREAPER = 36  # of Linux's prctl
@@ -395,3 +396,31 @@ def test_requests_that_cannot_be_met(tmp_path, capsys, monkeypatch, words, messa
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_holes_are_filled_where_asked_for(tmp_path, capsys):
+    """Closed and open surfaces are mapped alike, and a group takes them; surfaces of two parts are failures."""
+    paths = write_shapes(tmp_path / "in", 4, faces=320)
+    for k, path in enumerate(paths[1:3], 1):
+        surface = blob(k, amplitude=0.2, degree=3, sphere=320)
+        kept = surface.faces[(surface.vertices[surface.faces, 2] < 0.8).all(axis=1)]
+        used, faces = np.unique(kept, return_inverse=True)
+        write_mesh(path, surface.vertices[used], faces.reshape(-1, 3))
+    surface = blob(0, sphere=80)
+    twice = np.vstack([surface.vertices, surface.vertices + 5]), np.vstack([surface.faces, surface.faces + 42])
+    write_mesh(paths[3], *twice)
+    words = [str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--workers", "1", "--device", "cpu", "--json"]
+    with pytest.raises(SystemExit) as ended:
+        main(["cohort", *words, "--fill-area", "small", "--quiet"])
+    assert not ended.value.code
+    assert json.loads(capsys.readouterr().out)["counts"] == {"ok": 3, "error": 1}
+    maps = [tmp_path / "out" / "maps" / f"{path.stem}.npz" for path in paths[:3]]
+    closed, *filled = [read_map(file) for file in maps]
+    assert type(closed) is MapResult and all(one.closed().certificate.bijective for one in filled)
+    plain = run_cohort(read_manifest(tmp_path / "in"), tmp_path / "plain", workers=1, device="cpu")
+    assert plain.counts == {"ok": 1, "error": 3}
+    with pytest.raises(SystemExit) as ended:
+        main(["group", *map(str, maps), "-o", str(tmp_path / "study"), "--grid", "ico1", "--degree", "3", "--quiet"])
+    assert not ended.value.code and (tmp_path / "study" / "distances.csv").exists()
+    with pytest.raises(OmtwarpError, match="natural"):
+        run_cohort(read_manifest(tmp_path / "in"), tmp_path / "plain", fill_area="large")
