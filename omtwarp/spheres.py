@@ -190,8 +190,8 @@ def mesh_grid(
         raise OmtwarpError(f"{name}: the triangles are clockwise seen from outside; reverse them")
     if abs(cover - 1.0) > WHOLE_COVER:
         raise OmtwarpError(
-            f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times; maps of closed and of filled "
-            "surfaces do"
+            f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times: give the sphere of a closed "
+            "surface, or the .npz of one with filled holes, which has the filling"
         )
     return SphereGrid(name, unit, corners, (len(unit),), own=own)
 

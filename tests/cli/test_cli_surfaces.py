@@ -263,3 +263,15 @@ def test_error_of_harmonics_is_that_of_the_surface(capsys, maps, tmp_path):
     apart = ((found.at(result.sphere) - result.vertices) ** 2).sum(axis=1)
     areas = omtwarp.Surface(result.vertices, result.faces).vertex_areas
     assert json.loads(out)["rms_error"] == pytest.approx(np.sqrt(areas @ apart / areas.sum()))
+
+
+def test_sphere_of_a_filled_map_alone_is_refused(capsys, maps, tmp_path):
+    """A mesh holds the surface's own triangles only; the line says that the map's file has the others."""
+    status, _, err = run(
+        capsys, "map", maps / "open.ply", "-o", tmp_path / "s.ply", "--fill-area", "natural", "--quiet"
+    )
+    assert status == 0, err
+    status, _, err = run(
+        capsys, "resample", tmp_path / "s.ply", "--to", "ico2", "--data", maps / "natural.npy", "-o", "d.npy"
+    )
+    assert status == 1 and "or the .npz of one with filled holes" in err and err.count("\n") == 1
