@@ -82,6 +82,9 @@ FEW_STEPS, OF_FEW, OF_MANY = 3, (0.4, 1.6, 0.0), (0.5, 1.2, 0.3)
 MANY_POINTS, FIRST_OF_MANY_POINTS = 8_000, 2.0
 # Potentials given were raised already: steps of more than this times that length fail on a cortex, in four trials.
 FIRST_OF_GIVEN = 1.0 / 16.0
+# Few steps go on, up to so many times as many, while each takes away this share of the excess: on half of a caudate
+# nucleus the gap falls from 5.8 to 1.97, 1.03, 0.46 % in three, whose map is nearer than that.
+LONGEST, LARGE_GAIN = 3, 0.25
 
 STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its bound
 MOST_PIVOTS = 10_000_000  # of the network simplex: POT's default of 100,000 ends too soon above some thousand points
@@ -163,7 +166,8 @@ def optimality(
         start: the x_i that are transported (the conformal or substitute start), in the same way.
         masses: the m_i, shape [V], positive; scaled to sum to 4π. The surface's areas around vertices by default.
         potential: ψ at the y_i, shape [V], radians²; estimated from the map by default.
-        ascent_steps: at most this many improvements of the potential.
+        ascent_steps: at most this many improvements of the potential; of up to three, three times as many while each
+            takes away a quarter of what is left.
         enough: the gap at which the improvements end.
         device: where kernels run.
         progress: called as ``progress("optimality", step, most steps, {"gap": gap})``.
@@ -200,7 +204,8 @@ def map_optimality(
     Args:
         result: what :func:`omtwarp.map_to_sphere` or :meth:`omtwarp.MapResult.load` returned.
         stage: the final map (``sphere``), or ``moser`` or ``transported`` for the map of that stage.
-        ascent_steps: at most this many improvements of the potential.
+        ascent_steps: at most this many improvements of the potential; of up to three, three times as many while each
+            takes away a quarter of what is left.
         device: where kernels run.
         progress: called as ``progress("optimality", step, most steps, {"gap": gap})``.
 
@@ -377,7 +382,7 @@ def ascend(
     Args:
         dual: the problem.
         best: the bound to begin with.
-        most: steps at most.
+        most: steps; where they are few, up to LONGEST times as many while each takes away a large share of the excess.
         near: whether a bound after a number of steps is near enough to the cost.
         first: length of the first step, in units of what would bring a straight line to zero.
 
@@ -387,8 +392,9 @@ def ascend(
     shorter, longer, kept = OF_FEW if most <= FEW_STEPS else OF_MANY
     length: float | None = None
     direction: Array | None = None
-    for done in range(most):
-        if near(best, done):
+    gained, done = 1.0, 0  # share of the excess that the last step took away
+    while done < most or (most <= FEW_STEPS and done < LONGEST * most and gained > LARGE_GAIN):
+        if near(best, min(done, most)):
             return best, done
         steepest, slope = dual.ascent_direction(best)
         if not slope > 0.0:
@@ -404,8 +410,9 @@ def ascend(
             length *= shorter
         else:
             return best, done
-        best, length = trial, longer * length
-    return best, most
+        gained = 1.0 - trial.excess / best.excess
+        best, length, done = trial, longer * length, done + 1
+    return best, done
 
 
 def _excess(cost: float, bound: float) -> float:
