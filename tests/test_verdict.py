@@ -40,6 +40,15 @@ def test_a_face_with_forty_percent_of_the_area_is_named_with_its_place():
         map_to_sphere((vertices, faces), device="cpu", strict=True)
 
 
+def test_a_minimum_far_above_the_bound_is_not_called_optimal():
+    """Newton's method ends where a large face holds the map, at a gap of 1.1 and a curl of 0.5: that is said."""
+    with pytest.warns(OmtwarpWarning, match=r"omt did not converge: a minimum with the shape term, \d+ % above"):
+        result = map_to_sphere(large_face(0.4, 3), device="cpu")
+    stage = next(stage for stage in result.report["stages"] if stage["name"] == "omt")
+    assert not stage["converged"] and "above the bound" in stage["ended"]
+    assert result.report["optimality"]["gap"] > 0.5 and result.report["optimality"]["relative_curl"] > 0.25
+
+
 def test_a_plate_as_cad_programs_write_it():
     with pytest.warns(OmtwarpWarning, match="long triangles"):
         result = map_to_sphere(prism(40, 0.02, "fan"), device="cpu")
