@@ -8,6 +8,9 @@ harmonic: the same with cotangent weights (U. Pinkall and K. Polthier, 1993).
 stretch: stretch energy minimisation by fixed-point iteration (M.-H. Yueh, W.-W. Lin, C.-T. Wu and S.-T. Yau, "A novel
 stretch energy minimization algorithm for equiareal parameterizations", Journal of Scientific Computing 78, 2019), from
 the harmonic map: at most 100 steps, the one with the least energy kept.
+authalic: authalic energy minimisation by preconditioned nonlinear conjugate gradients (S.-Y. Liu and M.-H. Yueh,
+"Convergent authalic energy minimization for disk area-preserving parameterizations", Journal of Scientific Computing
+100, 2024), with the boundary's angles as unknowns, from five steps of the fixed-point iteration: at most 200 steps.
 omtwarp: map_surface(domain="disk"); refined: the same with refine="area".
 
 Area and angle distortion are means of r + 1/r over the surface's area, of the flat triangles: r is the ratio of areas,
@@ -20,6 +23,7 @@ import argparse
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -33,6 +37,10 @@ from omtwarp.open_surfaces.planar import flipped_in_plane
 from omtwarp.topology.boundary import boundary_loops
 
 STEPS, ENOUGH = 100, 1e-6
+FIRST_STEPS, DESCENT_STEPS = 5, 200
+SUFFICIENT, HALVINGS, LEAST_GAIN = 1e-4, 30, 1e-12  # of a step along a direction of descent
+
+Energy = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 def laid_flat(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -101,15 +109,25 @@ def harmonic(vertices: np.ndarray, faces: np.ndarray, loop: np.ndarray) -> np.nd
     return plane(solved(laplacian(vertices, faces), loop, on_circle(vertices, loop)))
 
 
-def stretch(vertices: np.ndarray, faces: np.ndarray, loop: np.ndarray) -> np.ndarray:
-    """Fixed points of the stretch Laplacian; the boundary follows through an inversion at the circle."""
+def shares(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Areas of the triangles, pi in all."""
     areas = 0.5 * np.abs(np.linalg.det(laid_flat(vertices, faces)))
-    areas *= np.pi / areas.sum()
+    return areas * (np.pi / areas.sum())
+
+
+def areas_in_plane(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Signed areas of the triangles of a map to the plane."""
+    return 0.5 * np.linalg.det(np.swapaxes(points[faces[:, 1:]] - points[faces[:, :1]], 1, 2))
+
+
+def stretch(vertices: np.ndarray, faces: np.ndarray, loop: np.ndarray, steps: int = STEPS) -> np.ndarray:
+    """Fixed points of the stretch Laplacian; the boundary follows through an inversion at the circle."""
+    areas = shares(vertices, faces)
     disk = harmonic(vertices, faces, loop)
     inside = np.setdiff1d(np.arange(len(vertices)), loop)
     best, least = disk, np.inf
-    for _ in range(STEPS):
-        images = 0.5 * np.abs(np.linalg.det(np.swapaxes(disk[faces[:, 1:]] - disk[faces[:, :1]], 1, 2)))
+    for _ in range(steps):
+        images = np.abs(areas_in_plane(disk, faces))
         energy = float((images**2 / areas).sum())
         if energy < least:
             gained, best, least = least - energy, disk, energy
@@ -123,6 +141,72 @@ def stretch(vertices: np.ndarray, faces: np.ndarray, loop: np.ndarray) -> np.nda
         rim -= rim.mean()
         disk = plane(solved(matrix, loop, rim / np.abs(rim)))
     return best
+
+
+def authalic_energy(points: np.ndarray, faces: np.ndarray, areas: np.ndarray) -> tuple[float, np.ndarray]:
+    """The stretch energy, scaled by the areas in all, less the area of the image, and its derivatives, shape [V, 2]."""
+    images = areas_in_plane(points, faces)
+    stretched, covered, whole = float((images**2 / areas).sum()), float(images.sum()), float(areas.sum())
+    slope = whole / covered * (2.0 * images / areas - stretched / covered) - 1.0
+    gradient = np.zeros_like(points)
+    for k in range(3):
+        opposite = points[faces[:, (k + 2) % 3]] - points[faces[:, (k + 1) % 3]]
+        for axis, part in enumerate((-opposite[:, 1], opposite[:, 0])):
+            gradient[:, axis] += np.bincount(faces[:, k], 0.5 * slope * part, len(points))
+    return whole / covered * stretched - covered, gradient
+
+
+def authalic(vertices: np.ndarray, faces: np.ndarray, loop: np.ndarray) -> np.ndarray:
+    """Conjugate gradients on the authalic energy, of the places inside and the angles of the boundary's vertices."""
+    areas, inside = shares(vertices, faces), np.setdiff1d(np.arange(len(vertices)), loop)
+    start, split = stretch(vertices, faces, loop, FIRST_STEPS), 2 * len(inside)
+    matrix = laplacian(start, faces, np.abs(areas_in_plane(start, faces)) / areas)
+    factors = [splu(matrix[part][:, part].tocsc()) for part in (inside, loop)]
+
+    def placed(unknowns: np.ndarray) -> np.ndarray:
+        out = np.empty((len(vertices), 2))
+        out[inside] = unknowns[:split].reshape(-1, 2)
+        out[loop] = np.stack([np.cos(unknowns[split:]), np.sin(unknowns[split:])], axis=1)
+        return out
+
+    def energy(unknowns: np.ndarray) -> tuple[float, np.ndarray]:
+        points = placed(unknowns)
+        value, gradient = authalic_energy(points, faces, areas)
+        along = gradient[loop, 1] * points[loop, 0] - gradient[loop, 0] * points[loop, 1]
+        return value, np.concatenate([gradient[inside].ravel(), along])
+
+    def preconditioned(gradient: np.ndarray) -> np.ndarray:
+        within = factors[0].solve(gradient[:split].reshape(-1, 2))
+        return np.concatenate([within.ravel(), factors[1].solve(gradient[split:])])
+
+    angles = np.arctan2(start[loop, 1], start[loop, 0])
+    return placed(descended(energy, preconditioned, np.concatenate([start[inside].ravel(), angles])))
+
+
+def descended(energy: Energy, preconditioned: Callable[[np.ndarray], np.ndarray], now: np.ndarray) -> np.ndarray:
+    """Where conjugate gradients (E. Polak and G. Ribière, 1969) end that start from given unknowns."""
+    value, gradient = energy(now)
+    scaled = preconditioned(gradient)
+    direction, step = -scaled, 1.0
+    for _ in range(DESCENT_STEPS):
+        descent = float(gradient @ direction)
+        if descent >= 0.0:
+            direction, descent = -scaled, -float(gradient @ scaled)
+        for _ in range(HALVINGS):
+            reached, there = energy(now + step * direction)
+            if reached <= value + SUFFICIENT * step * descent:
+                break
+            # The least of the parabola through what is known, but neither too short a step nor nearly the same.
+            step *= float(np.clip(-0.5 * descent * step / (reached - value - descent * step), 0.1, 0.5))
+        else:
+            break
+        now, gained, value = now + step * direction, value - reached, reached
+        scaled_there = preconditioned(there)
+        share = max(0.0, float(scaled_there @ (there - gradient)) / float(scaled @ gradient))
+        direction, gradient, scaled, step = -scaled_there + share * direction, there, scaled_there, 2.0 * step
+        if gained < LEAST_GAIN:
+            break
+    return now
 
 
 def plane(places: np.ndarray) -> np.ndarray:
@@ -146,7 +230,7 @@ def main() -> int:
             if len(loops) > 1:
                 print(f"| {name}, {height} | {len(faces)} | {len(loops)} holes |")
                 continue
-            for way in (tutte, harmonic, stretch, "omtwarp", "refined"):
+            for way in (tutte, harmonic, stretch, authalic, "omtwarp", "refined"):
                 begun = time.process_time()
                 surface = vertices, faces
                 with warnings.catch_warnings():
@@ -159,7 +243,7 @@ def main() -> int:
                         disk, surface = found.disk, (found.vertices, found.faces)
                 seconds = time.process_time() - begun
                 flips, area, angle = judged(*surface, disk)
-                numbers = f"{flips} | {area:.4g} | {angle:.4g} | {seconds:.1f}"
+                numbers = f"{flips} | {area:.5g} | {angle:.4g} | {seconds:.1f}"
                 print(f"| {name}, {height} | {len(faces)} | {label} | {numbers} |", flush=True)
     return 0
 
