@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from sphere_truths import SHARED, pushed_north, random_rotation
 
 import omtwarp
-from omtwarp.alignment import align, align_to_axes, procrustes_mean
+from omtwarp.alignment import align, align_to_axes, procrustes_mean, turned_map
 from omtwarp.alignment.group import superpose
 from omtwarp.alignment.rotation_search import (
     best_rotation,
@@ -24,6 +24,7 @@ from omtwarp.harmonics import real_harmonics
 from omtwarp.mesh import shapes
 from omtwarp.resampling import SpherePoints, resample
 from omtwarp.spheres import mesh_grid
+from omtwarp.topology.kind import parts_of
 
 SPHERE = shapes.icosphere(20)
 
@@ -130,6 +131,29 @@ def test_turns_of_scans_are_found_again(name):
         rotation = random_rotation(seed)
         other = turned(points, rotation, random_rotation(seed + 500), noise=1e-3, seed=seed)
         assert degrees_apart(align(points, other, by="features").rotation, rotation) < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("area", "degrees", "apart"), [("natural", 0.4, 0.8), ("small", 0.6, 2.5)])
+def test_cortex_without_its_medial_wall_is_aligned_to_the_whole(area, degrees, apart):
+    """Against the best rotation of equal vertices, and millimetres on one grid (medians)."""
+    path = SHARED / "data" / "cortex_white_lh_20k.ply"
+    if not path.exists():
+        pytest.skip("the scans are not beside this checkout")
+    mesh = omtwarp.read_mesh(path)
+    around = mesh.vertices - mesh.vertices.mean(axis=0)
+    middle = np.array([around[:, 0].max(), 0.0, 0.0])
+    wall = np.linalg.norm((around - middle) * [1.0, 0.5, 1.0], axis=1) < 18.0
+    used, kept = np.unique(mesh.faces[~wall[mesh.faces].any(axis=1)], return_inverse=True)
+    part = max(parts_of(mesh.vertices[used], kept.reshape(-1, 3)), key=lambda one: len(one.faces))
+    whole = omtwarp.map_to_sphere((mesh.vertices, mesh.faces), device="cpu")
+    filled = omtwarp.map_surface((part.vertices, part.faces), domain="sphere", fill_area=area, device="cpu")
+    found = align(filled, whole)
+    left, _, right = np.linalg.svd(filled.sphere.T @ whole.sphere[used[part.vertex_origin]])
+    assert degrees_apart(found.rotation, (left @ right).T) < degrees
+    ours = omtwarp.resample(turned_map(filled, found), "fsaverage5", device="cpu")
+    theirs = omtwarp.resample(whole, "fsaverage5", device="cpu").surface()
+    assert np.median(np.linalg.norm(ours.surface() - theirs, axis=1)[~ours.empty]) < apart
 
 
 def test_another_mesh_of_the_same_shape():
