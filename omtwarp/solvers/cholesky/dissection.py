@@ -30,6 +30,9 @@ MAX_CUT_RATIO = 5.0
 # and a blob's of 100,000 triangles the same, a bunny's 0.96 times. With 6 rings operations are fewer by a tenth, and
 # are found in twice the time.
 MIN_REFINED, BAND_RINGS, BAND_SHARE = 1000, 3, 0.15
+# Where that saves less than this share at one depth, deeper parts keep their straight cuts: scans save 6 to 44 % at
+# nearly every depth, a blob of a million regular triangles 4 % of the operations for half of its dissection's time.
+LEAST_SAVED = 0.05
 
 # Of a unit that a part's positions take: less than 1, so that rounding puts none into the next part.
 WITHIN_PART = 0.999
@@ -197,6 +200,7 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
     part = np.zeros(count, dtype=np.int64)  # of every vertex alive, numbered without gaps
     sizes = np.array([count])
     slot = np.empty(count, dtype=np.int64)
+    worthwhile = True  # whether fewer vertices separate than straight cuts need
     while sizes.max() > leaf:
         positions, axes = _principal_axes(points[alive], part, sizes)
         slot[alive] = np.arange(len(alive))
@@ -212,8 +216,10 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int64], leaf: int) ->
         side = (cut.share > 0.0) & divided
         separates = _ends(pairs, side, part, len(sizes))
         refined = (sizes > MIN_REFINED)[part]
-        if refined.any():
+        if worthwhile and refined.any():
+            before = int(separates[refined].sum())
             separates, side = _fewer(pairs, cut.share, refined, separates, side, part, len(sizes))
+            worthwhile = int(separates[refined].sum()) <= (1.0 - LEAST_SAVED) * before
         stays = ~separates & divided
         going = alive[stays]
         node[going] = 2 * node[going] + side[stays]
