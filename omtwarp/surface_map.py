@@ -129,7 +129,7 @@ class SurfaceMap(MapResult):
         the filling is small on the sphere.
 
         Raises:
-            OmtwarpError: the map is to a hemisphere, a disk or a cap, or of several parts.
+            OmtwarpError: the map is to a hemisphere, a disk or a cap, or of several parts; or its arrays do not fit.
 
         Example:
             >>> import omtwarp
@@ -149,6 +149,8 @@ class SurfaceMap(MapResult):
             return self
         if self.filled_conformal is None:
             raise OmtwarpError("the map does not have the conformal map of what fills its holes: map the mesh again")
+        if not np.array_equal(self.filled_faces[: len(self.faces)], self.faces):
+            raise OmtwarpError("'filled_faces' has to begin with the map's faces: map the mesh again")
         whole = Surface(self.filled_vertices, self.filled_faces.astype(np.int32))
         image = triangle_areas(self.filled_conformal, whole.faces)
         return MapResult(

@@ -62,6 +62,8 @@ def test_maps_to_a_part_of_the_sphere_are_not_closed(holed):
     with pytest.raises(OmtwarpError, match="map the mesh again"):
         made = omtwarp.map_surface(holed, domain="sphere", until="conformal", device="cpu")
         replace(made, filled_conformal=None).closed()
+    with pytest.raises(OmtwarpError, match="begin with the map's faces"):
+        replace(made, filled_faces=made.filled_faces[::-1]).closed()
 
 
 @pytest.mark.parametrize("by", ["auto", "features"])
