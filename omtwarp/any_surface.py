@@ -24,7 +24,9 @@ from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetr
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
 from omtwarp.open_surfaces.planar import untangle_in_plane, untangle_on_sphere
+from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (
+    AreaMatch,
     CutAlong,
     Domain,
     FillArea,
@@ -32,6 +34,7 @@ from omtwarp.options import (
     MapOptions,
     Progress,
     Solver,
+    Stage,
     choose,
     parse_refinement,
 )
@@ -626,10 +629,15 @@ def _on_hemisphere(
         image = found
         closed = _turned(closed, frame)
     result = _restricted(part, opened, closed, image, domain)
-    return result if domain == "hemisphere" else _projected(part, half, result, domain)
+    if domain == "hemisphere":
+        return result
+    refinement = None
+    if Stage.REFINE in chosen.stages and chosen.refine is not None and not isinstance(chosen.refine, AreaMatch):
+        refinement = refinement_weight(chosen.refine)
+    return _projected(part, half, result, domain, refinement)
 
 
-def _projected(part: Part, half: Surface, result: SurfaceMap, domain: str) -> SurfaceMap:
+def _projected(part: Part, half: Surface, result: SurfaceMap, domain: str, refinement: float | None) -> SurfaceMap:
     """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips."""
     begun = perf_counter()
     whole, faces = _whole(result)
@@ -641,7 +649,7 @@ def _projected(part: Part, half: Surface, result: SurfaceMap, domain: str) -> Su
         share = float(areas[hole.patch < 0].sum() / areas.sum())
         result = _on_cap(result, share, half)
     else:
-        disk, flips = untangle_in_plane(hemisphere_to_disk(whole), faces, _rim(faces, len(whole)), half)
+        disk, flips = untangle_in_plane(hemisphere_to_disk(whole), faces, _rim(faces, len(whole)), half, refinement)
         if flips:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"

@@ -31,6 +31,9 @@ PATCHES = tuple(replace(schedule, weight=100.0) for schedule in SCHEDULES)
 UNEVEN, LARGEST_AREA = 1.2, 2.0095
 EVENINGS, HEAVIER_EVENINGS = (100.0,) * 3, (200.0,) * 2 + (400.0,) * 3  # weights of area
 EVENED = Schedule(rings=9, factor=0.5, steps=10, thinnest=0.0, largest=1e-3)
+# Refinement in the plane: rounds over the whole disk with the weight asked for, until no vertex moves farther.
+# With the weight 100 a part of a squirrel then has area distortion 2.0010, but 2.017 where a hundredth ends the rounds.
+REFINEMENTS, SETTLED = 12, 1e-3
 LEAST_MARGIN = 1e-9  # from a flip, of an accepted position
 SOLVES = 3  # of the convex combinations: the first leaves no flips except by rounding
 
@@ -48,21 +51,26 @@ def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
 
 
 def untangle_in_plane(
-    points: Floats, faces: NDArray, held: NDArray[np.bool_], surface: Surface | None = None
+    points: Floats,
+    faces: NDArray,
+    held: NDArray[np.bool_],
+    surface: Surface | None = None,
+    refinement: float | None = None,
 ) -> tuple[Floats, int]:
     """Untangle flipped triangles of a map to the unit disk with the boundary fixed.
 
     A disk is larger than the polygon of its boundary's vertices: where triangles are flipped, points outside of the
     polygon are moved inside first. If the surface is given, the patches around flipped triangles are untangled, and
-    areas that are far off are made even. Where that fails, every vertex becomes a convex combination of its neighbours
-    with its mean value coordinates, or with equal ones at flipped triangles. Then none is flipped, since the polygon
-    is convex [1]_, but areas are no longer right.
+    areas that are far off are made even, or the whole disk is refined. Where that fails, every vertex becomes a convex
+    combination of its neighbours with its mean value coordinates, or with equal ones at flipped triangles. Then none is
+    flipped, since the polygon is convex [1]_, but areas are no longer right.
 
     Args:
         points: a map to the unit disk with few flips, shape [V, 2].
         faces: shape [F, 3].
         held: vertices of the boundary, which lie on the circle, shape [V].
         surface: what is mapped, with the areas that those in the plane are to be in proportion to.
+        refinement: the weight of area against angle distortion with which all triangles are minimised over at last.
 
     Returns:
         The map, and the number of remaining flips, 0 except for rounding.
@@ -72,7 +80,7 @@ def untangle_in_plane(
     flipped = flipped_in_plane(points, faces)
     moved = _drawn_inside(points, held) if flipped.any() else points
     if surface is not None:
-        moved = _untangled_patches(moved, held, surface)
+        moved = _untangled_patches(moved, held, surface, refinement)
     for _ in range(SOLVES):
         flipped = flipped_in_plane(moved, faces)
         if not flipped.any():
@@ -81,8 +89,8 @@ def untangle_in_plane(
     return moved, int(flipped.sum())
 
 
-def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
-    """Untangle patches of a map to the disk with the boundary fixed, and then make areas even where they are not.
+def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface, refinement: float | None) -> Floats:
+    """Untangle patches of a map to the disk with the boundary fixed, and then make areas even, or refine the map.
 
     The plane touches the sphere: the gnomonic projection keeps straight sides and orientations, and a vertex opposite
     to the disk closes the surface. Arguments are those of :func:`untangle_in_plane`, and so is the map returned, which
@@ -102,11 +110,15 @@ def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface
     closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([on_sphere, rest]))
     sphere, plane = start, points
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
-    heavier = [replace(EVENED, weight=weight) for weight in HEAVIER_EVENINGS]
-    for schedule in (*PATCHES, *[replace(EVENED, weight=weight) for weight in EVENINGS], *heavier):
+    refined = [replace(EVENED, weight=refinement)] * REFINEMENTS if refinement is not None else []
+    evened = [] if refined else [replace(EVENED, weight=weight) for weight in EVENINGS]
+    heavier = [] if refined else [replace(EVENED, weight=weight) for weight in HEAVIER_EVENINGS]
+    for schedule in (*PATCHES, *evened, *refined, *heavier):
         images = plane_areas(plane[faces])
         chosen = flipped_in_plane(plane, faces)
-        if schedule not in PATCHES:
+        if schedule in refined:
+            chosen[:] = True
+        elif schedule not in PATCHES:
             if schedule in heavier and not chosen.any():
                 if float((images + wanted**2 / images).sum()) <= LARGEST_AREA * float(wanted.sum()):
                     break
@@ -116,7 +128,9 @@ def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface
         seeds = np.concatenate([chosen, np.zeros(len(fan), dtype=bool)])
         sphere, _ = untangle_patches(closed, sphere, seeds, schedule, resolve_device("cpu"), budget, fixed)
         moved = (sphere != start).any(axis=1)[:apex, None]
-        plane = np.where(moved, sphere[:apex, :2] / sphere[:apex, 2:] / LIFT, points)
+        before, plane = plane, np.where(moved, sphere[:apex, :2] / sphere[:apex, 2:] / LIFT, points)
+        if schedule in refined and np.abs(plane - before).max() < SETTLED:
+            break
     return plane
 
 

@@ -301,6 +301,19 @@ def test_disks_of_few_boundary_vertices_keep_areas(level):
     assert np.array_equal(found[held], laid[held])
 
 
+def test_refinement_of_a_disk_is_in_the_plane():
+    """Each weight trades area for angle; evening of areas alone would bring them back to one and the same map."""
+    measured = []
+    for refine in ("area", None, "balanced", "angle"):
+        result = omtwarp.map_surface(face_with_hole(), domain="disk", refine=refine, optimality=False, device="cpu")
+        assert not flipped_in_plane(result.disk, result.faces).any()
+        distortion = result.distortion("disk")
+        measured.append((distortion.area["surface"], distortion.angle["surface"]))
+    area, angle = np.transpose(measured)
+    assert area[0] < 2.001 < area[1] < 2.005 < area[2] < 2.03 < area[3]
+    assert angle[0] > angle[1] > angle[2] + 0.1 > angle[3] + 0.2
+
+
 def thick_ring(around: int = 24, across: int = 16) -> tuple[np.ndarray, np.ndarray]:
     """A ring torus of near-equilateral triangles."""
     i, j = (index.ravel() for index in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
