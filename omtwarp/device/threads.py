@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
@@ -35,10 +35,19 @@ def pool() -> ThreadPoolExecutor:
 
 
 def run_all(work: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
-    """Run ``work`` for every job in parallel, and return the results; not to be called from within such work."""
+    """Run ``work`` for every job in parallel, and return the results; not to be called from within such work.
+
+    The first job runs on the calling thread, which would only wait: many launches take less time than waking a thread.
+    Maps of scans take 3 to 10 % less time than with all jobs on other threads.
+    """
     if len(jobs) < 2 or core_count() < 2:
         return [work(job) for job in jobs]
-    return list(pool().map(work, jobs))
+    others = [pool().submit(work, job) for job in jobs[1:]]
+    try:
+        return [work(jobs[0]), *(other.result() for other in others)]
+    except BaseException:
+        wait(others)  # what they write to may be used again
+        raise
 
 
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
