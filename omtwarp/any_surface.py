@@ -23,7 +23,7 @@ from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
-from omtwarp.open_surfaces.planar import untangle_in_plane, untangle_on_sphere
+from omtwarp.open_surfaces.planar import untangle_in_plane, untangle_on_sphere, untangle_patches_on_cap
 from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (
     AreaMatch,
@@ -671,8 +671,8 @@ def _on_cap(result: SurfaceMap, share: float, half: Surface | None = None) -> Su
 
     Returns:
         The first that is one to one of: the map as it is projected, the same with flipped triangles untangled, on small
-        caps in their gnomonic projection, where sides are straight, and a map untangled in the disk before. The last
-        one if none is.
+        caps in their gnomonic projection, where sides are straight, a map untangled in the disk before, and patches
+        untangled on the cap. The last one if none is.
     """
     whole, faces = _whole(result)
     rim, laid = _rim(faces, len(whole)), hemisphere_to_disk(whole)
@@ -682,6 +682,8 @@ def _on_cap(result: SurfaceMap, share: float, half: Surface | None = None) -> Su
         lambda: untangle_on_sphere(cap, faces, rim),
         lambda: disk_to_cap(untangle_in_plane(laid, faces, rim, half)[0], share),
     ]
+    if half is not None:
+        ways.append(lambda: untangle_patches_on_cap(cap, rim, half))
     if share < GNOMONIC_SHARE:
         ways.insert(1, lambda: from_gnomonic(untangle_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))
     for way in ways:

@@ -12,7 +12,9 @@ from scipy.sparse.linalg import splu
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
+from omtwarp.spheres import triangle_solid_angles
 from omtwarp.topology.boundary import boundary_loops
 from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, Schedule, untangle_patches
 
@@ -132,6 +134,34 @@ def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface
         if schedule in refined and np.abs(plane - before).max() < SETTLED:
             break
     return plane
+
+
+def untangle_patches_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
+    """Untangle the patches around flipped triangles of a map to a cap with the boundary fixed; flips may be left.
+
+    A fan around the south pole, which no cap contains, closes the surface.
+
+    Args:
+        points: a map to a cap around the north pole, shape [V, 3].
+        held: vertices of the boundary, shape [V].
+        surface: what is mapped, with the areas that those on the cap are to be in proportion to.
+    """
+    faces, apex = surface.faces, len(points)
+    (rim,) = boundary_loops(faces, apex)
+    fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), apex)], axis=1)
+    sphere = np.concatenate([points, [[0.0, 0.0, -1.0]]])
+    of_cap = float(triangle_solid_angles(*(points[faces[:, k]] for k in range(3))).sum())
+    rest = np.full(len(fan), max(SPHERE_AREA - of_cap, TINY) / len(fan))
+    areas = np.concatenate([surface.face_areas * (of_cap / surface.face_areas.sum()), rest])
+    vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
+    closed = Surface(vertices, np.concatenate([faces, fan]), areas)
+    fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
+    for schedule in PATCHES:
+        flipped = flipped_faces(sphere, closed.faces)
+        if not flipped[: len(faces)].any():
+            break
+        sphere, _ = untangle_patches(closed, sphere, flipped, schedule, resolve_device("cpu"), budget, fixed)
+    return sphere[:apex]
 
 
 def untangle_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> Floats:
