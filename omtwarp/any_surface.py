@@ -20,6 +20,7 @@ from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
+from omtwarp.open_surfaces.exact_areas import exact_in_plane, exact_on_cap, shares_of_polygons
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
@@ -40,6 +41,7 @@ from omtwarp.options import (
 )
 from omtwarp.pipeline import map_double, map_to_sphere
 from omtwarp.result import MapResult, MeshReport, StageReport, SurfaceReport
+from omtwarp.spheres import triangle_solid_angles
 from omtwarp.surface_map import SurfaceMap
 from omtwarp.texturing.density import TargetLike
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops, loop_length
@@ -145,7 +147,7 @@ def map_surface(
         if weights is not None:
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
         return _on_torus(parts[0], progress, options)
-    _check_domain(domain, len(parts), components, together, bool(options.get("exact")))
+    _check_domain(domain, len(parts), components, together)
     count = len(np.asarray(vertices))
     shares = None if weights is None else face_weights(weights, np.asarray(faces), count)
     if together:
@@ -166,7 +168,7 @@ def map_surface(
     ]
     caps: tuple[Floats, Floats] | None = None
     if together:
-        maps, centres, sizes = _side_by_side(maps, [_mass(part, shares) for part in parts])
+        maps, centres, sizes = _side_by_side(maps, [_mass(part, shares) for part in parts], bool(options.get("exact")))
         caps = centres, sizes
     _certify(maps)
     return maps[0] if len(maps) == 1 else joined(maps, count, caps)
@@ -178,16 +180,14 @@ def _loops_to_cut(cut: bool, cut_along: str) -> CutAlong | None:
     return along if cut else None
 
 
-def _check_domain(domain: Domain, part_count: int, components: bool, together: bool, exact: bool) -> None:
+def _check_domain(domain: Domain, part_count: int, components: bool, together: bool) -> None:
     """Refuse parts that cannot be mapped to the domain; the surface is neither one sphere nor one torus.
 
     Raises:
-        OmtwarpError: the parts cannot be mapped to the domain, or not with these options.
+        OmtwarpError: the parts cannot be mapped to the domain.
     """
-    if together and (domain != Domain.AUTO or exact):
-        raise OmtwarpError(
-            "parts side by side go to caps, without exact areas: ask for no other domain, and leave exact out"
-        )
+    if together and domain != Domain.AUTO:
+        raise OmtwarpError("parts side by side go to caps: ask for no other domain")
     if domain == Domain.TORUS:
         raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
     if part_count > 1 and not components:
@@ -231,8 +231,13 @@ def _mass(part: Part, weights: Floats | None) -> float:
     return float(areas.sum() if weights is None else areas @ weights[part.face_origin])
 
 
-def _side_by_side(maps: list[SurfaceMap], masses: list[float]) -> tuple[list[SurfaceMap], Floats, Floats]:
+def _side_by_side(maps: list[SurfaceMap], masses: list[float], exact: bool) -> tuple[list[SurfaceMap], Floats, Floats]:
     """Carry maps to hemispheres to disjoint caps, with areas in proportion to the parts' masses.
+
+    Args:
+        maps: to the hemisphere.
+        masses: of the parts.
+        exact: whether the maps are of quartered meshes, and each original triangle keeps its share of all parts.
 
     Returns:
         The maps, the centres of the caps, shape [P, 3], and their shares of the sphere, shape [P].
@@ -246,16 +251,55 @@ def _side_by_side(maps: list[SurfaceMap], masses: list[float]) -> tuple[list[Sur
     centres, covered = pack_caps(wanted / wanted.sum())
     for _ in range(ROUNDS_APART):
         shares = covered * wanted / wanted.sum()
-        placed = [
-            _placed(_on_cap(each, share), centre, share)
-            for each, share, centre in zip(maps, shares, centres, strict=True)
-        ]
+        carried = _on_caps_exactly if exact else _on_caps
+        capped, shares = carried(maps, shares, wanted)
+        placed = [_placed(each, centre, share) for each, share, centre in zip(capped, shares, centres, strict=True)]
         reach = np.array([_reach(each, centre) for each, centre in zip(placed, centres, strict=True)])
         apart = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) - reach[:, None] - reach
         if apart[np.triu_indices(len(maps), 1)].min() > 0.0:
             return placed, centres, shares
         covered *= LESS_COVERED
     raise OmtwarpError("triangles at the rims of parts reach into other parts: use finer meshes, or map each by itself")
+
+
+def _on_caps(maps: list[SurfaceMap], shares: Floats, wanted: Floats) -> tuple[list[SurfaceMap], Floats]:
+    """Carry maps to the hemisphere to caps with these shares of the sphere, which are returned."""
+    return [_on_cap(each, share) for each, share in zip(maps, shares, strict=True)], shares
+
+
+def _on_caps_exactly(maps: list[SurfaceMap], shares: Floats, wanted: Floats) -> tuple[list[SurfaceMap], Floats]:
+    """Do the same for quartered meshes; the maps have exact areas, as the shares returned are a little smaller."""
+    rims = []
+    for each in maps:
+        whole, faces = _whole(each)
+        (rim,) = boundary_loops(faces, len(whole))
+        rims.append(hemisphere_to_disk(whole[rim]))
+    shares = shares_of_polygons(rims, shares, wanted)
+    return [
+        _exact_on_cap(_on_cap(each, share), _wanted_areas(each))[0] for each, share in zip(maps, shares, strict=True)
+    ], shares
+
+
+def _wanted_areas(each: SurfaceMap) -> Floats:
+    """Return the areas that the original triangles of a quartered map are to have up to a factor, fillings included."""
+    points, faces = _whole(each)
+    image = triangle_areas(points, faces)
+    own = triangle_areas(each.vertices, each.faces) if each.measure is None else each.measure
+    image[: len(own)] = own * (image[: len(own)].sum() / own.sum())
+    return image.reshape(-1, PARTS).sum(axis=1)
+
+
+def _exact_on_cap(each: SurfaceMap, wanted: Floats) -> tuple[SurfaceMap, float]:
+    """Give the original triangles of a quartered map to a cap exact areas; returns their largest error too."""
+    whole, faces = _whole(each)
+    points, error = exact_on_cap(whole, faces, _rim(faces, len(whole)), wanted)
+    return _with_points(each, points), error
+
+
+def _with_points(each: SurfaceMap, points: Floats) -> SurfaceMap:
+    """Return a map with other points on the sphere, those of what fills its holes at the end."""
+    filled = None if each.filled_sphere is None else points
+    return replace(each, sphere=points[: len(each.vertices)], filled_sphere=filled)
 
 
 def _whole(each: SurfaceMap) -> tuple[Floats, NDArray]:
@@ -368,11 +412,6 @@ def _map_part(
         raise OmtwarpError(f"the surface has {described(part)}: " + _or(options_for([part])))
     if domain != "sphere" and not part.loops:
         raise OmtwarpError(f"a closed surface has no boundary to put on the rim of a {domain}: map it to the sphere")
-    if domain not in ("sphere", "hemisphere") and options.get("exact"):
-        raise OmtwarpError(
-            f"exact areas are for the sphere and the hemisphere: straight sides of triangles are bent on the way to a "
-            f"{domain}"
-        )
     opened = _opened(part, fill_area, along or CutAlong.AUTO, to_rim=domain != "sphere")
     surface = _surface(opened, weights)
     surface.names = _names(part, opened, names)
@@ -616,7 +655,14 @@ def _on_hemisphere(
         if not is_symmetric(cut, closed.sphere):
             raise OmtwarpError("the map of the doubled surface with exact areas is not symmetric: leave exact out")
         opened, closed = _quartered(opened, _own_half(closed, cut), half)
-        return _restricted(part, opened, closed, closed.sphere, domain)
+        result = _restricted(part, opened, closed, closed.sphere, domain)
+        if domain == "hemisphere":
+            return result
+        whole, faces = _whole(result)
+        parts = Surface(
+            opened.filled.vertices, opened.filled.faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3)))
+        )
+        return _projected(part, parts, result, domain, None, half.face_areas)
     image = closed.sphere
     if not is_symmetric(glued, image):
         frame = mirror_frame(glued, image, surface.vertex_areas)
@@ -637,9 +683,25 @@ def _on_hemisphere(
     return _projected(part, half, result, domain, refinement)
 
 
-def _projected(part: Part, half: Surface, result: SurfaceMap, domain: str, refinement: float | None) -> SurfaceMap:
-    """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips."""
-    begun = perf_counter()
+def _projected(
+    part: Part,
+    half: Surface,
+    result: SurfaceMap,
+    domain: str,
+    refinement: float | None,
+    wanted: Floats | None = None,
+) -> SurfaceMap:
+    """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips.
+
+    Args:
+        part: that is mapped.
+        half: what was mapped, with its holes filled, and the areas that its triangles are to have.
+        result: the map to the hemisphere.
+        domain: ``disk`` or ``cap``.
+        refinement: the weight of area against angle distortion with which a disk is refined.
+        wanted: the exact areas, up to a factor, of the original triangles of a quartered mesh.
+    """
+    begun, error = perf_counter(), None
     whole, faces = _whole(result)
     share = 0.5
     if domain == "cap":
@@ -648,16 +710,23 @@ def _projected(part: Part, half: Surface, result: SurfaceMap, domain: str, refin
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
         result = _on_cap(result, share, half)
+        if wanted is not None:
+            result, error = _exact_on_cap(result, wanted)
     else:
-        disk, flips = untangle_in_plane(hemisphere_to_disk(whole), faces, _rim(faces, len(whole)), half, refinement)
+        rim = _rim(faces, len(whole))
+        disk, flips = untangle_in_plane(hemisphere_to_disk(whole), faces, rim, half, refinement)
         if flips:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
             )
+        if wanted is not None:
+            disk, error = exact_in_plane(disk, faces, rim, wanted)
         result = replace(result, disk=disk[: len(result.vertices)])
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
     measured = result.distortion("disk" if domain == "disk" else "sphere").to_dict()
     projected: StageReport = {"name": domain, "seconds": perf_counter() - begun, "iterations": 0, **measured}
+    if error is not None:
+        projected["largest_area_error"] = error
     return replace(result, report=result.report | {"surface": about, "stages": [*result.report["stages"], projected]})
 
 
@@ -688,8 +757,7 @@ def _on_cap(result: SurfaceMap, share: float, half: Surface | None = None) -> Su
         ways.insert(1, lambda: from_gnomonic(untangle_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))
     for way in ways:
         points = way()
-        filled = None if result.filled_sphere is None else points
-        found = replace(result, sphere=points[: len(result.vertices)], filled_sphere=filled)
+        found = _with_points(result, points)
         if found.certificate.bijective:
             break
     return found

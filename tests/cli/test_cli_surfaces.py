@@ -164,6 +164,8 @@ KINDS = {
     "exact": ("open", "--fill-area", "small", "--exact"),
     "parts": ("two", "--components"),
     "together": ("two", "--together"),
+    "exact disk": ("open", "--disk", "--exact"),
+    "exact together": ("two", "--together", "--exact"),
     "cut": ("pretzel", "--cut"),
     "torus": ("ring", "--torus"),
 }
@@ -172,6 +174,7 @@ SEVERAL = "several parts do not cover one sphere: map each part by itself"
 TORUS = "is a map to a torus"
 # Commands that need the whole sphere take filled and cut surfaces, and say what to do of others.
 NOT_THE_SPHERE = {"hemisphere": PART, "disk": PART, "cap": PART, "parts": SEVERAL, "together": SEVERAL, "torus": TORUS}
+NOT_THE_SPHERE |= {"exact disk": PART, "exact together": SEVERAL}
 OVERLAPPING = {"parts": "with --together", "torus": TORUS}
 COMMANDS = {
     "align {map} -o {out}.npz": NOT_THE_SPHERE,
@@ -185,7 +188,8 @@ COMMANDS = {
     "distance {map} {closed} --degree 3": NOT_THE_SPHERE,
     "group {map} {closed} -o {out} --grid ico1 --degree 3": NOT_THE_SPHERE,
     "transfer {painted} {mesh} --map-from {closed} --map-to {map} -o {out}.glb --size 32": NOT_THE_SPHERE
-    | {"exact": "not in the mesh", "cut": ""},
+    | {"cut": ""}
+    | dict.fromkeys(("exact", "exact disk", "exact together"), "not in the mesh"),
     "texture {map} -o {out}.glb --size 64": {},
     "texture {map} -o {out}.obj --pattern checker --size 64": {},
     "texture {map} -o {out}.ply --size 64": {},

@@ -8,7 +8,7 @@ from scipy.spatial import Delaunay
 from sphere_truths import SHARED
 
 import omtwarp
-from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.predicates import count_flips, flipped_faces
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
@@ -232,7 +232,7 @@ def test_parts_lie_side_by_side_in_proportion_to_their_areas(tmp_path):
     result.save(tmp_path / "together.npz")
     again = omtwarp.SurfaceMap.load(tmp_path / "together.npz")
     assert again.certificate.bijective and np.array_equal(again.cap_centres, result.cap_centres)
-    with pytest.raises(omtwarp.OmtwarpError, match="leave exact out"):
+    with pytest.raises(omtwarp.OmtwarpError, match="ask for no other domain"):
         omtwarp.map_surface((vertices, faces), together=True, domain="disk", device="cpu")
 
 
@@ -408,8 +408,49 @@ def test_exact_areas_of_a_hemisphere():
     assert (result.sphere[rim, 2] == 0.0).all() and result.sphere[:, 2].min() == 0.0
     assert np.array_equal(result.vertices[: len(vertices)], vertices)
     assert np.allclose(result.vertices[result.vertex_origin < 0], result.vertices[result.split_edges].mean(axis=1))
-    with pytest.raises(omtwarp.OmtwarpError, match="sphere and the hemisphere"):
-        omtwarp.map_surface((vertices, faces), domain="disk", exact=True, device="cpu")
+
+
+@pytest.mark.parametrize("domain", ["disk", "cap"])
+def test_exact_areas_of_a_disk_and_of_a_cap(domain, tmp_path):
+    """Every triangle keeps its share of the boundary's polygon, also beside a filled hole; the boundary its circle."""
+    ball = shapes.blob(seed=2, amplitude=0.2, degree=4, sphere=320)
+    middle = np.linalg.norm(ball.vertices - ball.vertices[ball.vertices[:, 2].argmax()], axis=1) > 0.3
+    vertices, faces = without(ball, (ball.vertices[:, 2] > -0.2) & middle)
+    weights = 1.0 + (np.arange(len(faces)) % 3)
+    result = omtwarp.map_surface((vertices, faces), domain=domain, exact=True, weights=weights, device="cpu")
+    assert result.certificate.bijective and result.domain == domain
+    points = result.disk if domain == "disk" else result.sphere
+    images = plane_areas(points[result.faces]) if domain == "disk" else spherical_areas(points, result.faces)
+    images = np.bincount(result.face_origin, images, len(faces))
+    own = triangle_areas(vertices, faces) * weights
+    assert np.abs(images / images.sum() / (own / own.sum()) - 1.0).max() < 1e-6
+    rim = max(boundary_loops(result.faces, len(result.vertices)), key=lambda loop: np.ptp(points[loop, :2]))
+    off = np.linalg.norm(points[rim], axis=1) - 1.0 if domain == "disk" else np.ptp(points[rim, 2])
+    assert np.abs(off).max() < 1e-12
+    lifted = np.concatenate([points, np.ones((len(points), 1))], axis=1) if domain == "disk" else points
+    assert not flipped_faces(lifted, result.faces).any()
+    stage = result.report["stages"][-1]
+    assert stage["name"] == domain and stage["largest_area_error"] <= 1e-6 and result.report["exact"]
+    result.save(tmp_path / "map.npz")
+    again = omtwarp.SurfaceMap.load(tmp_path / "map.npz")
+    assert again.certificate.bijective and np.array_equal(again.face_origin, result.face_origin)
+
+
+def test_exact_areas_of_parts_side_by_side():
+    """Each triangle keeps its share of all parts, a closed one included, and the caps still lie apart."""
+    ball = shapes.blob(seed=2, amplitude=0.2, degree=4, sphere=320)
+    vertices, faces = without(ball, ball.vertices[:, 2] > -0.2)
+    whole = shapes.icosphere(3)
+    mesh = np.concatenate([vertices, 0.7 * whole.vertices + 4.0]), np.concatenate([faces, whole.faces + len(vertices)])
+    result = omtwarp.map_surface(mesh, together=True, exact=True, optimality=False, device="cpu")
+    images = np.bincount(result.face_origin, spherical_areas(result.sphere, result.faces), len(mesh[1]))
+    own = triangle_areas(*mesh)
+    assert np.abs(images / images.sum() / (own / own.sum()) - 1.0).max() < 1e-6
+    assert result.certificate.bijective and not flipped_faces(result.sphere, result.faces).any()
+    used = [np.unique(result.faces[result.part == part]) for part in range(2)]
+    for vertices_of, centre, share in zip(used, result.cap_centres, result.cap_shares, strict=True):
+        height = result.sphere[vertices_of] @ centre
+        assert height.min() == pytest.approx(1.0 - 2.0 * share, abs=1e-12)  # the rim's, and no vertex is below it
 
 
 def spherical_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
