@@ -44,7 +44,7 @@ def unwrap_mesh(
     quiet: QuietOption = False,
 ) -> None:
     """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture."""
-    from omtwarp.painting import unwrap_uv
+    from omtwarp.painting.unwrap import laid_out
 
     given = meshes or []
     targets = targets_of(given, finished, output, ".glb")
@@ -53,12 +53,15 @@ def unwrap_mesh(
     start_device(device)
 
     def unwrap_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
-        result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, refine=refine, verbose=verbose)
+        result = map_from(
+            mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, refine=refine, verbose=verbose
+        )
         require_bijective(result, finished)
-        made = unwrap_uv(result, aspect=aspect, margin=margin)
+        made, charts = laid_out(result, aspect=aspect, margin=margin)
         files = made.export(target, keep=(mesh, finished))
         facts = {"output": str(target), "files": [str(file) for file in files], "vertices": len(made.vertices)}
-        facts |= {"faces": len(made.faces), "charts": 6}
-        return facts, f"{target}: {len(made.vertices)} vertices, {len(made.faces)} faces, 6 charts{with_files(files)}"
+        facts |= {"faces": len(made.faces), "charts": charts}
+        line = f"{target}: {len(made.vertices)} vertices, {len(made.faces)} faces, "
+        return facts, line + f"{charts} chart{'s' if charts > 1 else ''}{with_files(files)}"
 
     show_each(given, targets, unwrap_one, as_json=as_json, quiet=quiet)

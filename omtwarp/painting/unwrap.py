@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials.base import Floats, Material
+from omtwarp.materials.base import Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.surface import plane_areas, triangle_areas
+from omtwarp.options import Domain
+from omtwarp.painting.shelves import on_shelves
 from omtwarp.texturing.atlas import CUBE_FRAMES
-from omtwarp.texturing.textured import SphereMap, as_map, require_one_picture
+from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
+from omtwarp.torus.torus_map import TorusMap
 
 MARGIN = 1.0 / 128.0
 """Free space around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
@@ -21,23 +27,48 @@ FARTHEST = np.deg2rad(87.0)
 ASPECTS, MOST_MARGIN = (0.1, 10.0), 0.1
 """Widths of the picture over its height, and free room in heights of it: beyond these charts have next to no room."""
 
+MOST_STRIPS, FEWER_CUTS = 12, 0.9
+"""Pieces of a torus at most, and the share of the largest scale at which fewer of them are taken."""
+
+
+@dataclass(frozen=True)
+class _Charts:
+    """Triangles in the plane, in the surface's own unit: those of one chart do not overlap.
+
+    Attributes:
+        plane: corners of the triangles, shape [F, 3, 2].
+        number: the chart of every triangle, shape [F].
+    """
+
+    plane: Floats
+    number: NDArray[np.intp]
+
 
 def unwrap_uv(
-    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike], *, aspect: float = 1.0, margin: float = MARGIN
+    result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
+    *,
+    aspect: float = 1.0,
+    margin: float = MARGIN,
 ) -> PaintedMesh:
     """Lay a surface out on a picture through its map, as texture coordinates for the triangles that it has.
 
-    Every triangle belongs as a whole to the face of the cube in which its centroid lies, a long one to the face that
-    contains it best: no vertex is added, and charts have jagged borders, a triangle wide. The six charts lie in three
-    by two cells, at one scale, apart from each other, and no triangle overlaps another. Angles from the middle of a
-    chart are linear on the picture, so that its texels are of nearly the same size all over the sphere, and on the
-    surface where the map preserves areas.
+    Every triangle belongs to one chart as a whole: no vertex is added, and charts have jagged borders, a triangle wide.
+    All charts are at one scale and apart from each other, and no triangle overlaps another. What the charts are:
+
+    * On the sphere the faces of the cube, in three by two cells where it is covered. A triangle belongs to the one in
+      which its centroid lies, a long one to the one that contains it best. Angles from the middle of a chart are linear
+      on the picture, so that its texels are of nearly the same size all over the sphere, and on the surface where the
+      map preserves areas.
+    * With several parts, each on a sphere of its own, the charts of all of them, in proportion to the parts' areas.
+    * Of a map to the disk, the disk: one chart without a cut, or one for each part.
+    * Of a map to a torus, a rectangle that one of the lattice's vectors bounds, cut across into as many equal strips
+      as fill the picture best; texels are of the same size and square where the map is.
 
     Args:
-        result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three as a
-            tuple; a map that is one to one.
-        aspect: width of the picture over its height; 1.5 leaves no part of the cells unused, 1 is what game engines
-            expect.
+        result: a :class:`~omtwarp.MapResult`, a :class:`~omtwarp.TorusMap`, anything with ``vertices``, ``faces`` and
+            ``sphere``, or the three as a tuple; a map that is one to one.
+        aspect: width of the picture over its height; for one sphere 1.5 leaves no part of the cells unused, 1 is what
+            game engines expect.
         margin: free space around each chart, in heights of the picture.
 
     Returns:
@@ -55,10 +86,54 @@ def unwrap_uv(
         >>> mesh.uv.shape == (len(surface.faces), 3, 2), bool(0 < mesh.uv.min() and mesh.uv.max() < 1)
         (True, True)
     """
-    require_one_picture(result)
-    vertices, faces, sphere = as_map(result)
+    return laid_out(result, aspect=aspect, margin=margin)[0]
+
+
+def laid_out(
+    result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
+    *,
+    aspect: float = 1.0,
+    margin: float = MARGIN,
+) -> tuple[PaintedMesh, int]:
+    """Lay a surface out as :func:`unwrap_uv` does; return the mesh and the number of its charts.
+
+    Raises:
+        OmtwarpError: as of :func:`unwrap_uv`.
+    """
     if not ASPECTS[0] <= aspect <= ASPECTS[1] or not 0.0 <= margin <= MOST_MARGIN:
         raise OmtwarpError(f"aspect {aspect}, margin {margin}: give 0.1 to 10, and 0 to 0.1")
+    place = _packed
+    if isinstance(result, TorusMap):
+        vertices, faces = result.vertices, result.faces
+        charts = _strips(result, aspect)
+    else:
+        vertices, faces, sphere = as_map(result)
+        number = spheres_of(result)
+        parts = np.zeros(len(faces), dtype=np.intp) if number is None else number
+        disk = getattr(result, "disk", None)
+        if disk is not None:
+            charts = _disks(vertices, faces, disk, parts)
+        else:
+            charts = _cubes(vertices, faces, sphere, parts)
+            whole = number is None and getattr(result, "domain", Domain.SPHERE) == Domain.SPHERE
+            place = _in_cells if whole else _packed
+    turned = plane_areas(charts.plane) <= 0
+    if turned.any():
+        raise OmtwarpError(
+            f"{turned.sum()} of {len(faces)} faces are flipped or without area in the map, first face "
+            f"{int(np.argmax(turned))}: remake the map"
+        )
+    mesh = PaintedMesh(vertices, faces, place(charts, aspect, margin), (Material("surface"),))
+    return mesh, len(np.unique(charts.number))
+
+
+def _cubes(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray[np.intp]) -> _Charts:
+    """Return the charts of spheres: six for each, the faces of a cube.
+
+    Args:
+        vertices, faces, sphere: the map, shapes [V, 3], [F, 3] and [V, 3].
+        parts: the sphere of every triangle, shape [F].
+    """
     corners = sphere[faces]
     middle = corners.sum(axis=1)
     chart = np.argmax(middle @ CUBE_FRAMES[:, 0].T, axis=1)
@@ -75,15 +150,44 @@ def unwrap_uv(
             f"{far.sum()} of {len(faces)} faces reach more than {np.rad2deg(FARTHEST):.0f} degrees from the middle of "
             f"their chart, first face {int(np.argmax(far))}: quarter the mesh first, or use texture, which cuts faces"
         )
-    plane = angle if (_signed_areas(angle) > 0).all() else np.tan(angle)
     # In gnomonic coordinates great circles are straight lines, so that no triangle flips that was not flipped.
-    turned = _signed_areas(plane) <= 0
-    if turned.any():
-        raise OmtwarpError(
-            f"{turned.sum()} of {len(faces)} faces are flipped or without area on the sphere, first face "
-            f"{int(np.argmax(turned))}: remake the map"
-        )
-    return PaintedMesh(vertices, faces, _placed(plane, chart, aspect, margin), (Material("surface"),))
+    bent = np.bincount(parts, plane_areas(angle) <= 0) > 0
+    plane = np.where(bent[parts][:, None, None], np.tan(angle), angle)
+    scale = _scales(triangle_areas(vertices, faces), triangle_areas(sphere, faces), parts)
+    return _Charts(plane * scale[parts][:, None, None], len(CUBE_FRAMES) * parts + chart)
+
+
+def _disks(vertices: Floats, faces: Ints, disk: Floats, parts: NDArray[np.intp]) -> _Charts:
+    """Return the charts of maps to disks: one for each part, shape [F], without a cut."""
+    plane = disk[faces]
+    scale = _scales(triangle_areas(vertices, faces), np.abs(plane_areas(plane)), parts)
+    return _Charts(plane * scale[parts][:, None, None], parts)
+
+
+def _scales(on_surface: Floats, on_map: Floats, parts: NDArray[np.intp]) -> Floats:
+    """Return the factors on lengths that give every part its surface's area, shape [P]."""
+    return np.sqrt(np.bincount(parts, on_surface) / np.maximum(np.bincount(parts, on_map), TINY))
+
+
+def _strips(result: TorusMap, aspect: float) -> _Charts:
+    """Return the charts of a map to a torus: strips of a rectangle along the longer of the lattice's vectors.
+
+    A triangle lies where its centroid is in the rectangle; no two overlap, as the map is one to one.
+    """
+    lattice = result.lattice
+    long, other = lattice[::-1] if np.linalg.norm(lattice[1]) > np.linalg.norm(lattice[0]) else lattice
+    length = float(np.linalg.norm(long))
+    along = long / length
+    axes = np.array([along, [-along[1], along[0]]])  # turned, not mirrored
+    other, plane = axes @ other, result.corners @ lattice @ axes.T
+    plane -= np.floor(plane[..., 1].mean(axis=1) / other[1])[:, None, None] * other
+    plane[..., 0] -= length * np.floor(plane[..., 0].mean(axis=1) / length)[:, None]
+    height = abs(float(other[1]))
+    count = np.arange(1, MOST_STRIPS + 1)
+    scale = np.minimum(aspect * count / length, 1.0 / (count * height))
+    strips = int(count[np.argmax(scale >= FEWER_CUTS * scale.max())])
+    at = np.floor(plane[..., 0].mean(axis=1) * (strips / length)).astype(np.intp)
+    return _Charts(plane, np.clip(at, 0, strips - 1))
 
 
 def _angles(corners: Floats, chart: NDArray[np.intp]) -> Floats:
@@ -92,26 +196,38 @@ def _angles(corners: Floats, chart: NDArray[np.intp]) -> Floats:
     return np.arctan2(local[..., 1:], local[..., :1])
 
 
-def _signed_areas(plane: Floats) -> Floats:
-    one, other = plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 0]
-    return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+def _boxes(charts: _Charts) -> tuple[Floats, Floats]:
+    """Return the lower and upper corners of the charts' boxes, shape [C, 2]; zero where a chart is empty."""
+    count = int(charts.number.max(initial=0)) + 1
+    low, high = np.zeros((count, 2)), np.zeros((count, 2))
+    order = np.argsort(charts.number, kind="stable")
+    numbers, first = np.unique(charts.number[order], return_index=True)
+    low[numbers] = np.minimum.reduceat(charts.plane.min(axis=1)[order], first)
+    high[numbers] = np.maximum.reduceat(charts.plane.max(axis=1)[order], first)
+    return low, high
 
 
-def _placed(plane: Floats, chart: NDArray[np.intp], aspect: float, margin: float) -> Floats:
-    """Return corners' coordinates on the picture: each chart lies in the middle of its cell, all at one scale."""
-    low, high = np.zeros((6, 2)), np.zeros((6, 2))
-    for k in np.unique(chart):
-        points = plane[chart == k].reshape(-1, 2)
-        low[k], high[k] = points.min(axis=0), points.max(axis=0)
+def _in_cells(charts: _Charts, aspect: float, margin: float) -> Floats:
+    """Return the coordinates of the faces of one cube: each chart in the middle of one of three by two cells."""
+    low, high = _boxes(charts)
     cell = np.array([aspect / 3.0, 0.5])
     inner = cell - 2.0 * margin
     if (inner <= 0).any():
         raise OmtwarpError(f"a margin of {margin} leaves no room for charts")
     scale = float((inner / np.maximum((high - low).max(axis=0), TINY)).min())
-    corner = np.stack([chart % 3, 1 - chart // 3], axis=1)
+    corner = np.stack([charts.number % 3, 1 - charts.number // 3], axis=1)
     centre = (corner + 0.5) * cell
-    moved = (plane - (0.5 * (low + high))[chart][:, None, :]) * scale + centre[:, None, :]
+    moved = (charts.plane - (0.5 * (low + high))[charts.number][:, None, :]) * scale + centre[:, None, :]
     return moved / (aspect, 1.0)
 
 
-__all__ = ["unwrap_uv"]
+def _packed(charts: _Charts, aspect: float, margin: float) -> Floats:
+    """Return the coordinates of any charts, on shelves in the picture."""
+    numbers, which = np.unique(charts.number, return_inverse=True)
+    low, high = _boxes(charts)
+    corner, scale = on_shelves((high - low)[numbers], aspect, margin)
+    moved = (charts.plane - low[charts.number][:, None, :]) * scale + corner[which][:, None, :]
+    return moved / (aspect, 1.0)
+
+
+__all__ = ["laid_out", "unwrap_uv"]

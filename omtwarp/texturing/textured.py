@@ -332,14 +332,22 @@ def _seam(given: float | str, vertices: Floats, faces: Ints, sphere: Floats, rot
     return np.pi if degrees in (-180.0, 180.0) else float(np.deg2rad(degrees))
 
 
+def spheres_of(result: object) -> NDArray[np.intp] | None:
+    """Return the number of every face's sphere, shape [F], where each part of a map has one of its own; else None."""
+    part = getattr(result, "part", None)
+    if part is None or getattr(result, "cap_centres", None) is not None:
+        return None
+    found, number = np.unique(part, return_inverse=True)
+    return number if len(found) > 1 else None
+
+
 def require_one_picture(result: object) -> None:
     """Make sure that every point of a picture of the sphere belongs to one place of the surface only.
 
     Raises:
         OmtwarpError: the map is of several parts, each with a sphere of its own.
     """
-    part = getattr(result, "part", None)
-    if part is not None and getattr(result, "cap_centres", None) is None and len(np.unique(part)) > 1:
+    if spheres_of(result) is not None:
         raise OmtwarpError(
             "every part of this map has a sphere of its own, and their texture coordinates would lie on each other: "
             "map all parts to one sphere with --together (together=True in Python)"
