@@ -39,7 +39,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,6 +55,7 @@ from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
+from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality_dual import Bound, TransportDual
 from omtwarp.metrics.optimality_sources import SourceBound, SourceDual
 from omtwarp.options import Cost, Progress, Record, choose
@@ -71,21 +72,6 @@ GOOD_ENOUGH = 1e-4
 # edge, as only the x_i limit ψ. Of the octopus it hides little: after ten steps the gap is 0.60 %, and 0.63 % with its
 # triangles quartered.
 CLOSED_GAP, SOURCE_STEPS = 0.01, 6
-TRIALS = 6  # lengths of an ascent step that are tried, each shorter than the one before
-# Factors of a step that has not raised the bound and of one that has, and the share of the last direction in the next
-# (heavy ball, Polyak 1964): the bound has kinks, between which ascent swings. The first are for few steps. A cortex of
-# 2,500 vertices ends at a gap of 0.0999 in place of 0.1005 % with the second, which are for more.
-FEW_STEPS, OF_FEW, OF_MANY = 3, (0.4, 1.6, 0.0), (0.5, 1.2, 0.3)
-# Above so many points the first length is the second number times the excess over its slope, else once that: a
-# parabola whose least excess is zero has it at 2, and a bound takes long. On a bunny of 35,000 vertices one step of
-# that length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small meshes end farther above zero.
-MANY_POINTS, FIRST_OF_MANY_POINTS = 8_000, 2.0
-# Potentials given were raised already: steps of more than this times that length fail on a cortex, in four trials.
-FIRST_OF_GIVEN = 1.0 / 16.0
-# Few steps go on, up to so many times as many, while each takes away this share of the excess: on half of a caudate
-# nucleus the gap falls from 5.8 to 1.97, 1.03, 0.46 % in three, whose map is nearer than that.
-LONGEST, LARGE_GAIN = 3, 0.25
-
 STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its bound
 MOST_PIVOTS = 10_000_000  # of the network simplex: POT's default of 100,000 ends too soon above some thousand points
 
@@ -267,13 +253,13 @@ def _measure(
     notify(1, {})
     fitted, swapped = dual.initial_potential()
     notify(2, {})
-    best, first = _better_of(dual, fitted, potential)
+    best = _better_of(dual, fitted, potential)
     cost = 2.0 * float(mass @ dual.cost)
     far = 2.0 * best.excess >= cost > 0.0  # where points are far apart a potential fitted to them may bound nothing
     if far:
         dual.flatten()
         best = dual.bound(np.zeros_like(mass))
-    best, steps = _ascended(dual, best, ascent_steps, enough, notify, first)
+    best, steps = _ascended(dual, best, ascent_steps, enough, notify)
     transform, at_images = dual.cost - best.potential - best.vertex_gap, best.potential
     spread = dual.spread(transform)
     uniform = spread.transform + dual.integral(best.potential)
@@ -310,34 +296,26 @@ def _measure(
     )
 
 
-def _better_of(dual: TransportDual, fitted: Array, potential: ArrayLike | None) -> tuple[Bound, float]:
-    """Return the better bound of a potential fitted and one given, if any, and the length of the first step from it."""
+def _better_of(dual: TransportDual, fitted: Array, potential: ArrayLike | None) -> Bound:
+    """Return the better bound of a potential fitted and one given, if any."""
     best = dual.bound(fitted)
     if potential is not None:
         given = dual.bound(real_numbers(potential, "potential", dual.mass.shape))
         if given.excess < best.excess:
-            return given, FIRST_OF_GIVEN
-    return best, 1.0
+            return given
+    return best
 
 
 def _ascended(
-    dual: TransportDual,
-    best: Bound,
-    most: int,
-    enough: float,
-    notify: Callable[[int, Record], None],
-    first: float = 1.0,
+    dual: TransportDual, best: Bound, most: int, enough: float, notify: Callable[[int, Record], None]
 ) -> tuple[Bound, int]:
     """Raise a bound by at most so many steps, or until the gap is small enough; return it and the steps taken."""
     cost = 2.0 * float(dual.mass @ dual.cost)
 
-    def near(found: Bound, done: int) -> bool:
-        if _excess(cost, cost - 2.0 * found.excess) <= enough:
-            return True
+    def before_step(done: int, found: Bound) -> None:
         notify(STEPS_BEFORE + done, {"gap": 2.0 * found.excess / cost})
-        return False
 
-    return ascend(dual, best, most, near, first)
+    return ascend(dual, best, most, _excess_at(cost, enough), before_step)
 
 
 def _raised_at_sources(dual: TransportDual, transform: Array, most: int, enough: float) -> tuple[SourceBound, int]:
@@ -346,73 +324,12 @@ def _raised_at_sources(dual: TransportDual, transform: Array, most: int, enough:
     sources = SourceDual(dual)
     given, fitted = sources.bound(transform), sources.bound(sources.initial_potential())
     first = fitted if fitted.excess < given.excess else given
-    return ascend(sources, first, most, lambda found, _: _excess(cost, cost - 2.0 * found.excess) <= enough)
+    return ascend(sources, first, most, _excess_at(cost, enough))
 
 
-class Bounded(Protocol):
-    """A potential, and the lower bound on the cost that it gives."""
-
-    @property
-    def potential(self) -> Array:
-        """ψ at the images."""
-
-    @property
-    def excess(self) -> float:
-        """Half of what the bound lies below the cost."""
-
-
-Found = TypeVar("Found", bound=Bounded)
-
-
-class DualProblem(Protocol[Found]):
-    """The interface of Kantorovich's dual problem of a map, as :func:`ascend` uses it."""
-
-    def bound(self, potential: Array) -> Found:
-        """Return the lower bound on the cost that a potential gives."""
-
-    def ascent_direction(self, current: Found) -> tuple[Array, float]:
-        """Return a change of the potential, and the slope of the bound along it."""
-
-
-def ascend(
-    dual: DualProblem[Found], best: Found, most: int, near: Callable[[Found, int], bool], first: float = 1.0
-) -> tuple[Found, int]:
-    """Raise a bound by steps along ascent directions, each of which is shortened until it raises the bound.
-
-    Args:
-        dual: the problem.
-        best: the bound to begin with.
-        most: steps; where they are few, up to LONGEST times as many while each takes away a large share of the excess.
-        near: whether a bound after a number of steps is near enough to the cost.
-        first: length of the first step, in units of what would bring a straight line to zero.
-
-    Returns:
-        The best bound, and the steps taken.
-    """
-    shorter, longer, kept = OF_FEW if most <= FEW_STEPS else OF_MANY
-    length: float | None = None
-    direction: Array | None = None
-    gained, done = 1.0, 0  # share of the excess that the last step took away
-    while done < most or (most <= FEW_STEPS and done < LONGEST * most and gained > LARGE_GAIN):
-        if near(best, min(done, most)):
-            return best, done
-        steepest, slope = dual.ascent_direction(best)
-        if not slope > 0.0:
-            return best, done
-        if length is None:
-            many = most <= FEW_STEPS and len(steepest) > MANY_POINTS
-            length = (FIRST_OF_MANY_POINTS if many else first) * best.excess / slope
-        direction = steepest if direction is None else kept * direction + (1.0 - kept) * steepest
-        for _ in range(TRIALS):
-            trial = dual.bound(best.potential + length * direction)
-            if trial.excess < best.excess:
-                break
-            length *= shorter
-        else:
-            return best, done
-        gained = 1.0 - trial.excess / best.excess
-        best, length, done = trial, longer * length, done + 1
-    return best, done
+def _excess_at(cost: float, gap: float) -> float:
+    """Return half of what a bound lies below the cost where the gap is as given."""
+    return 0.5 * cost * gap / (1.0 + gap)
 
 
 def _excess(cost: float, bound: float) -> float:

@@ -226,17 +226,17 @@ class TransportDual:
         """Whether many of the x_i are so close to others that their transforms are computed once for all of them."""
         return self.shared is not None
 
-    def ascent_direction(self, current: Bound) -> tuple[Array, float]:
-        """Find a change of ψ that raises the bound, and the slope of the bound along it.
+    def slope(self, current: Bound) -> Array:
+        """Return the derivative of Σ m_i (φ(x_i) + ψ(y_i)) by ψ: the map's own mass less the mass at the minimisers."""
+        return missing_mass(self.mass, current.face, self.surface.faces, current.weights)
 
-        Where the minima attract more mass than the map sends, ψ has to decrease, smoothly. The slope of
-        Σ m_i (φ(x_i) + ψ(y_i)) in ψ is the map's own mass minus the mass at the minimisers, and the matrix of the
-        initial fit approximates its second derivative.
+    def smoothed(self, slope: Array) -> Array:
+        """Return the change of ψ that a slope asks for: the initial fit's matrix approximates the second derivative.
+
+        Where the minima attract more mass than the map sends, ψ has to decrease, smoothly.
         """
         assert self._solver is not None
-        slope = missing_mass(self.mass, current.face, self.surface.faces, current.weights)
-        direction = self._solver.solve(slope)
-        return direction, float(direction @ slope)
+        return self._solver.solve(slope)
 
     def integral(self, potential: Array) -> float:
         """Integrate ψ over the sphere: the mean of a quadratic on every triangle, times its solid angle."""

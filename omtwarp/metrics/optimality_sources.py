@@ -111,12 +111,16 @@ class SourceDual:
         excess = float(dual.mass @ (dual.cost - potential - at_images))
         return SourceBound(potential, at_images, excess, np.where(nearest < 0, self._of, nearest))
 
-    def ascent_direction(self, current: SourceBound) -> tuple[Array, float]:
-        """Find a change of φ that raises the bound, the same for all points of a stand-in, and the slope along it."""
-        dual, count = self._dual, len(self._chosen)
-        masses = np.bincount(self._of, dual.mass, count)
-        slope = masses - np.bincount(current.nearest, dual.mass, count)
-        right = np.zeros(len(dual.mass))
-        right[self._chosen] = slope
-        change = np.bincount(self._of, dual.mass * self._solver.solve(right), count) / masses
-        return change[self._of], float(change @ slope)
+    def slope(self, current: SourceBound) -> Array:
+        """Return the derivative of the bound by φ: the mass of each stand-in less that of the images nearest to it."""
+        count = len(self._chosen)
+        out = np.zeros(len(self._dual.mass))
+        masses = np.bincount(self._of, self._dual.mass, count)
+        out[self._chosen] = masses - np.bincount(current.nearest, self._dual.mass, count)
+        return out
+
+    def smoothed(self, slope: Array) -> Array:
+        """Return the change of φ that a slope asks for, the same for all points of a stand-in."""
+        mass, count = self._dual.mass, len(self._chosen)
+        means = np.bincount(self._of, mass * self._solver.solve(slope), count) / np.bincount(self._of, mass, count)
+        return means[self._of]

@@ -19,7 +19,8 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
-from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH, ascend
+from omtwarp.metrics.ascent import ascend
+from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH
 from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, missing_mass, space_order
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec7d
@@ -89,7 +90,7 @@ def torus_optimality(
     if potential is not None:
         given = dual.bound(potential)
         best = given if given.excess < best.excess else best
-    best, taken = ascend(dual, best, ascent_steps, lambda found, _: 2.0 * found.excess <= GOOD_ENOUGH * cost)
+    best, taken = ascend(dual, best, ascent_steps, 0.5 * GOOD_ENOUGH * cost)
     lower = max(cost - 2.0 * best.excess, 0.0)
     gap = cost / lower - 1.0 if lower > 0.0 else (0.0 if cost == 0.0 else float("inf"))
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
@@ -190,15 +191,13 @@ class _Dual:
         proven, leaf, shares = (array.numpy() for array in found)
         return _Bound(potential, float(self.mass @ (own - proven)), leaf, shares)
 
-    def ascent_direction(self, current: _Bound) -> tuple[Floats, float]:
-        """Return a change of ψ that raises the bound, and the bound's slope along it.
+    def slope(self, current: _Bound) -> Floats:
+        """Return the derivative of the bound by ψ: a vertex's mass less that of the points with best images there."""
+        return missing_mass(self.mass, current.leaf, self._faces, current.shares)
 
-        The slope in ψ is a vertex's mass less that of the points whose best image is there; the matrix is that of the
-        fit.
-        """
-        slope = missing_mass(self.mass, current.leaf, self._faces, current.shares)
-        direction = self._fit.solve(slope)
-        return direction, float(direction @ slope)
+    def smoothed(self, slope: Floats) -> Floats:
+        """Return the change of ψ that a slope asks for, by the matrix of the fit."""
+        return self._fit.solve(slope)
 
     def _copies(self, potential: Floats) -> Floats:
         """Return the lattice vectors that a best image may be shifted by, the shortest first, shape [N, 2]."""
