@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Literal, Unpack, overload
 
 from omtwarp.commands._streams import say
 from omtwarp.commands._work import load_map, make_map, require_bijective, say_made, start_device
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from omtwarp.mesh.surface import Surface
     from omtwarp.options import MapChoices
     from omtwarp.result import MapResult
+    from omtwarp.torus.torus_map import TorusMap
 
 
 def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
@@ -42,6 +43,7 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     return mesh, surface
 
 
+@overload
 def painted_map(
     path: Path,
     finished: Path | None,
@@ -49,9 +51,33 @@ def painted_map(
     repair: bool,
     quiet: bool,
     device: str,
+    torus: Literal[False] = False,
     verbose: bool = False,
     **options: Unpack[MapChoices],
-) -> tuple[PaintedMesh, MapResult]:
+) -> tuple[PaintedMesh, MapResult]: ...
+@overload
+def painted_map(
+    path: Path,
+    finished: Path | None,
+    *,
+    repair: bool,
+    quiet: bool,
+    device: str,
+    torus: bool,
+    verbose: bool = False,
+    **options: Unpack[MapChoices],
+) -> tuple[PaintedMesh, MapResult | TorusMap]: ...
+def painted_map(
+    path: Path,
+    finished: Path | None,
+    *,
+    repair: bool,
+    quiet: bool,
+    device: str,
+    torus: bool = False,
+    verbose: bool = False,
+    **options: Unpack[MapChoices],
+) -> tuple[PaintedMesh, MapResult | TorusMap]:
     """Return a mesh with its materials and its map, which is read where it is finished and computed otherwise.
 
     Raises:
@@ -61,7 +87,7 @@ def painted_map(
     if finished is not None:
         from omtwarp.materials import read_painted_mesh
 
-        result = load_map(finished)
+        result = load_map(finished, torus)
         require_bijective(result, finished)
         mesh = read_painted_mesh(path, triangulate=repair)
         if repair and len(mesh.faces) != len(result.faces):
@@ -73,7 +99,7 @@ def painted_map(
         return mesh, result
     mesh, surface = read_sound_painted(path, repair)
     start_device(device)
-    result = make_map(surface, quiet=quiet, device=device, **options)
-    require_bijective(result)
-    say_made(result, path, quiet=quiet, verbose=verbose)
-    return mesh, result
+    made = make_map(surface, quiet=quiet, device=device, **options)
+    require_bijective(made)
+    say_made(made, path, quiet=quiet, verbose=verbose)
+    return mesh, made

@@ -387,13 +387,15 @@ def _paint(
         if mesh is None or mesh.suffix.lower() == ".npz":
             raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
         painted, result = painted_map(
-            mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose, **mapping
+            mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping
         )
         if options["uv"] == "own":
             painted.require_uv(str(mesh))
     else:
         _require_one(mesh, finished)
-        result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose, **mapping)
+        result = map_from(
+            mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping
+        )
         require_bijective(result, finished)
     with step_times(verbose) as done, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)

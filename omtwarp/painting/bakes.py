@@ -208,14 +208,17 @@ class Scalar:
         return table[np.rint(part * (len(table) - 1)).astype(np.int64)]
 
 
-def scalar(what: str | Path, vertices: Floats, faces: Ints, sphere: Floats) -> Scalar:
+def scalar(
+    what: str | Path, vertices: Floats, faces: Ints, on_map: Floats, parts: NDArray[np.intp] | None = None
+) -> Scalar:
     """Compute or read numbers at the vertices, by the name of a quantity or of a file.
 
     Args:
         what: ``curvature``, ``area``, or a file of numbers at the vertices (see :mod:`omtwarp.mesh.data`).
         vertices: shape [V, 3].
         faces: shape [F, 3].
-        sphere: the map, shape [V, 3].
+        on_map: areas of the triangles' images, shape [F].
+        parts: the sphere of every triangle where there are several, shape [F].
 
     Raises:
         OmtwarpError: an unknown name, a file that cannot be read, or one with another number of vertices.
@@ -225,7 +228,7 @@ def scalar(what: str | Path, vertices: Floats, faces: Ints, sphere: Floats) -> S
         most = float(np.percentile(np.abs(values), SPREAD))
         return Scalar("curvature", values, "coolwarm", -most, most)
     if what == "area":
-        values = np.log2(area_ratio(vertices, faces, sphere))
+        values = np.log2(area_ratio(vertices, faces, on_map, parts))
         most = max(float(np.percentile(np.abs(values), SPREAD)), LEAST_RANGE)
         return Scalar("area (binary logarithm)", values, "coolwarm", -most, most)
     path = Path(what)
@@ -263,12 +266,20 @@ def mean_curvature(vertices: Floats, faces: Ints) -> Floats:
     return outward * np.linalg.norm(flow, axis=1) / (2.0 * np.maximum(area, TINY))
 
 
-def area_ratio(vertices: Floats, faces: Ints, sphere: Floats) -> Floats:
-    """Return the area around vertices on the sphere over that on the surface, both totals set to 1, shape [V]."""
+def area_ratio(vertices: Floats, faces: Ints, on_map: Floats, parts: NDArray[np.intp] | None = None) -> Floats:
+    """Return the area around vertices on the map over that on the surface, both totals set to 1, shape [V].
+
+    Args:
+        vertices: shape [V, 3].
+        faces: shape [F, 3].
+        on_map: areas of the triangles' images, shape [F].
+        parts: the sphere of every triangle, shape [F], where totals are those of each by itself.
+    """
+    number = np.zeros(len(faces), dtype=np.intp) if parts is None else parts
     shares = []
-    for points in (sphere, vertices):
-        each = triangle_areas(points, faces)
-        around = np.bincount(faces.ravel(), np.repeat(each / each.sum(), 3), minlength=len(vertices))
+    for each in (on_map, triangle_areas(vertices, faces)):
+        share = each / np.maximum(np.bincount(number, each), TINY)[number]
+        around = np.bincount(faces.ravel(), np.repeat(share, 3), minlength=len(vertices))
         shares.append(np.maximum(around, TINY))
     return shares[0] / shares[1]
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,18 +17,17 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.materials.base import WHITE, Bytes, Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.materials.tangents import corner_tangents
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.painting import bakes
+from omtwarp.painting.sheets import SIZE, Look, Sheet, sheet_of_parts, sphere_sheet, torus_picture, torus_sheet
 from omtwarp.painting.texels import PADDING, bake_materials, covered, over, overlap, tiled_copies, tinted
-from omtwarp.texturing.baking import Layout, bake_to_uv
+from omtwarp.texturing.baking import Layout, Picture, bake_to_uv
 from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
-from omtwarp.texturing.patterns import PATTERNS, Pattern
+from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.projection import rotation_matrix
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
-from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, require_one_picture, texture, vertex_normals
-
-SIZE = 2048
-"""Texels of a side of a picture for own coordinates where the material has none whose size could be taken."""
+from omtwarp.texturing.textured import SphereMap, as_map, spheres_of, vertex_normals
+from omtwarp.torus.torus_map import TorusMap
 
 OPACITY = 0.5
 """Of the upper layer where a pattern and a material are laid over one another: half of each shows."""
@@ -43,7 +43,7 @@ NEUTRAL = (0.8, 0.8, 0.8, 1.0)
 
 
 def paint(
-    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
+    result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
     mesh: PaintedMesh | None = None,
     image: PictureLike | None = None,
     *,
@@ -61,6 +61,9 @@ def paint(
 ) -> PaintedMesh:
     """Texture a mesh through its map in its own texture coordinates, over or under its own materials, with bakes.
 
+    A map to a torus takes ``circles``, ``checker`` or a picture that repeats both ways, as for :func:`omtwarp.texture`.
+    Of parts with a sphere each, the atlases lie side by side on one square picture, in proportion to the parts' areas.
+
     With own coordinates every material of the mesh keeps its name and properties and gets a picture of its own; with an
     atlas, all materials share one picture. Coordinates outside [0, 1] repeat the picture. Where triangles overlap on
     the picture, as mirrored halves do, the first one gets the texel, and a warning says for which share of the picture.
@@ -68,8 +71,8 @@ def paint(
     One function, as it is checks of options and two calls.
 
     Args:
-        result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three as a
-            tuple.
+        result: a :class:`~omtwarp.MapResult`, a :class:`~omtwarp.TorusMap`, anything with ``vertices``, ``faces`` and
+            ``sphere``, or the three as a tuple.
         mesh: the mesh that was mapped, with coordinates and materials (:func:`omtwarp.read_painted_mesh`); needed for
             own coordinates and for ``keep``.
         image: an equirectangular picture, as :func:`omtwarp.texture` takes it.
@@ -116,19 +119,21 @@ def paint(
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     if mesh is None and (uv == "own" or keep is not None):
         raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
-    if uv == "atlas" and (bake or keep is not None):
-        require_one_picture(result)
-    vertices, faces, sphere = as_map(result)
+    torus = result if isinstance(result, TorusMap) else None
+    if isinstance(result, TorusMap):
+        vertices, faces, sphere, parts = result.vertices, result.faces, result.vertices, None
+        on_map = plane_areas(result.corners @ result.lattice)
+    else:
+        vertices, faces, sphere = as_map(result)
+        parts, on_map = spheres_of(result), triangle_areas(sphere, faces)
     wanted = _Wanted.of(bake, detail, image is not None or pattern is not None or keep is not None)
     own = None if mesh is None else mesh.on(vertices, faces)
-    job = _Job(vertices, faces, sphere, own, wanted, keep, opacity, resolve_device(device))
+    job = _Job(vertices, faces, sphere, torus, parts, on_map, own, wanted, keep, opacity, resolve_device(device))
     source = image if image is not None else pattern
     if source is None and (keep is not None or not wanted.names):
         source = "circles"
-    if uv == "own":
-        assert own is not None  # checked above
-        return job.on_own_coordinates(source, projection, rotate, size)
-    return job.on_atlas(source, projection, atlas, rotate, size)
+    look = Look(source, projection, atlas, rotate, size, job.where)
+    return job.on_own_coordinates(look) if uv == "own" else job.on_atlas(look)
 
 
 @dataclass(frozen=True)
@@ -165,30 +170,42 @@ class _Wanted:
 
 @dataclass
 class _Job:
-    """The surface that is painted, with its map, and how."""
+    """The surface that is painted, with its map, and how.
+
+    Attributes:
+        vertices, faces: the surface, shapes [V, 3] and [F, 3].
+        sphere: its map to the sphere, shape [V, 3], unless it goes to a torus.
+        torus: its map to a torus, or None.
+        parts: the sphere of every triangle where there are several, shape [F].
+        on_map: areas of the triangles' images, shape [F].
+        own: the mesh with the coordinates and materials that it has, or None.
+        wanted: the bakes.
+        keep, opacity: how the materials are kept.
+        where: the device.
+    """
 
     vertices: Floats
     faces: Ints
     sphere: Floats
+    torus: TorusMap | None
+    parts: NDArray[np.intp] | None
+    on_map: Floats
     own: PaintedMesh | None
     wanted: _Wanted
     keep: str | None
     opacity: float
     where: wp.Device
 
-    def on_own_coordinates(
-        self, source: PictureLike | Pattern | None, projection: str, rotate: ArrayLike | str | None, size: int | None
-    ) -> PaintedMesh:
-        assert self.own is not None
+    def on_own_coordinates(self, look: Look) -> PaintedMesh:
+        """Paint the mesh's materials in the coordinates that it has."""
+        assert self.own is not None  # checked before
         mesh = self.own
         uv = mesh.require_uv()
         which, tiled = tiled_copies(uv)
-        if isinstance(rotate, str):
-            raise OmtwarpError(f"rotate '{rotate}': give degrees or a matrix for own texture coordinates")
-        turn = rotation_matrix(rotate)
+        if isinstance(look.rotate, str):
+            raise OmtwarpError(f"rotate '{look.rotate}': give degrees or a matrix for own texture coordinates")
         tangents = self._tangents(mesh)
-        parts = next((n for n in (4, 2) if n * n * len(self.faces) <= MOST_DIVIDED), 1)
-        smooth = smooth_map(self.vertices, self.faces, self.sphere, parts)
+        draw = None if look.source is None else self._drawn(look)
         materials = []
         doubled = 0.0
         for number, material in enumerate(mesh.materials):
@@ -196,15 +213,8 @@ class _Job:
             if not len(mine):
                 materials.append(material)
                 continue
-            extent = _extent(material, size)
-            layers = None
-            if source is not None:
-                faces, finer = _divided(smooth, which[mine], tiled[mine])
-                baked = bake_to_uv(
-                    source, smooth.sphere, faces, finer, size=extent, rotation=turn, projection=projection,
-                    padding=PADDING, device=self.where,
-                )  # fmt: skip
-                layers = _with_opacity(baked)
+            extent = _extent(material, look.size)
+            layers = None if draw is None else _with_opacity(draw(which[mine], tiled[mine], extent))
             doubled = max(doubled, overlap(tiled[mine], *extent, self.where))
             target = self._target(tiled[mine], which[mine], extent)
             at = None if tangents is None else tangents[which[mine]]
@@ -223,6 +233,31 @@ class _Job:
             )
             warnings.warn(text, OmtwarpWarning, stacklevel=3)
         return replace(mesh, materials=tuple(materials))
+
+    def _drawn(self, look: Look) -> Callable[[NDArray, Floats, tuple[int, int]], Picture]:
+        """Return what draws the pattern on triangles, shape [T], with coordinates [T, 3, 2], on a picture of a size."""
+        if self.torus is not None:
+            own, shown = self.torus.corners, Material(picture=torus_picture(self.torus, replace(look, size=None)))
+
+            def on_torus(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
+                layout = Layout(uv, *size, self.where, PADDING)
+                one = np.zeros(len(which), dtype=np.int32)
+                return bake_materials(layout, own[which], one, (shown,), None, PADDING)
+
+            return on_torus
+        turn = rotation_matrix(cast(ArrayLike | None, look.rotate))
+        parts = next((n for n in (4, 2) if n * n * len(self.faces) <= MOST_DIVIDED), 1)
+        smooth = smooth_map(self.vertices, self.faces, self.sphere, parts)
+
+        def on_sphere(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
+            faces, finer = _divided(smooth, which, uv)
+            assert look.source is not None
+            return bake_to_uv(
+                look.source, smooth.sphere, faces, finer, size=size, rotation=turn, projection=look.projection,
+                padding=PADDING, device=self.where,
+            )  # fmt: skip
+
+        return on_sphere
 
     def _base(
         self, like: NDArray, mesh: PaintedMesh, which: NDArray, tiled: Floats, material: Material, size: tuple[int, int]
@@ -266,7 +301,7 @@ class _Job:
         elif wanted.color == "normal":
             found = replace(material, picture=bakes.object_normals(target), color=WHITE)
         elif wanted.color is not None:
-            number = bakes.scalar(wanted.color, self.vertices, self.faces, self.sphere)
+            number = bakes.scalar(wanted.color, self.vertices, self.faces, self.on_map, self.parts)
             found = replace(material, picture=number.picture(target, self.faces), color=WHITE)
         elif self.own is None:
             found = replace(material, color=NEUTRAL)
@@ -279,39 +314,24 @@ class _Job:
             found = replace(found, normal_picture=normals, own_tangents=True)
         return found
 
-    def on_atlas(
-        self,
-        source: PictureLike | Pattern | None,
-        projection: str,
-        atlas: str,
-        rotate: ArrayLike | str | None,
-        size: int | None,
-    ) -> PaintedMesh:
-        image, pattern = (None, source) if isinstance(source, Pattern) else (source, None)
-        if isinstance(image, str) and image in PATTERNS:
-            image, pattern = None, image
-        if source is None:  # only the atlas's coordinates are needed: a picture of one colour is the fastest
-            image = np.zeros((16, 32, 3), dtype=np.uint8)
-        layout_size = SIZE if size is None and source is None else size
-        made = texture(
-            (self.vertices, self.faces, self.sphere), image, pattern=pattern, projection=projection, atlas=atlas,
-            rotate=rotate, size=layout_size, device=str(self.where),
-        )  # fmt: skip
-        mesh = self._atlas_mesh(made)
-        assert mesh.uv is not None
-        target = bakes.Target(
-            mesh.uv,
-            made.vertices[made.faces],
-            made.normals[made.faces],
-            made.source_face,
-            _weights(made.vertices[made.faces], self.vertices[self.faces[made.source_face]]),
-            (made.image.shape[1], made.image.shape[0]),
-            self.where,
-        )
-        color = None if source is None else _with_opacity(as_floats(made.image))
+    def on_atlas(self, look: Look) -> PaintedMesh:
+        """Lay the surface out on one picture, which all of its materials share."""
+        if self.torus is not None:
+            sheet = torus_sheet(self.torus, look)
+        elif self.parts is not None:
+            sheet = sheet_of_parts(self.vertices, self.faces, self.sphere, self.parts, look)
+        else:
+            sheet = sphere_sheet(self.vertices, self.faces, self.sphere, look)
+        mesh = self._mesh_of(sheet)
+        which, uv = tiled_copies(sheet.uv) if sheet.repeats else (np.arange(len(sheet.faces)), sheet.uv)
+        points = sheet.vertices[sheet.faces[which]]
+        face, weights = sheet.source_face[which], sheet.weights[which]
+        target = bakes.Target(uv, points, sheet.normals[which], face, weights, sheet.size, self.where)
+        color = None if sheet.picture is None else _with_opacity(as_floats(sheet.picture))
         if color is not None and self.keep is not None and self.own is not None:
-            color = self._together(color, self._atlas_base(self.own, mesh, target))
-        shared = self._finish(mesh.materials[0], color, target, self._tangents(mesh))
+            color = self._together(color, self._atlas_base(self.own, target))
+        tangents = self._tangents(mesh)
+        shared = self._finish(mesh.materials[0], color, target, None if tangents is None else tangents[which])
         return replace(
             mesh,
             materials=tuple(
@@ -329,30 +349,27 @@ class _Job:
             ),
         )
 
-    def _atlas_mesh(self, made: TexturedSurface) -> PaintedMesh:
-        """Return the mesh of an atlas, its vertices joined along the seams, with the materials that are kept."""
-        first = np.zeros(int(made.welded.max()) + 1, dtype=np.int64)
-        first[made.welded[::-1]] = np.arange(len(made.welded))[::-1]
+    def _mesh_of(self, sheet: Sheet) -> PaintedMesh:
+        """Return the mesh of a sheet, with the materials that are kept."""
         materials = (Material("texture"),) if self.own is None or self.keep is None else self.own.materials
-        numbers = None if len(materials) == 1 else np.asarray(self.own.material_of if self.own else 0)[made.source_face]
+        numbers = None if len(materials) == 1 or self.own is None else self.own.material_of[sheet.source_face]
         return PaintedMesh(
-            made.vertices[first],
-            made.welded[made.faces].astype(np.int32),
-            made.uv[made.faces],
+            sheet.vertices,
+            sheet.faces,
+            sheet.uv,
             materials,
             numbers,
-            wraps_rows=False,
+            wraps_rows=sheet.repeats,
             source_files=() if self.own is None else self.own.source_files,
         )
 
-    def _atlas_base(self, own: PaintedMesh, mesh: PaintedMesh, target: bakes.Target) -> NDArray[np.float32]:
+    def _atlas_base(self, own: PaintedMesh, target: bakes.Target) -> NDArray[np.float32]:
         """Return the colours that a mesh's own materials have on its atlas."""
-        assert mesh.uv is not None
-        layout = Layout(mesh.uv, *target.size, self.where)
+        layout = Layout(target.uv, *target.size, self.where)
         at = None if own.uv is None else np.einsum("tij,tjc->tic", target.weights, own.uv[target.face])
         colors = None if own.vertex_colors is None else target.spread(own.vertex_colors / 255.0, self.faces)
         at = None if at is None else np.nan_to_num(at)
-        return bake_materials(layout, at, mesh.material_of, own.materials, colors, -1)
+        return bake_materials(layout, at, own.material_of[target.face], own.materials, colors, -1)
 
 
 def _extent(material: Material, size: int | None) -> tuple[int, int]:
@@ -407,26 +424,6 @@ def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Float
     corners = share[grid_triangles(smooth.parts)]
     faces = smooth.faces.reshape(-1, len(corners), 3)[which]
     return faces.reshape(-1, 3), np.einsum("pkc,tcj->tpkj", corners, uv).reshape(-1, 3, 2)
-
-
-def _weights(points: Floats, corners: Floats) -> Floats:
-    """Return the matrix of points in triangles as combinations of their corners.
-
-    Args:
-        points: shape [T, 3, 3], three points for each triangle.
-        corners: shape [T, 3, 3].
-
-    Returns:
-        Shape [T, 3, 3]: a row for each point, which sums to 1.
-    """
-    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(e1, e2)
-    square = np.maximum((normal * normal).sum(axis=1), TINY)[:, None]
-    to = points - corners[:, None, 0]
-    v = np.einsum("tij,tj->ti", np.cross(to, e2[:, None, :]), normal) / square
-    w = np.einsum("tij,tj->ti", np.cross(e1[:, None, :], to), normal) / square
-    v, w = np.clip(v, 0.0, 1.0), np.clip(w, 0.0, 1.0)
-    return np.stack([1.0 - v - w, v, w], axis=2)
 
 
 __all__ = ["SIZE", "paint"]

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 HALVINGS = 40  # of the interval of scales, which is then known to rounding
 
 
-def on_shelves(sizes: Floats, width: float, margin: float) -> tuple[Floats, float]:
+def on_shelves(sizes: Floats, width: float, margin: float, least: Floats | float = 0.0) -> tuple[Floats, float]:
     """Place boxes on a picture of height 1, as large as rows of them allow, all at one scale.
 
     The highest come first, each in the first row in which there is room for it [1]_; the scale is bisected.
@@ -22,6 +22,7 @@ def on_shelves(sizes: Floats, width: float, margin: float) -> tuple[Floats, floa
         sizes: width and height of the boxes, shape [N, 2].
         width: of the picture.
         margin: free space around every box, in heights of the picture.
+        least: width and height that no box falls below, in the same unit, shape [2].
 
     Returns:
         Lower left corners of the boxes, without their margins, shape [N, 2], and the scale.
@@ -37,23 +38,24 @@ def on_shelves(sizes: Floats, width: float, margin: float) -> tuple[Floats, floa
     .. [1] E. G. Coffman, M. R. Garey, D. S. Johnson and R. E. Tarjan, "Performance bounds for level-oriented
        two-dimensional packing algorithms", SIAM J. Comput. 9 (1980).
     """
-    if _rows(np.zeros_like(sizes), width, margin) is None:
+    if _rows(np.maximum(0.0 * sizes, least), width, margin) is None:
         raise OmtwarpError(f"a margin of {margin} leaves no room for {len(sizes)} charts")
     low, high = 0.0, float((np.array([width, 1.0]) / np.maximum(sizes.max(axis=0), TINY)).min())
-    found = _rows(high * sizes, width, margin)
+    found = _rows(np.maximum(high * sizes, least), width, margin)
     low = high if found is not None else low
     for _ in range(HALVINGS if found is None else 0):
         middle = 0.5 * (low + high)
-        placed = _rows(middle * sizes, width, margin)
+        placed = _rows(np.maximum(middle * sizes, least), width, margin)
         if placed is None:
             high = middle
         else:
             low, found = middle, placed
     if found is None or low == 0.0:
         raise OmtwarpError(f"a margin of {margin} leaves no room for {len(sizes)} charts")
-    used = (found + low * sizes + margin).max(axis=0)
+    placed_sizes = np.maximum(low * sizes, least)
+    used = (found + placed_sizes + margin).max(axis=0)
     found = found + 0.5 * (np.array([width, 1.0]) - used)
-    return np.stack([found[:, 0], 1.0 - found[:, 1] - low * sizes[:, 1]], axis=1), low
+    return np.stack([found[:, 0], 1.0 - found[:, 1] - placed_sizes[:, 1]], axis=1), low
 
 
 def _rows(sizes: Floats, width: float, margin: float) -> Floats | None:

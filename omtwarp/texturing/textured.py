@@ -341,19 +341,6 @@ def spheres_of(result: object) -> NDArray[np.intp] | None:
     return number if len(found) > 1 else None
 
 
-def require_one_picture(result: object) -> None:
-    """Make sure that every point of a picture of the sphere belongs to one place of the surface only.
-
-    Raises:
-        OmtwarpError: the map is of several parts, each with a sphere of its own.
-    """
-    if spheres_of(result) is not None:
-        raise OmtwarpError(
-            "every part of this map has a sphere of its own, and their texture coordinates would lie on each other: "
-            "map all parts to one sphere with --together (together=True in Python)"
-        )
-
-
 def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
     """Return the size of a texture whose texels are about as large as those of the image."""
     height, width = picture.shape[:2]

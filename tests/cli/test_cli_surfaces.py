@@ -95,8 +95,11 @@ def test_parts(capsys, tmp_path):
     assert status == 2 and "'dots' is not one of 'circles'" in err and "Value error" not in err
     status, out, err = run(capsys, "unwrap", "--map", tmp_path / "m.npz", "-o", tmp_path / "m.glb")
     assert status == 0 and "324 vertices, 640 faces, 12 charts" in out, err
-    status, _, err = run(capsys, "texture", "--bake", "ao", "--map", tmp_path / "m.npz", "-o", tmp_path / "m.glb")
-    assert status == 1 and "--together" in err and len(err.splitlines()) == 1  # both spheres on one picture
+    words = ["texture", "--map", tmp_path / "m.npz", "--bake", "curvature", "-o", tmp_path / "b.glb"]
+    status, out, err = run(capsys, *words, "--size", "512")
+    assert status == 0 and "324 vertices, 640 faces, texture colour 512 x 512" in out, err
+    status, _, err = run(capsys, *words, "--size", "64")
+    assert status == 1 and err == "omtwarp: error: a picture of 64 x 64 texels has no room for 2 parts\n", err
     status, out, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together")
     slit = len(omtwarp.SurfaceMap.load(tmp_path / "m.npz").vertices) - 324
     assert status == 0 and f"324 vertices and {slit} copies along cuts, 640 faces; flips 0, 97." in out, err
@@ -194,7 +197,8 @@ COMMANDS = {
     "texture {map} -o {out}.glb --size 64": {},
     "texture {map} -o {out}.obj --pattern checker --size 64": {},
     "texture {map} -o {out}.ply --size 64": {},
-    "texture {map} -o {out}.glb --bake ao --size 64": OVERLAPPING,
+    "texture {map} -o {out}.glb --bake ao --size 256": {},
+    "texture {map} -o {out}.obj --pattern checker --bake normal --detail {mesh} --size 256": {},
     "unwrap --map {map} -o {out}.glb": {},
     "preview {map} -o {out}.png --size 48": {},
     "film {map} -o {out}.gif --size 32x32 --seconds 0.2 --fps 5": OVERLAPPING,
@@ -245,6 +249,18 @@ def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, tmp_path, kind
         for word in command.split():
             if word.startswith("{out}"):
                 assert (tmp_path / word.format(out="out")).stat().st_size > 100
+
+
+@pytest.mark.parametrize("kind", ["torus", "parts", "disk", "cut"])
+@pytest.mark.parametrize("options", ["--bake ao", "--pattern checker --keep-materials over", "--bake {data}"])
+def test_an_unwrapped_mesh_is_painted_in_its_own_coordinates(capsys, maps, tmp_path, kind, options):
+    """What unwrap writes is read again with its coordinates, and painted through the same map."""
+    status, _, err = run(capsys, "unwrap", "--map", maps / f"{kind}.npz", "-o", tmp_path / "uv.obj", "--quiet")
+    assert status == 0, err
+    words = ["texture", tmp_path / "uv.obj", "--map", maps / f"{kind}.npz", "-o", tmp_path / "own.glb", "--uv", "own"]
+    words += [word.format(data=maps / f"{kind}.npy") for word in options.split()]
+    status, out, err = run(capsys, *words, "--size", "64")
+    assert status == 0 and "64 x 64" in out and "overlap" not in err, err
 
 
 def test_resampling_says_how_many_points_lie_in_filled_holes(capsys, maps, tmp_path):
