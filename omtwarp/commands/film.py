@@ -86,6 +86,8 @@ def film_map(
     quiet: QuietOption = False,
 ) -> None:
     """Film a map without a display: it flows from conformal to optimal, then the surface turns into its sphere.
+
+    A map to a torus ends as a ring torus, one to the disk as the disk, one of several parts as their spheres.
     \f
     One function, as most of its lines are options and where they are passed on.
     """
@@ -110,6 +112,7 @@ def film_map(
             repair=repair,
             quiet=quiet,
             device=device,
+            torus=True,
             verbose=verbose,
             method=method,
             cost=cost,

@@ -1,4 +1,4 @@
-"""Films of a map: from the conformal to the optimal map, and the surface turning into its sphere."""
+"""Films of a map: from the conformal to the optimal map, and the surface turning into its sphere or torus."""
 
 from __future__ import annotations
 
@@ -8,16 +8,14 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw
-from scipy.sparse import csr_matrix
-from scipy.spatial.transform import Rotation
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
-from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import Backend, Progress, choose
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_view, frame
@@ -25,12 +23,13 @@ from omtwarp.render.colors import backdrop
 from omtwarp.render.light import as_light
 from omtwarp.render.options import View
 from omtwarp.render.pictures import render
-from omtwarp.render.scene import Part, RenderJob, normalisation, smooth_parts, welded_normals
-from omtwarp.render.subject import FinishedMap, map_view
-from omtwarp.render.upright import posed
+from omtwarp.render.scene import RenderJob
+from omtwarp.render.stories import Story, story_of
+from omtwarp.render.subject import FinishedMap
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.rasterizing import rasterize
-from omtwarp.texturing.smooth import smooth_map
+
+if TYPE_CHECKING:
+    from omtwarp.torus.torus_map import TorusMap
 
 Floats = NDArray[np.float64]
 
@@ -49,97 +48,12 @@ EDGE = 0.6
 REST = 0.7  # seconds that the film pauses at its beginning, between its two parts and at its end
 EASE = 0.12  # share of the motion in which it accelerates, and in which it slows down
 BATCH = 12  # frames that are drawn together: their texture is uploaded once
-CAPTIONS = ("conformal map", "to the optimal map", "optimal map", "to its sphere", "the map on the sphere")
-# Texels around the sphere of a pattern: two to a pixel of the picture, of which a ball fills about a half.
-PICTURE_WIDTHS = (512, 4096)
 
-NEAR = 1e-6  # radians: between points nearer than this the great circle is a straight line
-SMALLEST_SINE = 1e-12  # of points next to their antipodes, between which no great circle is the shortest
 STILL = 1e-6  # added to a film's motion in its whole time, so that time never stands still
-LEAST_WEIGHT = 1e-9  # of the mean, of a vertex without area: turns the sphere as little as that
-
-
-@dataclass(frozen=True)
-class _Story:
-    """Where every vertex is drawn and on the sphere, at any time of the film.
-
-    From time 0 to 1 the points on the sphere go along great circles from the conformal to the final map, which is what
-    optimal transport does with them; from 1 to 2 the surface goes straight to its sphere.
-
-    Both maps are divided as pictures of maps are, so that lines of the pattern are smooth curves between the vertices.
-
-    Attributes:
-        surface: the surface, centred, its farthest point at distance 1, shape [V, 3].
-        ball: the points of the final map on a sphere of the surface's area, turned to lie nearest to it, shape [V, 3].
-        ball_points: the same of the divided map, shape [N, 3].
-        first: the conformal map, divided, shape [N, 3].
-        last: the final map, divided, shape [N, 3].
-        faces: of the surface, shape [F, 3].
-        parts: the triangles that the surface's are divided into, corners numbered as ``first`` and ``last`` are.
-        weights: sparse, shape [N, V]: every point of the divided maps as a combination of vertices; None where they
-            are not divided.
-        image: equirectangular picture that is carried along.
-    """
-
-    surface: Floats
-    ball: Floats
-    ball_points: Floats
-    first: Floats
-    last: Floats
-    faces: NDArray[np.int32]
-    parts: NDArray[np.int32]
-    weights: csr_matrix | None
-    image: NDArray[np.uint8]
-
-    @property
-    def flows(self) -> bool:
-        """Whether the conformal and the optimal map differ, so that the film shows the flow between them."""
-        return not np.array_equal(self.first, self.last)
-
-    def part(self, time: float) -> Part:
-        """Return the surface as it is drawn at a time between 0 and 2."""
-        places = self.surface + max(time - 1.0, 0.0) * (self.ball - self.surface)
-        points = along_great_circles(self.first, self.last, min(time, 1.0))
-        normals = welded_normals(places, self.faces)
-        if self.weights is not None:
-            # During the second part, added points also move to the ball, not to the flat triangles inside it.
-            fill = max(time - 1.0, 0.0) * (self.ball_points - self.weights @ self.ball)
-            places, normals = self.weights @ places + fill, self.weights @ normals
-            normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-        return Part(
-            positions=places.astype(np.float32),
-            normals=normals.astype(np.float32),
-            faces=self.parts,
-            kind="sphere",
-            value=points.astype(np.float32),
-            image=self.image,
-        )
-
-
-def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
-    """Return the points on the way between unit vectors, at constant speed along great circles, shape [N, 3].
-
-    Args:
-        first: where points are at time 0, shape [N, 3].
-        last: where they are at time 1, shape [N, 3].
-        time: 0 to 1; both ends are exact.
-    """
-    if time <= 0.0:
-        return first
-    if time >= 1.0:
-        return last
-    cosine = np.einsum("ij,ij->i", first, last)
-    angle = np.arctan2(np.linalg.norm(np.cross(first, last), axis=1), cosine)[:, None]
-    sine = np.maximum(np.sin(angle), SMALLEST_SINE)
-    near = angle < NEAR
-    ahead = np.where(near, time, np.sin(time * angle) / sine)
-    behind = np.where(near, 1.0 - time, np.sin((1.0 - time) * angle) / sine)
-    points = behind * first + ahead * last
-    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), SMALLEST_SINE)
 
 
 def film(
-    result: FinishedMap,
+    result: FinishedMap | TorusMap,
     path: str | os.PathLike[str],
     *,
     pattern: str = "circles",
@@ -159,13 +73,15 @@ def film(
     """Write a film of a map: it flows from the conformal to the optimal one, then the surface becomes its sphere.
 
     A pattern on the sphere is carried to the surface by the map of every moment, so that its circles move and grow to
-    equal areas. The last frame shows the sphere of the final map. No display is needed.
+    equal areas. The last frame shows the sphere of the final map; of other maps the disk, a ring torus, or the sphere
+    of every part, moved so that none hides another. No display is needed.
 
     Args:
-        result: a :class:`~omtwarp.MapResult` of a surface in one part.
+        result: a :class:`~omtwarp.MapResult` or :class:`~omtwarp.TorusMap`.
         path: ``.mp4`` (needs the program ffmpeg), ``.gif`` or ``.webp``; the file appears whole or not at all.
-        pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``.
-        image: equirectangular picture in place of the pattern: a path, a PIL image or an array [H, W, 3].
+        pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``; on a torus the first or the last.
+        image: equirectangular picture in place of the pattern, or one that repeats for a torus: a path, a PIL image or
+            an array [H, W, 3].
         size: width and height in pixels; None takes 1920 x 1080, and 640 x 360 for ``.gif`` and ``.webp``.
         fps: frames per second; None takes 30, and 20 for ``.gif`` and ``.webp``.
         seconds: how long the film is; None takes as long as smooth motion needs, with edges that sweep over less than
@@ -183,7 +99,7 @@ def film(
         The path.
 
     Raises:
-        OmtwarpError: a map that has no one sphere, an option that makes no sense, or a file that cannot be written.
+        OmtwarpError: no map, an option that makes no sense, or a file that cannot be written.
 
     Example:
         >>> import omtwarp
@@ -205,7 +121,7 @@ def film(
     choose(Backend, backend)
     backdrop(background, 1, 2)
     studio = _Studio(
-        *_story_of(result, pattern, image, width, view, up, front, device), background, captions, backend, device, rate
+        *_scene_of(result, pattern, image, width, view, up, front, device), background, captions, backend, device, rate
     )
     times = studio.times(width / height, seconds, progress)
     if pictorial:
@@ -228,7 +144,7 @@ def _require_room(frames: int, width: int, height: int, suffix: str) -> None:
 
 
 def film_frames(
-    result: FinishedMap,
+    result: FinishedMap | TorusMap,
     *,
     pattern: str = "circles",
     image: PictureLike | None = None,
@@ -245,7 +161,7 @@ def film_frames(
 ) -> Iterator[Image.Image]:
     """Return the frames of :func:`film`, one after another, with the same arguments."""
     size = _checked_size(size)
-    story, shot_for = _story_of(result, pattern, image, size[0], view, up, front, device)
+    story, shot_for = _scene_of(result, pattern, image, size[0], view, up, front, device)
     studio = _Studio(story, shot_for, background, captions, backend, device, fps)
     return studio.frames(studio.times(size[0] / size[1], seconds), size)
 
@@ -257,8 +173,8 @@ def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
     return width, height
 
 
-def _story_of(
-    result: FinishedMap,
+def _scene_of(
+    result: FinishedMap | TorusMap,
     pattern: str,
     image: PictureLike | None,
     width: int,
@@ -266,47 +182,16 @@ def _story_of(
     up: str | None,
     front: str | None,
     device: str,
-) -> tuple[_Story, Callable[[float], Shot]]:
+) -> tuple[Story, Callable[[float], Shot]]:
     """Return the course of a film, and the camera for a picture of a given width over height.
 
     Raises:
-        OmtwarpError: no map to a sphere, a map of several parts, or an unusable picture or view.
+        OmtwarpError: no map, or an unusable picture or view.
     """
-    if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal")):
-        raise OmtwarpError(f"cannot film a {type(result).__name__}: give a map to the sphere")
-    part = getattr(result, "part", None)
-    if part is not None and len(np.unique(part)) > 1 and getattr(result, "cap_centres", None) is None:
-        raise OmtwarpError(
-            "cannot film a map of several parts, each of which has a sphere of its own: map one of them, or all to one "
-            "sphere with --together"
-        )
-    if image is None:
-        least, most = PICTURE_WIDTHS
-        image = rasterize(pattern, int(np.clip(2 ** math.ceil(math.log2(2 * width)), least, most)), device=device)
-    shown = map_view(result, image)
-    shown = posed(shown, up, front)
-    centre, radius = normalisation(shown)
-    surface = (np.asarray(result.vertices) - centre) / radius
-    areas = np.bincount(
-        np.asarray(result.faces).ravel(),
-        np.repeat(triangle_areas(surface, np.asarray(result.faces)), 3),
-        minlength=len(surface),
-    )
-    turn, _ = Rotation.align_vectors(surface, np.asarray(result.sphere), weights=areas + areas.mean() * LEAST_WEIGHT)
-    to_ball = math.sqrt(areas.sum() / 3.0 / (4.0 * math.pi)) * turn.as_matrix().T
-    ball = np.asarray(result.sphere) @ to_ball
-    faces = np.asarray(result.faces, dtype=np.int32)
-    first, last, parts, weights = np.asarray(result.conformal), np.asarray(result.sphere), faces, None
-    divisions = smooth_parts(len(faces))
-    if divisions > 1:
-        divided = smooth_map(surface, faces, last, divisions)
-        flows = not np.array_equal(first, last)
-        first = smooth_map(surface, faces, first, divisions).sphere if flows else divided.sphere
-        last, parts, weights = divided.sphere, divided.faces, divided.weights
-    story = _Story(surface, ball, last @ to_ball, first, last, faces, parts, weights, np.asarray(shown.image))
     camera = as_view("three-quarter" if view is None else view, Camera())
-    used = np.unique(faces)
-    extent = np.concatenate([surface[used], ball[used]])
+    story, shown = story_of(result, pattern, image, width, camera, up, front, device)
+    used = np.unique(story.faces)
+    extent = np.concatenate([story.surface[used], story.domain[used]])
 
     def shot_for(aspect: float) -> Shot:
         return frame(extent, [camera], aspect, up=shown.up, front=shown.front)[0]
@@ -318,7 +203,7 @@ def _story_of(
 class _Studio:
     """Draws the moments of a story."""
 
-    story: _Story
+    story: Story
     shot_for: Callable[[float], Shot]
     background: str | ArrayLike
     captions: bool
@@ -419,7 +304,7 @@ class _Studio:
                 image = annotate.compose(picture, size, self.background, False)
                 if band:
                     place = (width / 2, height - 0.55 * band)
-                    words = CAPTIONS[math.floor(moment) + math.ceil(moment)]  # at 0, to 1, at 1, to 2, at 2
+                    words = self.story.captions[math.floor(moment) + math.ceil(moment)]  # at 0, to 1, at 1, to 2, at 2
                     ImageDraw.Draw(image).text(place, words, font=annotate.font(letters), fill=ink, anchor="mm")
                 for _ in range(repeats[moment]):
                     yield image

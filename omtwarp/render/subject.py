@@ -65,7 +65,7 @@ Picture: TypeAlias = PictureLike
 Subject: TypeAlias = "str | os.PathLike[str] | Triangles | SurfaceView | tuple[ArrayLike, ArrayLike]"
 
 
-def _is_torus_map(subject: object) -> TypeGuard[TorusMap]:
+def is_torus_map(subject: object) -> TypeGuard[TorusMap]:
     """Return whether a subject is a map to a torus: one exists only where its module is loaded."""
     module = sys.modules.get("omtwarp.torus.torus_map")
     return module is not None and isinstance(subject, module.TorusMap)
@@ -99,7 +99,7 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
                 return torus_view(TorusMap.load(path), image)
             return map_view(MapResult.load(path), image)
         view = _file_view(path)
-    elif _is_torus_map(subject):
+    elif is_torus_map(subject):
         return torus_view(subject, image)
     elif isinstance(subject, FinishedMap):
         return map_view(subject, image)

@@ -225,6 +225,12 @@ def textured_torus(
     )
 
 
+def tube_radius(lattice: Floats) -> float:
+    """Return the radius of the tube of a lattice's ring torus; that of the ring is 1."""
+    along = np.linalg.norm(lattice, axis=1)
+    return min(float(along.min() / along.max()), MOST_TUBE)
+
+
 def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
     """Map points of a flat torus to a ring torus with areas in proportion, shape [N, 3].
 
@@ -237,7 +243,7 @@ def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
         lattice: the vectors, as rows, shape [2, 2].
     """
     along = np.linalg.norm(lattice, axis=1)
-    share = min(float(along.min() / along.max()), MOST_TUBE)
+    share = tube_radius(lattice)
     tube, ring = (coordinates.T if along[0] <= along[1] else coordinates.T[::-1]) * (2.0 * np.pi)
     angle = tube.copy()
     for _ in range(KEPLER_STEPS):  # Newton's method on Kepler's equation; convex enough for every share below 1
@@ -247,4 +253,4 @@ def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
     return np.stack([reach * np.cos(ring), reach * np.sin(ring), turned * share * np.sin(angle)], axis=1)
 
 
-__all__ = ["PATTERNS", "TexturedTorus", "ring_torus", "textured_torus", "torus_pattern"]
+__all__ = ["PATTERNS", "TexturedTorus", "ring_torus", "textured_torus", "torus_pattern", "tube_radius"]

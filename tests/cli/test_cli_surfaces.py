@@ -179,7 +179,6 @@ TORUS = "is a map to a torus"
 # Commands that need the whole sphere take filled and cut surfaces, and say what to do of others.
 NOT_THE_SPHERE = {"hemisphere": PART, "disk": PART, "cap": PART, "parts": SEVERAL, "together": SEVERAL, "torus": TORUS}
 NOT_THE_SPHERE |= {"exact disk": PART, "exact together": SEVERAL}
-OVERLAPPING = {"parts": "with --together", "torus": TORUS}
 COMMANDS = {
     "align {map} -o {out}.npz": NOT_THE_SPHERE,
     "align {map} --to {closed} -o {out}.ply": NOT_THE_SPHERE,
@@ -201,7 +200,7 @@ COMMANDS = {
     "texture {map} -o {out}.obj --pattern checker --bake normal --detail {mesh} --size 256": {},
     "unwrap --map {map} -o {out}.glb": {},
     "preview {map} -o {out}.png --size 48": {},
-    "film {map} -o {out}.gif --size 32x32 --seconds 0.2 --fps 5": OVERLAPPING,
+    "film {map} -o {out}.gif --size 32x32 --seconds 0.2 --fps 5": {},
     "report {map} -o {out}.html": {},
     "texture {mesh} -o {out}.glb": dict.fromkeys(KINDS, "'omtwarp map' with --"),
 }
