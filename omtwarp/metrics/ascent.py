@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-TRIALS = 6  # lengths of a step that are tried, each SHORTER times the one before
-SHORTER = 0.4
+TRIALS, SHORTER = 6, 0.4  # lengths of a step that are tried, each so many times the one before
 MOST_PAIRS = 10  # of steps and changes of the slope; 3 to 20 are usual (Nocedal and Wright 2006, chapter 7)
 LEAST_CURVATURE = 1e-12  # s · y over |s| |y|: pairs with less are not kept, their curvature is round-off
 # The first step is this long, in units of what would bring a straight line to zero. Above so many points it is as long
