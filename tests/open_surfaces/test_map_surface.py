@@ -297,7 +297,9 @@ def test_disks_of_few_boundary_vertices_keep_areas(level):
         ratio = image / image.sum() / (own / own.sum())
         return float((own / own.sum() * (ratio + 1.0 / ratio)).sum())
 
-    assert area_distortion(found) < 2.01 < area_distortion(without_surface) - 0.01
+    # The map to the hemisphere has one of two ends, by rounding; the excess over 2 is 12 to 80 times larger without.
+    assert area_distortion(found) < 2.01
+    assert area_distortion(without_surface) - 2.0 > 3.0 * (area_distortion(found) - 2.0)
     assert np.array_equal(found[held], laid[held])
 
 
