@@ -163,7 +163,7 @@ def test_where_limbs_would_be_thin_holes_are_closed(thin_pretzel):
     """Areas need vertices around limbs; a thick surface is cut along the shortest loops."""
     result = omtwarp.map_surface(thin_pretzel, optimality=False, device="cpu")
     assert result.report["surface"]["cut_along"] == ["holes", "holes"]
-    # 2.016 to 2.034 with other numbers of the vertices, and moved by a thousandth of a ring; 2.148 along shortest loops.
+    # 2.016 to 2.034 with other numbers of the vertices, and moved by a thousandth; 2.148 along shortest loops.
     assert result.certificate.bijective and result.distortion().area["surface"] < 2.06
     assert np.array_equal(result.vertex_origin[result.faces], thin_pretzel.faces)
     vertices, faces = _arrays(shapes.rings(1, tube=0.8, cell=0.35))
