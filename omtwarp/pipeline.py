@@ -23,6 +23,7 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.flips.guard import hold_back
 from omtwarp.flips.rings import Examined, examine, is_bijective
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, turned_towards
+from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.arrays import TINY
@@ -42,7 +43,7 @@ from omtwarp.optimal.energy import AREA_WEIGHT
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, continued
 from omtwarp.refine.solver import Refiner
-from omtwarp.result import MapReport, MapResult, StageRecord
+from omtwarp.result import MapReport, MapResult, StageRecord, renumbered
 from omtwarp.start.choice import bijective_start, mostly_shrunken, shrunken_triangles
 from omtwarp.texturing.density import TargetLike, as_target
 from omtwarp.topology.doubling import Double, quartered_double
@@ -264,11 +265,12 @@ def map_to_sphere(
     if density is not None and options.exact:
         raise OmtwarpError("exact areas are for the uniform sphere: leave the target density out")
     surface = weighted_surface(as_surface(mesh), weights)
+    ordered = in_space_order(surface)
     with solving_with(options.solver):
-        result = _Run(surface, options, str(where), progress, density).result()
+        result = _Run(ordered.surface, options, str(where), progress, density).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
-    return result
+    return _in_order_of(surface, ordered, result)
 
 
 @blas_threads(1)
@@ -1156,6 +1158,23 @@ class _Run:
                 f"no map that is one to one was found: {certificate}; repair or remesh the surface and try again"
             )
         return certificate
+
+
+def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -> MapResult:
+    """Return the map of a surface, or of that surface quartered, from that of the surface in another order."""
+    vertices, faces = ordered.vertices, ordered.faces
+    arrays: dict[str, NDArray] = {}
+    if result.face_origin is not None:
+        quartered = quarter(surface)
+        vertices, faces = ordered.of_parts(quartered)
+        surface = quartered.surface
+        arrays = {"vertex_origin": quartered.vertex_origin, "face_origin": quartered.parents}
+    arrays |= {"vertices": surface.vertices, "faces": surface.faces}
+    certificate = replace(result.certificate, smallest_face=int(faces[result.certificate.smallest_face]))
+    result = renumbered(result, {"V": vertices, "F": faces}, arrays)
+    vars(result)["certificate"] = certificate
+    result.report["certificate"] = certificate.to_dict()
+    return result
 
 
 def versions() -> dict[str, str]:

@@ -310,6 +310,24 @@ class MapResult(Shown):
         return result
 
 
+def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arrays: Mapping[str, NDArray]) -> MapResult:
+    """Return the same map for vertices and faces that are numbered in another way.
+
+    Args:
+        result: a map of V vertices and F faces.
+        numbers: the new numbers of vertices and faces, under ``V`` and ``F``, of those lengths.
+        arrays: arrays of the new map, by name, that hold numbers of vertices or faces: at least ``faces``.
+    """
+    found: dict[str, object] = {}
+    for name, (_, (letter, *_)) in LAYOUT.items():
+        values = getattr(result, name)
+        if values is not None and letter in numbers and name not in arrays:
+            placed = np.empty_like(values)
+            placed[numbers[str(letter)]] = values
+            found[name] = placed
+    return MapResult(**_fitting(found | dict(arrays)), history=result.history, report=result.report)
+
+
 def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
     """Read the arrays of a map's file, and check them."""
     with open_input(source, LARGEST_MESH_FILE, "map") as stream:

@@ -143,8 +143,8 @@ def optimality(
 ) -> Optimality:
     """Measure how far a map is from the optimal one (squared geodesic cost).
 
-    Sparse systems are solved in the order of elimination that a :class:`Surface` keeps, so that for a surface
-    whose map was just made this takes a fraction of the map's time.
+    Sparse systems are solved in the order of elimination that a :class:`Surface` keeps, so that a second call for one
+    surface takes less time.
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
