@@ -104,14 +104,14 @@ class SurfaceMap(MapResult):
 
         The stage ``disk`` is the map to the unit disk, where ``sphere`` is the one to the hemisphere. Areas are
         compared within each part, every part scaled to the area of its image, and all parts count alike; where parts
-        lie side by side on one sphere, areas of all are compared.
+        lie side by side on one sphere, areas of all are compared, but for the stages before they were put there.
 
         Raises:
             OmtwarpError: the stage was not run.
         """
         if isinstance(stage, str) and stage == "disk" and self.disk is not None:
             return measure_in_plane(self.vertices, self.faces, self.disk)
-        if self.part is None or self.cap_centres is not None:
+        if self.part is None or (self.cap_centres is not None and stage == "sphere"):
             return super().distortion(stage)
         points = getattr(self, stage, None) if stage in ("sphere", "conformal", "moser", "transported") else None
         if points is None:

@@ -31,7 +31,7 @@ from omtwarp.reporting.scene import (
     log2_area_ratio,
     make_scene,
 )
-from omtwarp.reporting.stages import Stage, stages_of
+from omtwarp.reporting.stages import Stage, stages_of, view_on_domain
 from omtwarp.reporting.torus_page import write_torus_report
 from omtwarp.result import MapReport, MapResult
 from omtwarp.texturing import read_image
@@ -170,7 +170,7 @@ def _page(
         sections.distributions(stages),
         sections.transport(report, shown_history(result), stages),
         sections.stage_table(stages, report),
-        sections.certificate(report, scene.faces),
+        sections.certificate(report, scene.faces, stages[-1], getattr(result, "filled_faces", None) is not None),
     ]
     three, viewer = script("three/three.min.js"), script("viewer.js")
     return fill_page(
@@ -180,7 +180,7 @@ def _page(
         scripts=html("{} {}", source_hash(three), source_hash(viewer)),
         icon=f"data:image/svg+xml,{_ICON.replace('<', '%3C').replace('>', '%3E').replace(' ', '%20')}",
         style=asset("page.css"),
-        lead=_lead(result, report),
+        lead=_lead(result, report, stages[-1]),
         verdict=_verdict(report, stages),
         view=viewer_section(
             stages,
@@ -197,11 +197,25 @@ def _page(
     )
 
 
-def _lead(result: MapResult, report: MapReport) -> str:
-    parts = [f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to the unit sphere"]
+def _lead(result: MapResult, report: MapReport, last: Stage) -> str:
+    where = f"{last.count} {last.domain}, one for each part" if last.count > 1 else f"the unit {last.domain}"
+    if last.domain in ("hemisphere", "cap"):
+        where = f"a spherical {last.domain}" if last.domain == "cap" else "the hemisphere"
+    if getattr(result, "cap_centres", None) is not None:
+        where += ", all parts side by side"
+    parts = [f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to {where},"]
     if "seconds" in report:
         parts.append(f"in {sections.seconds_text(report['seconds'])} {sections.where(report)}")
-    return f"{' '.join(parts)}."
+    loops, pairs = (getattr(result, name, None) for name in ("loop_ends", "loop_pairs"))
+    cuts = 0 if pairs is None else len(pairs)
+    holes = 0 if loops is None else len(loops) - 2 * cuts
+    done = [
+        f"{count} {name}{'s' * (count > 1)} {what}"
+        for count, name, what in ((holes, "hole", "filled"), (cuts, "handle", "cut open"))
+        if count
+    ]
+    more = f" {' and '.join(done)}." if done else ""
+    return f"{' '.join(parts).rstrip(',')}.{more}"
 
 
 def _verdict(report: MapReport, stages: Sequence[Stage]) -> Markup:
@@ -231,13 +245,13 @@ def viewer_section(stages: Sequence[Stage], poster: str, poster_alt: str, textur
             poster=poster,
             poster_alt=poster_alt,
             controls=_controls(stages, texture),
-            legends=_legends(),
+            legends=_legends(stages[-1].domain),
         )
     )
 
 
 def _controls(stages: Sequence[Stage], texture: str) -> Markup:
-    last = stages[-1].key
+    last, domain = stages[-1].key, stages[-1].domain
     colourings = [
         ("picture", texture),
         ("graticule", "Graticule"),
@@ -249,20 +263,22 @@ def _controls(stages: Sequence[Stage], texture: str) -> Markup:
         _segments("Map", "stage", [(stage.key, stage.label) for stage in stages], last)
         + _segments("Colour", "colouring", colourings, "picture")
         + html(
-            '<label class="slider"><span><em>Surface</em><em>Sphere</em></span>'
-            '<input type="range" name="morph" min="0" max="100" value="0" aria-label="From the surface to the sphere">'
+            '<label class="slider"><span><em>Surface</em><em>{}</em></span>'
+            '<input type="range" name="morph" min="0" max="100" value="0" aria-label="From the surface to the {}">'
             "</label>"
             '<div class="buttons"><label class="toggle"><input type="checkbox" name="wireframe">Wireframe</label>'
-            '<button type="button" id="viewer-home">Reset view</button></div>'
+            '<button type="button" id="viewer-home">Reset view</button></div>',
+            domain.capitalize(),
+            domain,
         )
     )
 
 
-def _legends() -> Markup:
+def _legends(domain: str) -> Markup:
     area, angle = 2.0**AREA_RANGE, 2.0**ANGLE_RANGE
     area_ticks = (f"1/{area:.0f}", "1", f"{area:.0f}")
     angle_ticks = ("1", f"{2 ** (ANGLE_RANGE / 2):.1f}", f"{angle:.0f} or more")
-    return _legend("area", "Area: sphere / surface", colour_ramp(AREA_COLOURS, count=12), area_ticks) + _legend(
+    return _legend("area", f"Area: {domain} / surface", colour_ramp(AREA_COLOURS, count=12), area_ticks) + _legend(
         "angle", "Larger / smaller stretch", colour_ramp(ANGLE_COLOURS, ANGLE_PART, count=12), angle_ticks
     )
 
@@ -341,10 +357,7 @@ def _stills(
         bound = AREA_RANGE
         field = ScalarField(np.clip(log2_area_ratio(stage), -bound, bound), AREA_COLOURS, (-bound, bound))
         edges = len(result.faces) <= MOST_EDGES
-        begin(
-            f"sphere {stage.key}",
-            SurfaceView(stage.sphere, result.faces, scalar=field, up="z", front="+x", edges=edges),
-        )
+        begin(f"sphere {stage.key}", replace(view_on_domain(result, stage, pose), scalar=field, edges=edges))
     picture: NDArray[np.generic]
     if isinstance(texture, Pattern):
         picture = rasterize(texture, PICTURE_WIDTH, supersample=PICTURE_SAMPLES, device=device)

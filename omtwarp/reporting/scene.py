@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.policy import resolve_device
-from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.render.camera import DEFAULT_FRONT, axis_vector
 from omtwarp.render.colors import colormap_table
+from omtwarp.render.domains import fits_of
 from omtwarp.render.scene import SurfaceView
 from omtwarp.render.upright import posed
 from omtwarp.reporting.stages import Stage
@@ -32,6 +33,7 @@ from omtwarp.texturing.bending import Look
 from omtwarp.texturing.textured import vertex_normals
 
 LARGEST_SPHERE = 0.8  # radius beside the surface's of 1: folds make a surface's area large
+COVERED = {"hemisphere": 0.5, "disk": 0.5}  # share of the sphere that has the surface's area; of caps nearly all
 UNBOUNDED = 1e18  # in place of an infinite angle distortion, 2^60: the colours end at 2^3
 LEAST_RADIUS = 1e-12  # of a vertex at the centre, which no direction leads to
 # Colours in a sixteenth of the texels: a pattern of flat colours and its blended borders has fewer, and a photograph
@@ -53,8 +55,8 @@ ANGLE_PART = 0.78  # the remainder of that colour map is too dark to show the su
 MOST_FACES = 150_000
 PACKING = 3  # level of zlib: on the bunny 1 % more bytes than at 9, in a fifth of the time
 FACE_TEXELS = 512  # of the texture along each face of the cube
-# Degrees above the horizon from which the view starts.
-ELEVATION = 18.0
+# Degrees around the surface and above the horizon from which the view starts.
+AZIMUTH, ELEVATION = -30.0, 18.0
 
 # The six faces of a cube texture as OpenGL has them: direction = normal + a right + b down, a and b in [-1, 1] along
 # columns and rows (OpenGL 4.6, table 8.19).
@@ -122,14 +124,23 @@ def make_scene(
         "normal": _signed(vertex_normals(vertices, np.asarray(result.faces))[used] @ axes.T),
         "index": triangles.astype(np.uint32).ravel(),
     }
+    several = any(stage.count > 1 for stage in stages)
     for stage in stages:
+        if several:
+            arrays[f"place-{stage.key}"] = domain_places(stage, result.faces, placed, triangles, used)
         area, angle = vertex_scalars(result.faces, stage)
         arrays[f"direction-{stage.key}"] = _signed(stage.sphere[used])
         arrays[f"area-{stage.key}"] = _levels(area[used], -AREA_RANGE, AREA_RANGE)
         arrays[f"angle-{stage.key}"] = _levels(angle[used], 0.0, ANGLE_RANGE)
 
     # A sphere of the surface's own area, unless folds make that too large for the view.
-    radius = min(float(np.sqrt(triangle_areas(placed, triangles).sum() / (4.0 * np.pi))), LARGEST_SPHERE)
+    covered = SPHERE_AREA * COVERED.get(stages[-1].domain, 1.0)
+    radius = min(float(np.sqrt(triangle_areas(placed, triangles).sum() / covered)), LARGEST_SPHERE)
+    turn = alignment(stages[-1].sphere[used], placed)
+    if several:
+        own = [arrays[f"place-{stage.key}"].reshape(-1, 4) for stage in stages]
+        turn = alignment(stages[-1].sphere[used], placed - own[-1][:, :3])
+        radius = max(float((np.linalg.norm(place[:, :3], axis=1) + place[:, 3]).max()) for place in own)
 
     blob, places = bytearray(), {}
     for name, array in arrays.items():
@@ -138,17 +149,43 @@ def make_scene(
         blob += array.astype(array.dtype.newbyteorder("<")).tobytes()
     header = {
         "arrays": places,
-        "stages": [{"key": stage.key, "label": stage.label} for stage in stages],
+        "stages": [{"key": stage.key, "label": stage.label, "flat": stage.disk is not None} for stage in stages],
         "radius": radius,
+        "azimuth": AZIMUTH,
         "elevation": ELEVATION,
         # Column by column, as WebGL takes it.
-        "turn": alignment(stages[-1].sphere[used], placed).T.ravel().round(6).tolist(),
+        "turn": turn.T.ravel().round(6).tolist(),
         "area": {"range": AREA_RANGE, "colours": colour_ramp(AREA_COLOURS)},
         "angle": {"range": ANGLE_RANGE, "colours": colour_ramp(ANGLE_COLOURS, ANGLE_PART)},
         "picture": cube_faces(texture, texels, device=device),
     }
     packed = base64.b64encode(zlib.compress(bytes(blob), PACKING)).decode()
     return Scene(json.dumps(header, separators=(",", ":")), packed, len(triangles))
+
+
+def domain_places(
+    stage: Stage, faces: NDArray[np.int32], placed: Floats, triangles: NDArray[np.int32], used: NDArray[np.integer]
+) -> NDArray[np.float32]:
+    """Return centre and radius of the domain that every vertex of the view goes to, next to its part, shape [N, 4].
+
+    Args:
+        stage: a map of parts.
+        faces: of the map.
+        placed: the vertices of the view, shape [N, 3].
+        triangles: of the view, which joins no two parts.
+        used: the map's vertices that the view has, shape [N].
+    """
+    own = np.zeros(len(stage.sphere), dtype=np.intp)
+    own[faces] = stage.number[:, None]
+    own = own[used]
+    points = stage.sphere[used]
+    azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
+    back = [np.cos(elevation) * np.sin(azimuth), np.sin(elevation), np.cos(elevation) * np.cos(azimuth)]
+    right = np.array([np.cos(azimuth), 0.0, -np.sin(azimuth)])
+    seen = np.column_stack([right, np.cross(back, right), back])
+    matrices, shifts = fits_of(placed, points, triangles, own[triangles[:, 0]], stage.domain.rstrip("s"), seen)
+    radii = np.linalg.norm(matrices[:, 0], axis=1)
+    return np.column_stack([shifts, radii])[own].astype(np.float32)
 
 
 def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACES) -> tuple[Floats, NDArray[np.int32]]:

@@ -17,6 +17,8 @@ from omtwarp.reporting.stages import Stage
 from omtwarp.result import MapReport
 
 NINE_TENTHS = (0.05, 0.95)  # quantiles between which nine tenths of a distribution lie, as the words say
+# Degrees are whole numbers but for the round-off of a million solid angles, or the share of the sphere that is covered.
+WHOLE_COVER = 1e-6
 NEAR_END = 1.01  # of the final cost: the iteration that reaches it is named
 PLAIN = (1e-3, 1e5)  # sizes of numbers that are written without a power of ten
 AS_MILLISECONDS, AS_SECONDS = 0.1, 120  # seconds below which a time is written in these
@@ -25,10 +27,10 @@ AS_MILLISECONDS, AS_SECONDS = 0.1, 120  # seconds below which a time is written 
 def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
     """Show the most important numbers of a map."""
     first, last = stages[0], stages[-1]
-    cost = last.record.get("transport_cost")
+    known = (stage.record.get("transport_cost") for stage in reversed(stages))
+    cost = next((cost for cost in known if cost is not None), None)  # disks and caps are made of optimal maps
     figures = [
-        ("Flipped triangles", f"{last.distortion.flips:,}", f"of {len(last.distortion.triple):,}; degree "
-         f"{last.distortion.degree:.3f}"),
+        ("Flipped triangles", f"{last.distortion.flips:,}", f"of {len(last.distortion.triple):,}; {_cover(last)}"),
         ("Area distortion", _number(last.distortion.area["surface"]), f"2 is perfect; {first.label.lower()} "
          f"{_number(first.distortion.area['surface'])}"),
         ("Angle distortion", _number(last.distortion.angle["surface"]), f"2 is perfect; {first.label.lower()} "
@@ -43,6 +45,16 @@ def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
         for name, value, remark in figures
     )
     return html('<dl class="figures">{}</dl>', items)
+
+
+def _cover(stage: Stage) -> str:
+    """Return the degree of a map in words, or the part of the sphere that it covers."""
+    degree = stage.distortion.degree
+    if stage.count > 1:
+        return f"{stage.count} {stage.domain}"
+    if stage.disk is not None:
+        return "on the disk"
+    return f"degree {degree:.3f}" if abs(degree - round(degree)) < WHOLE_COVER else f"{degree:.1%} of the sphere"
 
 
 def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> Markup:
@@ -64,10 +76,11 @@ def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> 
     for stage in pair:
         figures.append(
             html(
-                '<figure><img src="{still}" alt="The triangles on the sphere, {label} map" '
-                'loading="lazy"><figcaption>{swatch}<b>{label}, on the sphere.</b> '
+                '<figure><img src="{still}" alt="The triangles on the {domain}, {label} map" '
+                'loading="lazy"><figcaption>{swatch}<b>{label}, on the {domain}.</b> '
                 "Coloured by the area that each triangle gained (red) or lost (blue).</figcaption></figure>",
                 still=stills["sphere " + stage.key],
+                domain=stage.domain,
                 label=stage.label,
                 swatch=_swatch(stage),
             )
@@ -106,10 +119,11 @@ def distributions(stages: Sequence[Stage]) -> Markup:
         mirrored=False,
     )
     cards = html(
-        '<div class="card"><h3>Area ratio</h3><p>Area on the sphere over area on the surface; 1 preserves area.</p>'
+        '<div class="card"><h3>Area ratio</h3><p>Area on the {} over area on the surface; 1 preserves area.</p>'
         "{}</div>"
         '<div class="card"><h3>Angle ratio</h3><p>Larger over smaller singular value; 1 preserves angles.</p>'
         "{}</div>",
+        stages[-1].domain,
         left,
         right,
     )
@@ -237,8 +251,15 @@ def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
     return _section("Stages", words, table)
 
 
-def certificate(report: MapReport, shown_faces: int) -> Markup:
-    """Describe the certificate; ``shown_faces`` is the number of faces in the interactive view."""
+def certificate(report: MapReport, shown_faces: int, last: Stage, filled: bool) -> Markup:
+    """Describe the certificate.
+
+    Args:
+        report: of the map.
+        shown_faces: the number of faces in the interactive view.
+        last: the final map.
+        filled: whether holes or the sides of cuts are filled.
+    """
     found = report.get("certificate")
     if not found:
         return html("")
@@ -257,6 +278,13 @@ def certificate(report: MapReport, shown_faces: int) -> Markup:
         "A map of a closed surface to the sphere whose triangles all keep their orientation, and whose vertices' rings "
         "all turn once, covers it evenly; degree 1 then makes it one to one and onto."
     )
+    if last.domain.startswith(("hemisphere", "cap", "disk")):
+        seen = ", the disk seen from above its centre" if last.disk is not None else ""
+        words += f" The rim is closed by a fan of triangles to the point opposite to it{seen}."
+    if filled:
+        words += " What fills holes and the sides of cuts is part of it."
+    if last.count > 1:
+        words += " Each part is certified by itself."
     count = report.get("mesh", {}).get("faces")
     if count and shown_faces < count:
         facts.append(("Interactive view", f"simplified to {shown_faces:,} triangles; figures are of the whole mesh"))

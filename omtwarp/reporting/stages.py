@@ -9,6 +9,11 @@ from numpy.typing import NDArray
 
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
+from omtwarp.open_surfaces.lambert import disk_to_cap
+from omtwarp.options import Domain
+from omtwarp.render.camera import Camera, camera_axes
+from omtwarp.render.domains import domain_name, domains_of, fits_of, placed_on
+from omtwarp.render.scene import SurfaceView
 from omtwarp.reporting.record import shown_report
 from omtwarp.result import MapResult, StageReport
 
@@ -27,6 +32,8 @@ ROUTES = {
     "tutte": "Tutte",
     "mean-value": "Mean value",
 }
+# Domains that a map to the hemisphere is carried to at the end.
+OF_HEMISPHERES = (Domain.DISK, Domain.CAP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +48,9 @@ class Stage:
         distortion: of this map.
         record: the stage's entry of ``report["stages"]``, empty if there is none.
         weights: the part of the surface that every triangle is, float64, shape [F], sum 1.
+        domain: what the surface is mapped to, in words: ``hemisphere``, ``spheres``.
+        number: the domain of every triangle, shape [F]: zeros, but with parts that have one each.
+        disk: places on the disk, shape [V, 2], where it is the domain; ``sphere`` is then Lambert's projection of them.
     """
 
     key: str
@@ -50,6 +60,14 @@ class Stage:
     distortion: Distortion
     record: StageReport
     weights: NDArray[np.float64]
+    domain: str
+    number: NDArray[np.intp]
+    disk: NDArray[np.float64] | None = None
+
+    @property
+    def count(self) -> int:
+        """The number of domains, each for a part of the surface."""
+        return int(self.number.max(initial=0)) + 1
 
 
 def stages_of(result: MapResult) -> list[Stage]:
@@ -57,16 +75,53 @@ def stages_of(result: MapResult) -> list[Stage]:
     report = shown_report(result)
     records = {record.get("name"): record for record in report.get("stages", ())}
     route = report.get("start", {}).get("route", "conformal")
-    scale = max(float(np.abs(result.vertices).max()), np.finfo(float).tiny)  # squares stay in range at any scale
-    areas = triangle_areas(result.vertices / scale, result.faces)
+    areas = triangle_areas(result.vertices / _extent(result), result.faces)
     weights = areas / areas.sum()
+    number, last = domains_of(result, len(result.faces)), domain_name(result)
+    side_by_side = getattr(result, "cap_centres", None) is not None
+    carried = side_by_side or getattr(result, "domain", "sphere") in OF_HEMISPHERES
+    part = getattr(result, "part", None)
+    apart = number if part is None else np.unique(part, return_inverse=True)[1]
+    plural = "s" if apart.any() else ""
+    before = "hemisphere" + plural if carried else last
     found: list[Stage] = []
     for attribute, key, label, colour in KNOWN:
         sphere = getattr(result, attribute, None)
         if sphere is None or any(np.array_equal(sphere, stage.sphere) for stage in found):
             continue
+        domain, own = before, apart
         if attribute == "conformal":
             label = ROUTES.get(route, str(route).capitalize())
+        elif attribute == "sphere" and carried and last != before and not last.startswith("disk"):
+            key, label, domain, own = "cap", "Caps" if plural else "Cap", last, number
         record = records.get(key) or (records.get(route, {}) if attribute == "conformal" else {})
-        found.append(Stage(key, label, colour, sphere, result.distortion(attribute), record, weights))
+        found.append(Stage(key, label, colour, sphere, result.distortion(attribute), record, weights, domain, own))
+    disk = getattr(result, "disk", None)
+    if disk is not None:
+        lifted = disk_to_cap(disk / np.maximum(1.0, np.linalg.norm(disk, axis=1))[:, None], 0.5)
+        measured, record = result.distortion("disk"), records.get("disk", {})
+        found.append(Stage("disk", "Disk", "--flat", lifted, measured, record, weights, "disk" + plural, number, disk))
     return found
+
+
+def view_on_domain(result: MapResult, stage: Stage, pose: SurfaceView) -> SurfaceView:
+    """Return the triangles where a stage's map has them; where parts have a domain each, none hides another.
+
+    Args:
+        result: the map.
+        stage: of it.
+        pose: the surface's axes, which several domains have too.
+    """
+    points = stage.sphere if stage.disk is None else np.column_stack([stage.disk, np.zeros(len(stage.disk))])
+    if stage.count == 1:
+        up, front = ("z", "+x") if stage.disk is None else ("y", "+z")
+        return SurfaceView(points, result.faces, up=up, front=front)
+    axes = camera_axes(Camera(), pose.up or "y", pose.front)
+    surface, kind = result.vertices / _extent(result), stage.domain.rstrip("s")
+    fits = fits_of(surface, points, result.faces, stage.number, kind, axes)
+    return SurfaceView(placed_on(points, result.faces, stage.number, *fits), result.faces, up=pose.up, front=pose.front)
+
+
+def _extent(result: MapResult) -> float:
+    """Return the largest coordinate of a surface: in its unit, squares stay in range."""
+    return max(float(np.abs(result.vertices).max()), np.finfo(float).tiny)

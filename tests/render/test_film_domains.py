@@ -10,8 +10,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.render import films
 from omtwarp.render.camera import Camera, camera_axes
+from omtwarp.render.domains import SPACING
 from omtwarp.render.films import film_frames
-from omtwarp.render.stories import SPACING, Story, story_of
+from omtwarp.render.stories import Story, story_of
 
 CAMERA = Camera()
 

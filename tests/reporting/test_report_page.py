@@ -267,3 +267,53 @@ def test_command(result, tmp_path, capsys):
 
 def decode(uri: str) -> Image.Image:
     return Image.open(io.BytesIO(base64.b64decode(uri.split(",", 1)[1]))).convert("RGB")
+
+
+@pytest.fixture(scope="module")
+def open_blob():
+    blob = shapes.blob(seed=3, sphere=720)
+    used, faces = np.unique(blob.faces[(blob.vertices[blob.faces, 2] > -0.3).all(axis=1)], return_inverse=True)
+    return blob.vertices[used], faces.reshape(-1, 3)
+
+
+def test_page_names_what_the_surface_is_mapped_to(open_blob, text_only):
+    ball = shapes.blob(seed=1, sphere=320)
+    two = np.concatenate([ball.vertices, ball.vertices + 4.0]), np.concatenate([ball.faces, ball.faces + 162])
+    for mesh, options, label, words in (
+        (open_blob, {"domain": "hemisphere"}, "Optimal transport", ("mapped to the hemisphere", "50.0% of the sphere")),
+        (open_blob, {"domain": "disk"}, "Disk", ("mapped to the unit disk", "seen from above", ">Disk, on the disk.<")),
+        (open_blob, {"domain": "cap"}, "Cap", ("mapped to a spherical cap", ">Conformal, on the hemisphere.<")),
+        (open_blob, {"domain": "sphere"}, "Optimal transport", ("the unit sphere", "1 hole filled", "is part of it")),
+        (two, {}, "Optimal transport", ("mapped to 2 spheres, one for each part", "is certified by itself")),
+        (two, {"together": True}, "Caps", ("the unit sphere, all parts side by side", "97.", "on the hemispheres.<")),
+        (shapes.rings(2, cell=0.35), {}, "Optimal transport", ("the unit sphere", "2 handles cut open")),
+    ):
+        result = omtwarp.map_surface(mesh, optimality=False, device="cpu", **options)
+        text = report_page(result)
+        assert stages_of(result)[-1].label == label
+        assert all(word in text for word in words), (options, [word for word in words if word not in text])
+        assert all(stage.distortion.area["surface"] < 2.05 for stage in stages_of(result)[1:]), options
+
+
+def test_stages_of_a_disk_are_those_of_the_hemisphere_and_the_disk_itself(open_blob):
+    result = omtwarp.map_surface(open_blob, domain="disk", optimality=False, device="cpu")
+    *before, last = stages_of(result)
+    assert [stage.domain for stage in before] == ["hemisphere"] * len(before) and last.domain == "disk"
+    assert last.distortion.angle == result.distortion("disk").angle
+    np.testing.assert_allclose(np.linalg.norm(last.sphere, axis=1), 1.0, atol=1e-12)
+    # The page's view lays it flat by the projection that it was lifted by.
+    np.testing.assert_allclose(last.sphere[:, :2] / np.sqrt(1.0 + last.sphere[:, 2:]), result.disk, atol=1e-12)
+
+
+def test_parts_have_places_of_their_own_in_the_view():
+    ball = shapes.blob(seed=1, sphere=320)
+    vertices = np.concatenate([ball.vertices, 2.0 * ball.vertices + 0.1])
+    faces = np.concatenate([ball.faces, ball.faces + 162])
+    result = omtwarp.map_surface((vertices, faces), optimality=False, device="cpu")
+    shown = scene.make_scene(result, stages_of(result), "checker", texels=16, device="cpu")
+    offset, count = json.loads(shown.header)["arrays"]["place-omt"]
+    blob = zlib.decompress(base64.b64decode(shown.data))
+    places = np.frombuffer(blob, "<f4", count, offset).reshape(-1, 4)
+    assert len(places) == 324 and len(np.unique(places, axis=0)) == 2
+    (one, other) = places[0], places[-1]
+    assert other[3] == pytest.approx(2.0 * one[3]) and np.linalg.norm(one[:3] - other[:3]) > one[3] + other[3]

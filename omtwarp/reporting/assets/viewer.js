@@ -14,17 +14,29 @@
   const VERTEX = `
     attribute vec3 directionFrom, directionTo;
     attribute float areaFrom, areaTo, angleFrom, angleTo;
-    uniform float change, morph, radius;
+    uniform float change, morph, radius, flatFrom, flatTo;
+    #ifdef PLACED
+    attribute vec4 placeFrom, placeTo;
+    #endif
     uniform mat3 turn;
     varying vec3 direction, normalEye, positionEye;
     varying float area, angle;
     void main() {
       direction = mix(directionFrom, directionTo, change);
-      vec3 onSphere = turn * normalize(direction + vec3(1e-9));
-      vec3 placed = mix(position, radius * onSphere, morph);
+      vec3 onSphere = normalize(direction + vec3(1e-9));
+      // The disk by Lambert's projection of the hemisphere.
+      vec3 onDisk = vec3(onSphere.xy * sqrt(2.0 / max(1.0 + onSphere.z, 1e-9)), 0.0);
+      float lying = mix(flatFrom, flatTo, change);
+      #ifdef PLACED
+      vec4 place = mix(placeFrom, placeTo, change);
+      #else
+      vec4 place = vec4(0.0, 0.0, 0.0, radius);
+      #endif
+      vec3 placed = mix(position, place.xyz + place.w * (turn * mix(onSphere, onDisk, lying)), morph);
+      vec3 outward = turn * mix(onSphere, vec3(0.0, 0.0, 1.0), lying);
       area = mix(areaFrom, areaTo, change);
       angle = mix(angleFrom, angleTo, change);
-      normalEye = normalMatrix * mix(normal, onSphere, morph);
+      normalEye = normalMatrix * mix(normal, outward, morph);
       vec4 eye = modelViewMatrix * vec4(placed, 1.0);
       positionEye = eye.xyz;
       gl_Position = projectionMatrix * eye;
@@ -140,10 +152,12 @@
     shape.setAttribute('normal', part('normal', Int16Array, 3, true));
     const triangles = new Uint32Array(buffer, ...scene.arrays.index);
     shape.setIndex(new THREE.BufferAttribute(triangles, 1));
+    const placed = `place-${scene.stages[0].key}` in scene.arrays;
     const perStage = scene.stages.map(({ key }) => ({
       direction: part(`direction-${key}`, Int16Array, 3, true),
       area: part(`area-${key}`, Uint8Array, 1, true),
       angle: part(`angle-${key}`, Uint8Array, 1, true),
+      ...(placed ? { place: part(`place-${key}`, Float32Array, 4, false) } : {}),
     }));
 
     const cube = new THREE.CubeTexture(pictures);
@@ -166,6 +180,8 @@
       change: { value: 1 },
       morph: { value: 0 },
       radius: { value: scene.radius },
+      flatFrom: { value: 0 },
+      flatTo: { value: 0 },
       turn: { value: new THREE.Matrix3().fromArray(scene.turn) },
       colouring: { value: 0 },
       picture: { value: cube },
@@ -174,8 +190,10 @@
       ink: { value: new THREE.Vector3(0.05, 0.07, 0.12) },
       strength: { value: 0.3 },
     };
+    const defines = placed ? { PLACED: 1 } : {};
     const material = new THREE.ShaderMaterial({
       uniforms,
+      defines,
       vertexShader: VERTEX,
       fragmentShader: FRAGMENT,
       side: 2,
@@ -226,7 +244,7 @@
       return needed / 32767;
     };
     const home = () => {
-      const azimuth = (-30 * Math.PI) / 180;
+      const azimuth = (scene.azimuth * Math.PI) / 180;
       const elevation = (scene.elevation * Math.PI) / 180;
       const distance = Math.max(fittingDistance(elevation), (1.05 * scene.radius) / Math.sin((camera.fov * Math.PI) / 360));
       camera.position.set(
@@ -258,10 +276,12 @@
     const choose = (index) => {
       const from = perStage[current < 0 ? index : current];
       const to = perStage[index];
-      for (const name of ['direction', 'area', 'angle']) {
+      for (const name of Object.keys(to)) {
         shape.setAttribute(`${name}From`, from[name]);
         shape.setAttribute(`${name}To`, to[name]);
       }
+      uniforms.flatFrom.value = Number(scene.stages[current < 0 ? index : current].flat);
+      uniforms.flatTo.value = Number(scene.stages[index].flat);
       uniforms.change.value = current < 0 || calm ? 1 : 0;
       current = index;
       dirty = true;
@@ -281,7 +301,7 @@
         dirty = true;
       },
       wireframe: (_, checked) => {
-        if (checked && !wire) wire = makeWire(shape, triangles, uniforms, world);
+        if (checked && !wire) wire = makeWire(shape, triangles, uniforms, defines, world);
         if (wire) wire.visible = checked;
         dirty = true;
       },
@@ -357,15 +377,24 @@
     requestAnimationFrame(frame);
   }
 
-  function makeWire(shape, triangles, uniforms, world) {
-    // On a closed surface every edge is met once in each direction: take it where its ends ascend.
-    const ends = new Uint32Array(triangles.length);
+  function makeWire(shape, triangles, uniforms, defines, world) {
+    // Inside a surface every edge is met once in each direction: take it where its ends ascend. On the boundary some
+    // are met descending only.
+    const ends = new Uint32Array(2 * triangles.length);
+    const count = shape.attributes.position.count;
+    const met = new Set();
     let used = 0;
-    for (let k = 0; k < triangles.length; k += 3) {
-      for (let j = 0; j < 3; j++) {
-        const a = triangles[k + j];
-        const b = triangles[k + ((j + 1) % 3)];
-        if (a < b) { ends[used++] = a; ends[used++] = b; }
+    for (const ascending of [true, false]) {
+      for (let k = 0; k < triangles.length; k += 3) {
+        for (let j = 0; j < 3; j++) {
+          const a = triangles[k + j];
+          const b = triangles[k + ((j + 1) % 3)];
+          if ((a < b) !== ascending) continue;
+          if (ascending) met.add(a * count + b);
+          else if (met.has(b * count + a)) continue;
+          ends[used++] = a;
+          ends[used++] = b;
+        }
       }
     }
     const edges = new THREE.BufferGeometry();
@@ -373,7 +402,7 @@
     edges.attributes = shape.attributes;
     edges.setIndex(new THREE.BufferAttribute(ends.subarray(0, used), 1));
     const material = new THREE.ShaderMaterial({
-      uniforms, vertexShader: VERTEX, fragmentShader: EDGE_FRAGMENT, transparent: true, depthWrite: false,
+      uniforms, defines, vertexShader: VERTEX, fragmentShader: EDGE_FRAGMENT, transparent: true, depthWrite: false,
     });
     const lines = new THREE.LineSegments(edges, material);
     lines.frustumCulled = false;
