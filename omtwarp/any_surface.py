@@ -147,7 +147,7 @@ def map_surface(
         if weights is not None:
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
         return _on_torus(parts[0], progress, options)
-    _check_domain(domain, len(parts), components, together)
+    _check_domain(domain, parts, components, together, along)
     count = len(np.asarray(vertices))
     shares = None if weights is None else face_weights(weights, np.asarray(faces), count)
     if together:
@@ -180,7 +180,7 @@ def _loops_to_cut(cut: bool, cut_along: str) -> CutAlong | None:
     return along if cut else None
 
 
-def _check_domain(domain: Domain, part_count: int, components: bool, together: bool) -> None:
+def _check_domain(domain: Domain, parts: list[Part], components: bool, together: bool, along: CutAlong | None) -> None:
     """Refuse parts that cannot be mapped to the domain; the surface is neither one sphere nor one torus.
 
     Raises:
@@ -189,11 +189,25 @@ def _check_domain(domain: Domain, part_count: int, components: bool, together: b
     if together and domain != Domain.AUTO:
         raise OmtwarpError("parts side by side go to caps: ask for no other domain")
     if domain == Domain.TORUS:
-        raise OmtwarpError("only a closed, connected surface of genus 1 maps to a torus")
-    if part_count > 1 and not components:
+        kind = f"{len(parts)} parts" if len(parts) > 1 else described(parts[0])
+        options = options_for(parts)
+        others = _or(options[:2] if len(parts) > 1 else options) if options else "map it to the sphere"
+        raise OmtwarpError(f"the surface has {kind}, and only one of genus 1, closed, maps to a torus: {others}")
+    if len(parts) > 1 and not components:
         raise OmtwarpError(
-            f"the surface has {part_count} parts: --components (components=True in Python) maps each by itself"
+            f"the surface has {len(parts)} parts: --components (components=True in Python) maps each by itself"
         )
+    for number, part in enumerate(parts):
+        several = len(parts) > 1
+        which = f"part {number + 1} of {len(parts)}, at face {part.face_origin[0]}," if several else "the surface"
+        if part.genus and along is None:
+            torus = "--torus or " if part.is_torus and not several else ""
+            raise OmtwarpError(f"{which} has {described(part)}: {torus}--cut would map it (cut=True in Python)")
+        if domain not in (Domain.AUTO, Domain.SPHERE) and not part.loops:
+            raise OmtwarpError(
+                f"{which} is closed, without a boundary to put on the rim of a {domain}: "
+                + ("--fill-area maps all parts to spheres" if several else "map it to the sphere")
+            )
 
 
 def _certify(maps: list[SurfaceMap]) -> None:
@@ -408,10 +422,6 @@ def _map_part(
 ) -> SurfaceMap:
     if domain == "auto":
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
-    if part.genus and along is None:
-        raise OmtwarpError(f"the surface has {described(part)}: " + _or(options_for([part])))
-    if domain != "sphere" and not part.loops:
-        raise OmtwarpError(f"a closed surface has no boundary to put on the rim of a {domain}: map it to the sphere")
     opened = _opened(part, fill_area, along or CutAlong.AUTO, to_rim=domain != "sphere")
     surface = _surface(opened, weights)
     surface.names = _names(part, opened, names)
@@ -512,7 +522,8 @@ def _own_half(closed: MapResult, glued: Double) -> MapResult:
 
 
 def _or(lines: list[str]) -> str:
-    return " or ".join(line.partition(":")[0] for line in lines) + " would map it"
+    names = [line.partition(":")[0] for line in lines]
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names) + " would map it"
 
 
 def _opened(part: Part, fill_area: str, along: CutAlong, to_rim: bool) -> _Opened:

@@ -90,23 +90,29 @@ def options_for(parts: list[Part]) -> list[str]:
     if len(parts) == 1 and parts[0].is_sphere:
         return []
     lines = []
-    loops, genus = max(len(part.loops) for part in parts), max(part.genus for part in parts)
-    if len(parts) > 1:
-        lines.append(f"--components: map each of the {len(parts)} parts by itself")
-        lines.append("--together: map all parts side by side to one sphere, in proportion to their areas")
+    loops, genus = sum(len(part.loops) for part in parts), sum(part.genus for part in parts)
+    several = len(parts) > 1
     cut = " (with --cut)" if genus else ""
+    if several:
+        lines.append(f"--components: map each of the {len(parts)} parts by itself{cut}")
+        lines.append(f"--together: map all parts side by side to one sphere, in proportion to their areas{cut}")
+    needed = ["--components"] * several + ["--cut"] * bool(genus)
+    more = f" (with {' and '.join(needed)})" if needed else ""
+    if all(part.loops for part in parts):
+        of_each = " of each part" if several else ""
+        others = ", other holes filled" if loops > len(parts) else ""
+        lines.append(f"--hemisphere: the longest boundary loop{of_each} on the equator{others}{more}")
+        lines.append(f"--disk, --cap: the same in the unit disk, or on a cap as large as the hole leaves{more}")
     if loops:
-        others = "" if loops == 1 else ", the other holes filled"
-        lines.append(f"--hemisphere: the longest boundary loop on the equator{others}{cut}")
-        lines.append(f"--disk, --cap: the same in the unit disk, or on a cap as large as the hole leaves{cut}")
         lines.append(
-            f"--fill-area natural or small: {number(loops, 'hole')} filled, the rest of the sphere covered{cut}"
+            f"--fill-area natural or small: {number(loops, 'hole')} filled, the rest of the sphere covered{more}"
         )
     if len(parts) == 1 and parts[0].is_torus:
         lines.append("--torus: map the surface to the flat torus that it is conformal to")
     if genus:
         handles = number(genus, "handle")
-        lines.append(f"--cut: cut {handles} open along short loops, fill the cuts small, and map to the sphere")
+        beside = " (with --components)" if several else ""
+        lines.append(f"--cut: cut {handles} open along short loops, fill the cuts small, and map to the sphere{beside}")
     return lines
 
 

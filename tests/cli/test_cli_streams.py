@@ -119,7 +119,7 @@ def test_torus_and_exact_maps_of_several_meshes(folder, monkeypatch, capfdbinary
         monkeypatch, capfdbinary, ["map", "ring.ply", "ball.ply", "-o", "maps", "--torus", "-q", "-v"]
     )
     assert status == 1 and not out and (folder / "maps/ring.npz").exists() and "omtwarp: omt: " in err
-    assert "omtwarp: ball.ply: only a closed, connected surface of genus 1" in err
+    assert "omtwarp: ball.ply: the surface has genus 0, closed, and only one of genus 1, closed, maps to a torus" in err
     status, out, err = run(monkeypatch, capfdbinary, ["map", "ring.ply", "-o", "ring2.ply", "--torus", "--beside"])
     assert status == 1 and err == (
         "omtwarp: error: --beside is for maps to the sphere: a ring torus is written by itself\n"
