@@ -12,7 +12,7 @@ from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption, output_option
 from omtwarp.commands._painted import painted_map
 from omtwarp.commands._streams import input_file, say
-from omtwarp.commands._work import show_facts, with_files
+from omtwarp.commands._work import require_whole, show_facts, with_files
 from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.errors import OmtwarpWarning
 from omtwarp.files import check_output
@@ -58,7 +58,9 @@ def transfer(
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
     painted, result = painted_map(source, map_of_source, repair=repair, quiet=quiet, device=device, verbose=verbose)
+    require_whole(result, map_of_source or source)
     plain, other = painted_map(target, map_of_target, repair=repair, quiet=quiet, device=device, verbose=verbose)
+    require_whole(other, map_of_target or target)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
         made = transfer_texture(

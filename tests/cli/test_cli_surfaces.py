@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
+from scipy import sparse
 
 import omtwarp
 from omtwarp.cli import main
+from omtwarp.commands._work import load_map
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
@@ -191,15 +195,18 @@ COMMANDS = {
     "distance {map} {closed} --degree 3": NOT_THE_SPHERE,
     "group {map} {closed} -o {out} --grid ico1 --degree 3": NOT_THE_SPHERE,
     "transfer {painted} {mesh} --map-from {closed} --map-to {map} -o {out}.glb --size 32": NOT_THE_SPHERE
-    | {"cut": ""}
     | dict.fromkeys(("exact", "exact disk", "exact together"), "not in the mesh"),
+    "transfer {own} {ball} --map-from {map} --map-to {closed} -o {out}.obj --size 32": NOT_THE_SPHERE,
     "texture {map} -o {out}.glb --size 64": {},
     "texture {map} -o {out}.obj --pattern checker --size 64": {},
     "texture {map} -o {out}.ply --size 64": {},
+    "texture --map {map} -o {out}.glb --image {picture} --size 64": {},
+    "texture {map} -o {out}.glb --pattern globe --size 64": {"torus": "the pattern 'globe' is for the sphere"},
     "texture {map} -o {out}.glb --bake ao --size 256": {},
     "texture {map} -o {out}.obj --pattern checker --bake normal --detail {mesh} --size 256": {},
     "unwrap --map {map} -o {out}.glb": {},
     "preview {map} -o {out}.png --size 48": {},
+    "preview {map} -o {out}.gif --size 48 --frames 3 --image {picture}": {},
     "film {map} -o {out}.gif --size 32x32 --seconds 0.2 --fps 5": {},
     "report {map} -o {out}.html": {},
     "texture {mesh} -o {out}.glb": dict.fromkeys(KINDS, "'omtwarp map' with --"),
@@ -225,9 +232,13 @@ def maps(tmp_path_factory):
         assert not ended.value.code, kind
         with np.load(folder / f"{kind}.npz") as arrays:
             np.save(folder / f"{kind}.npy", np.arange(len(arrays["vertices"])))
-    main_words = ["texture", str(folder / "closed.npz"), "-o", str(folder / "painted.ply"), "--size", "64", "--quiet"]
-    with pytest.raises(SystemExit):
-        main(main_words)
+        painted = folder / ("painted.ply" if kind == "closed" else f"{kind}.ply")
+        with pytest.raises(SystemExit) as ended:
+            main(["texture", str(folder / f"{kind}.npz"), "-o", str(painted), "--size", "64", "--quiet"])
+        assert not ended.value.code, kind
+    picture = np.zeros((32, 64, 3), dtype=np.uint8)
+    picture[::4] = picture[:, ::4] = (250, 120, 20)
+    Image.fromarray(picture).save(folder / "picture.png")
     return folder
 
 
@@ -238,6 +249,7 @@ def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, tmp_path, kind
     told = COMMANDS[command].get(kind, "")
     words = {"map": maps / f"{kind}.npz", "mesh": maps / f"{KINDS[kind][0]}.ply", "closed": maps / "closed.npz"}
     words |= {"data": maps / f"{kind}.npy", "painted": maps / "painted.ply", "out": tmp_path / "out"}
+    words |= {"own": maps / f"{kind}.ply", "ball": maps / "closed.ply", "picture": maps / "picture.png"}
     status, shown, err = run(capsys, *(word.format(**words) for word in command.split()))
     assert status == (1 if told else 0) and "Traceback" not in err, err
     if told:
@@ -245,9 +257,50 @@ def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, tmp_path, kind
         assert not list(tmp_path.iterdir())
     else:
         assert shown
+        result = load_map(words["map"], torus=True)
         for word in command.split():
             if word.startswith("{out}"):
-                assert (tmp_path / word.format(out="out")).stat().st_size > 100
+                look_at(tmp_path / word.format(out="out"), command, result)
+        if command.startswith("distance"):
+            assert all(float(number) > 0.0 for number in re.findall(r"\d+\.\d+", shown)), shown
+
+
+def look_at(file, command, result):
+    """Read what a command wrote, and see that it is about the map, and not blank."""
+    name, count = command.split()[0], len(result.faces)
+    if file.suffix == ".npz" and name == "resample":
+        matrix = sparse.load_npz(file)
+        assert matrix.shape[0] == 162 and matrix.nnz > 162
+    elif file.suffix == ".npz":
+        turned = omtwarp.SurfaceMap.load(file)
+        assert turned.bijective and (len(turned.faces) == (320 if "align {closed}" in command else count))
+    elif file.suffix == ".npy":
+        values = np.load(file)
+        assert len(values) == 162 and len(np.unique(values)) > 20
+    elif file.suffix == ".csv":
+        table = np.loadtxt(file, delimiter=",", skiprows=1)
+        assert len(table) == 16 and np.isfinite(table).all() and np.ptp(table[:, 2:]) > 0.1
+    elif file.suffix == ".html":
+        assert "one to one" in file.read_text("utf-8") and file.read_text("utf-8").count("<img") > 2
+    elif file.suffix in (".png", ".gif"):
+        with Image.open(file) as picture:
+            frames = [np.asarray(frame.convert("RGB"), dtype=float) for frame in ImageSequence.Iterator(picture)]
+        assert all(frame.std() > 10.0 for frame in frames)
+        assert len(frames) == 1 or np.abs(frames[0] - frames[-1]).max() > 30.0
+    elif file.is_dir():
+        assert (
+            len((file / "table.csv").read_text("utf-8").splitlines()) == 3 and (file / "mean.ply").stat().st_size > 500
+        )
+    elif name in ("texture", "transfer", "unwrap") and file.suffix != ".ply":
+        mesh = omtwarp.read_painted_mesh(file)
+        made = 320 if "{ball}" in command else count
+        assert len(mesh.faces) >= made and mesh.uv is not None and np.ptp(mesh.uv[np.isfinite(mesh.uv)]) > 0.5
+        material = mesh.materials[0]
+        pictures = [p for p in (material.picture, material.normal_picture, material.occlusion_picture) if p is not None]
+        assert name == "unwrap" or any(np.asarray(picture).std() > 2.0 for picture in pictures)
+    else:
+        mesh = read_mesh(file)
+        assert len(mesh.faces) >= min(count, 320) and np.ptp(mesh.vertices, axis=0).min() > 0.1
 
 
 @pytest.mark.parametrize("kind", ["torus", "parts", "disk", "cut"])
@@ -295,3 +348,47 @@ def test_sphere_of_a_filled_map_alone_is_refused(capsys, maps, tmp_path):
         capsys, "resample", tmp_path / "s.ply", "--to", "ico2", "--data", maps / "natural.npy", "-o", "d.npy"
     )
     assert status == 1 and "or the .npz of one with filled holes" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_mesh_of_a_map_is_checked_and_mapped_again(capsys, maps, tmp_path, kind):
+    """Of a map's file that is given as a mesh its surface is read, without cuts, and the options for it are named."""
+    status, out, _ = run(capsys, "check", maps / f"{kind}.npz")
+    options = [line.split()[1].strip(":,") for line in out.splitlines() if line.startswith("  option ")]
+    wanted = {"two": "--components", "ring": "--torus", "pretzel": "--cut", "open": "--hemisphere"}[KINDS[kind][0]]
+    assert status == 1 and "only the mesh is read" in out and wanted in options
+    status, _, err = run(capsys, "map", maps / f"{kind}.npz", "-o", tmp_path / "m.npz", "--quiet")
+    assert status == 1 and wanted in err and not list(tmp_path.iterdir())
+
+
+def test_cohorts_have_rows_for_surfaces_that_are_no_spheres(capsys, maps, tmp_path):
+    """Each is mapped or has a record that says why not; a failure stops nothing."""
+    names = ("closed", "open", "two", "ring")
+    (tmp_path / "m.csv").write_text("path\n" + "".join(f"{maps / name}.ply\n" for name in names), "utf-8")
+    words = ["cohort", tmp_path / "m.csv", "-o", tmp_path / "c", "--fill-area", "natural", "--json", "--no-optimality"]
+    status, out, err = run(capsys, *words, "--workers", "2")
+    assert status == 0 and json.loads(out)["counts"] == {"ok": 2, "error": 2}, err
+    rows = {name: json.loads((tmp_path / "c" / "records" / f"{name}.json").read_text("utf-8")) for name in names}
+    assert [rows[name]["status"] for name in names] == ["ok", "ok", "error", "error"]
+    assert "--components" in rows["two"]["message"] and "--cut" in rows["ring"]["message"]
+
+
+def test_refusals_name_the_part_and_the_option(capsys, maps, tmp_path):
+    """What an option cannot do is one line, which names a part of several and what would map it."""
+    both = [read_mesh(maps / f"{name}.ply") for name in ("closed", "ring")]
+    vertices = np.concatenate([both[0].vertices, both[1].vertices + 9.0])
+    mixed = tmp_path / "mixed.ply"
+    write_mesh(mixed, vertices, np.concatenate([both[0].faces, both[1].faces + len(both[0].vertices)]))
+    for words, told in (
+        ((mixed, "--components"), "part 2 of 2, at face 320, has genus 1, closed: --cut would map it"),
+        ((mixed, "--together"), "part 2 of 2, at face 320, has genus 1, closed: --cut would map it"),
+        ((mixed, "--components", "--cut", "--hemisphere"), "part 1 of 2, at face 0, is closed, without a boundary"),
+        ((mixed, "--torus"), "the surface has 2 parts, and only one of genus 1, closed, maps to a torus: --components"),
+        ((maps / "ring.ply", "--fill-area", "small"), "has genus 1, closed: --torus or --cut would map it"),
+        ((maps / "pretzel.ply", "--torus"), "the surface has genus 2, closed, and only one of genus 1"),
+        ((maps / "open.ply", "--torus"), "--hemisphere, --disk, --cap or --fill-area natural or small would map it"),
+        ((maps / "closed.ply", "--cap"), "the surface is closed, without a boundary to put on the rim of a cap"),
+    ):
+        status, out, err = run(capsys, "map", *words, "-o", tmp_path / "m.npz")
+        assert status == 1 and told in err and err.count("\n") == 1 and not out, err
+        assert not (tmp_path / "m.npz").exists()
