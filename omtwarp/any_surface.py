@@ -20,7 +20,7 @@ from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
-from omtwarp.open_surfaces.exact_areas import exact_in_plane, exact_on_cap, shares_of_polygons
+from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap, shares_of_polygons
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
@@ -290,7 +290,7 @@ def _on_caps_exactly(maps: list[SurfaceMap], shares: Floats, wanted: Floats) -> 
         rims.append(hemisphere_to_disk(whole[rim]))
     shares = shares_of_polygons(rims, shares, wanted)
     return [
-        _exact_on_cap(_on_cap(each, share), _wanted_areas(each))[0] for each, share in zip(maps, shares, strict=True)
+        _exact_on_cap(each, share, _wanted_areas(each))[0] for each, share in zip(maps, shares, strict=True)
     ], shares
 
 
@@ -303,11 +303,52 @@ def _wanted_areas(each: SurfaceMap) -> Floats:
     return image.reshape(-1, PARTS).sum(axis=1)
 
 
-def _exact_on_cap(each: SurfaceMap, wanted: Floats) -> tuple[SurfaceMap, float]:
-    """Give the original triangles of a quartered map to a cap exact areas; returns their largest error too."""
-    whole, faces = _whole(each)
-    points, error = exact_on_cap(whole, faces, _rim(faces, len(whole)), wanted)
+def _exact_on_cap(
+    each: SurfaceMap, share: float, wanted: Floats, half: Surface | None = None
+) -> tuple[SurfaceMap, float]:
+    """Carry a quartered map of the hemisphere to a cap with exact areas of the original triangles.
+
+    Args:
+        each: the map to the hemisphere.
+        share: of the sphere, the cap's.
+        wanted: the areas up to a factor, fillings included.
+        half: as of :func:`_on_cap`.
+
+    Returns:
+        The map, and the largest relative error of an area.
+    """
+    mesh, laid = _quartered_mesh(each, wanted), hemisphere_to_disk(_whole(each)[0])
+    points, error = exact_on_cap(
+        _whole(_on_cap(each, share, half))[0], mesh, share, lambda: _exact_in_disk(mesh, laid, laid)[0]
+    )
     return _with_points(each, points), error
+
+
+def _exact_in_disk(mesh: Quartered, laid: Floats, untangled: Floats) -> tuple[Floats, float]:
+    """Give the original triangles of a quartered map to the disk exact areas.
+
+    Args:
+        mesh: what is mapped.
+        laid: the hemisphere laid flat, shape [V, 2].
+        untangled: the same with flipped triangles untangled, as far as possible.
+
+    Returns:
+        The map, and the largest relative error of an area.
+    """
+
+    def anew() -> Floats:
+        used, faces = mesh.whole
+        surface = Surface(mesh.surface[used], faces, mesh.wanted)
+        return mesh.refined(untangle_in_plane(laid[used], faces, _rim(faces, len(used)), surface)[0], laid)
+
+    return exact_in_plane(untangled, mesh, anew)
+
+
+def _quartered_mesh(each: SurfaceMap, wanted: Floats) -> Quartered:
+    """Return the mesh of a quartered map, fillings included, with the areas that original triangles are to have."""
+    whole, faces = _whole(each)
+    surface = each.vertices if each.filled_vertices is None else each.filled_vertices
+    return Quartered(faces, _rim(faces, len(whole)), surface, wanted)
 
 
 def _with_points(each: SurfaceMap, points: Floats) -> SurfaceMap:
@@ -720,18 +761,20 @@ def _projected(
         hole = fill_holes(part.vertices, part.faces, [longest])
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
-        result = _on_cap(result, share, half)
-        if wanted is not None:
-            result, error = _exact_on_cap(result, wanted)
+        if wanted is None:
+            result = _on_cap(result, share, half)
+        else:
+            result, error = _exact_on_cap(result, share, wanted, half)
     else:
         rim = _rim(faces, len(whole))
-        disk, flips = untangle_in_plane(hemisphere_to_disk(whole), faces, rim, half, refinement)
-        if flips:
+        laid = hemisphere_to_disk(whole)
+        disk, flips = untangle_in_plane(laid, faces, rim, half, refinement)
+        if flips and wanted is None:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
             )
         if wanted is not None:
-            disk, error = exact_in_plane(disk, faces, rim, wanted)
+            disk, error = _exact_in_disk(_quartered_mesh(result, wanted), laid, disk)
         result = replace(result, disk=disk[: len(result.vertices)])
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
     measured = result.distortion("disk" if domain == "disk" else "sphere").to_dict()

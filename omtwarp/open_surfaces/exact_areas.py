@@ -3,46 +3,84 @@
 Lambert's projection keeps areas of regions, but a triangle with straight sides is not the region that its corners came
 from, and the polygon of the boundary's vertices lacks the segments up to its circle. So the map of a quartered mesh is
 moved, with its boundary fixed, until each original triangle has its share of that polygon. The polygon's area does not
-change on the way. Every step of Newton's method is the smallest, in the mean square over the disk or cap, that corrects
-the areas to first order.
+change on the way.
+
+Flows (:mod:`omtwarp.open_surfaces.area_steps`) reach that from the projected map where errors are small. Where they do
+not, the map of the original triangles is quartered anew. It has larger errors but no slivers; even steps under growing
+penalties lower the errors until flows correct the rest. A cap then grows from the disk, a cap of no size, in steps
+after each of which flows correct the areas.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.optimize import brentq
-from scipy.sparse.linalg import splu
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.quarter import PARTS
-from omtwarp.open_surfaces.lambert import disk_to_cap
-from omtwarp.open_surfaces.planar import flipped_in_plane
+from omtwarp.open_surfaces.area_steps import AreaSteps, Measured, Placed
+from omtwarp.open_surfaces.lambert import cap_to_disk, disk_to_cap
+from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_on_sphere
 from omtwarp.spheres import triangle_solid_angles
 
 Floats = NDArray[np.float64]
-Gradients = Callable[[Floats], tuple[Floats, Floats]]
-
-ROUNDS = 40  # largest number of steps
-MAX_HALVINGS = 12  # of a step, down to 1/4096
-SUFFICIENT = 0.1  # a step is taken where it lowers the errors by this share of what the first derivative predicts
-SETTLED = 1e-9  # largest relative error at which steps end; they converge quadratically
 EXACT = 1e-6  # largest relative error that is promised
-LEAST_PART = 1e-2  # share of its area that a part of a triangle keeps in a step at least
+PENALTIES = (3e2, 3e3, 3e4)  # of the errors of areas in even steps, beside a distortion of some units
+HALVINGS = 6  # of a step of a flow after even steps: one that has to be shorter leads nowhere
+LEVELS, FASTER = 8, 2.0  # of the growth of a cap: steps that are tried, and the factor of the next after one taken
 
 
-def exact_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_], wanted: Floats) -> tuple[Floats, float]:
+@dataclass(frozen=True)
+class Quartered:
+    """A quartered mesh that is mapped to a disk or cap, and the areas that its original triangles are to have.
+
+    Attributes:
+        faces: the parts of a triangle one after the other, shape [4 F, 3].
+        held: vertices that stay where they are: those of the boundary, shape [V].
+        surface: places of the vertices on the surface, shape [V, 3].
+        wanted: the areas of the triangles up to a factor, shape [F].
+    """
+
+    faces: NDArray
+    held: NDArray[np.bool_]
+    surface: Floats
+    wanted: Floats
+
+    @property
+    def whole(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """The vertices of the original triangles, and these triangles in terms of them, shape [F, 3]."""
+        used, faces = np.unique(self.faces.reshape(-1, PARTS, 3)[:, :3, 0], return_inverse=True)
+        return used, faces.reshape(-1, 3).astype(np.int32)
+
+    def refined(self, corners: Floats, points: Floats) -> Floats:
+        """Extend a map of the original triangles by the middles of their sides; those of the boundary are given.
+
+        Args:
+            corners: images of the original triangles' vertices in the order of :attr:`whole`, shape [K, D].
+            points: a map of the quartered mesh with the same boundary, shape [V, D].
+        """
+        used, faces = self.whole
+        middles, found = self.faces.reshape(-1, PARTS, 3)[:, 3], points.copy()
+        for k in range(3):
+            found[middles[:, k]] = 0.5 * (corners[faces[:, k]] + corners[faces[:, (k + 1) % 3]])
+        if points.shape[1] == 3:
+            found /= np.linalg.norm(found, axis=1)[:, None]
+        found[used] = corners
+        return np.where(self.held[:, None], points, found)
+
+
+def exact_in_plane(points: Floats, mesh: Quartered, anew: Callable[[], Floats]) -> tuple[Floats, float]:
     """Move a map to the unit disk until each original triangle has its share of the boundary's polygon.
 
     Args:
-        points: a map without flips, shape [V, 2].
-        faces: of the quartered mesh, the parts of a triangle one after the other, shape [4 F, 3].
-        held: vertices that stay where they are: those of the boundary, shape [V].
-        wanted: the areas of the triangles up to a factor, shape [F].
+        points: a map, shape [V, 2].
+        mesh: what is mapped.
+        anew: returns another map to begin with where this one leads nowhere: of the original triangles, quartered.
 
     Returns:
         The map, and its largest relative error.
@@ -50,17 +88,48 @@ def exact_in_plane(points: Floats, faces: NDArray, held: NDArray[np.bool_], want
     Raises:
         OmtwarpError: no such map without flips was found.
     """
-    return _restored(points, faces, held, wanted, _in_plane, flipped_in_plane)
+    steps = _steps(mesh, points, _in_plane)
+    found, right = _flowed(steps, points)
+    if not right:
+        found, right = _evened(steps, steps.placed(anew()))
+    if not right:
+        found, right = _evened(steps, steps.placed(points))
+    return _checked(found, right, steps, flipped_in_plane(found.points, mesh.faces))
 
 
-def exact_on_cap(points: Floats, faces: NDArray, held: NDArray[np.bool_], wanted: Floats) -> tuple[Floats, float]:
+def exact_on_cap(points: Floats, mesh: Quartered, share: float, disk: Callable[[], Floats]) -> tuple[Floats, float]:
     """Do the same for a map to a cap, whose triangles have great circles as sides.
 
     Args:
         points: unit vectors, shape [V, 3].
-        faces, held, wanted: as of :func:`exact_in_plane`, and so is what is returned and raised.
+        mesh: as of :func:`exact_in_plane`, and so is what is returned and raised.
+        share: of the sphere, the cap's.
+        disk: returns a map to the disk with the same boundary and exact areas, to begin with where ``points`` leads
+            nowhere.
     """
-    return _restored(points, faces, held, wanted, _on_sphere, flipped_faces)
+    steps = _steps(mesh, points, _on_sphere)
+    found, right = _flowed(steps, points)
+    if not right:
+        found, right = _evened(steps, steps.placed(points))
+    if not right:
+        places, grown, growth = disk(), 0.0, share
+        for _ in range(LEVELS):
+            to = min(grown + growth, share)
+            larger = disk_to_cap(places, to)
+            if flipped_faces(larger, mesh.faces).any():
+                larger = untangle_on_sphere(larger, mesh.faces, mesh.held)
+            found, right = _flowed(steps, larger)
+            if not right:
+                found, right = _evened(steps, steps.placed(larger))
+            if right:
+                places = np.where(mesh.held[:, None], places, cap_to_disk(found.points, to))
+                grown, growth = to, FASTER * growth
+                if grown >= share:
+                    break
+            else:
+                growth *= 0.5
+        right = grown >= share
+    return _checked(found, right, steps, flipped_faces(found.points, mesh.faces))
 
 
 def shares_of_polygons(rims: list[Floats], shares: Floats, wanted: Floats) -> Floats:
@@ -114,77 +183,38 @@ def _on_sphere(corners: Floats) -> tuple[Floats, Floats]:
     return 2.0 * np.arctan2(volume, below), gradients
 
 
-def _restored(
-    points: Floats,
-    faces: NDArray,
-    held: NDArray[np.bool_],
-    wanted: Floats,
-    measured: Gradients,
-    flipped: Callable[[Floats, NDArray], NDArray[np.bool_]],
-) -> tuple[Floats, float]:
-    """Restore areas as :func:`exact_in_plane` describes, with areas and the test of orientation of either domain."""
-    parts, gradients = measured(points[faces])
-    target = wanted * (parts.sum() / wanted.sum())
-    missing = target - _sums(parts)
-    for _ in range(ROUNDS):
-        if np.abs(missing / target).max() <= SETTLED:
-            break
-        step = _smallest(faces, held, parts, gradients, missing)
-        taken = _taken(points, faces, step, parts, target, measured)
-        if taken is None:
-            break
-        points, parts, gradients = taken
-        missing = target - _sums(parts)
-    error = float(np.abs(missing / target).max())
-    if error > EXACT or flipped(points, faces).any():
+def _steps(mesh: Quartered, points: Floats, measured: Measured) -> AreaSteps:
+    return AreaSteps(points, mesh.faces, mesh.held, mesh.wanted, measured, mesh.surface[mesh.faces])
+
+
+def _flowed(steps: AreaSteps, points: Floats) -> tuple[Placed, bool]:
+    """Correct the areas of a map by flows in whole steps; returns the map and whether they are right then."""
+    begun = steps.placed(points)
+    return steps.flow(begun, 0) if (begun.parts > 0.0).all() else (begun, False)
+
+
+def _evened(steps: AreaSteps, at: Placed) -> tuple[Placed, bool]:
+    """Do the same for larger errors, by shorter steps after even ones, or else without these."""
+    if not (at.parts > 0.0).all():
+        return at, False
+    begun = at
+    for penalty in PENALTIES:
+        at = steps.even(at, penalty)
+        found, right = steps.flow(at, HALVINGS)
+        if right:
+            return found, right
+    return steps.flow(begun, HALVINGS)
+
+
+def _checked(found: Placed, right: bool, steps: AreaSteps, flipped: NDArray[np.bool_]) -> tuple[Floats, float]:
+    """Return a map and its largest error, or refuse it."""
+    error = steps.largest_error(found)
+    if not right or error > EXACT or flipped.any():
         raise OmtwarpError(
-            f"areas of triangles with straight sides cannot be kept here (the largest error is {error:.1g}): use a "
-            "finer mesh, map to the hemisphere, or leave exact out"
+            "no map with straight sides was found that keeps the areas of triangles: use a finer mesh, map to the "
+            "hemisphere, or leave exact out"
         )
-    return points, error
+    return found.points, error
 
 
-def _sums(parts: Floats) -> Floats:
-    """Add up the parts of every original triangle."""
-    return parts.reshape(-1, PARTS).sum(axis=1)
-
-
-def _smallest(faces: NDArray, held: NDArray[np.bool_], parts: Floats, gradients: Floats, missing: Floats) -> Floats:
-    """Return the smallest motion that corrects areas to first order, shape [V, D].
-
-    With a fixed boundary the areas have a constant sum, so that the last triangle's condition follows from the others.
-    """
-    count, axes = len(held), gradients.shape[2]
-    cells = np.repeat(np.arange(len(missing)), PARTS * 3 * axes)
-    columns = axes * faces.reshape(-1, 1) + np.arange(axes)
-    shape = (len(missing), axes * count)
-    slopes = sparse.csr_array((gradients.ravel(), (cells, columns.ravel())), shape=shape)[:-1]
-    mass = np.bincount(faces.ravel(), np.repeat(np.abs(parts), 3), count)
-    mobility = sparse.diags_array(np.repeat(np.where(held, 0.0, 1.0 / mass), axes))
-    moved = mobility @ slopes.T
-    return (moved @ splu((slopes @ moved).tocsc()).solve(missing[:-1])).reshape(count, axes)
-
-
-def _taken(
-    points: Floats, faces: NDArray, step: Floats, parts: Floats, target: Floats, measured: Gradients
-) -> tuple[Floats, Floats, Floats] | None:
-    """Return the map, its parts and their derivatives after the longest share of a step that flips none, or None."""
-    before, length = _error(parts, target), 1.0
-    for _ in range(MAX_HALVINGS):
-        moved = points + length * step
-        if points.shape[1] == 3:
-            moved /= np.linalg.norm(moved, axis=1)[:, None]
-        moved = np.where((step == 0.0).all(axis=1)[:, None], points, moved)
-        after, gradients = measured(moved[faces])
-        if (after > LEAST_PART * parts).all() and _error(after, target) <= (1.0 - SUFFICIENT * length) * before:
-            return moved, after, gradients
-        length *= 0.5
-    return None
-
-
-def _error(parts: Floats, target: Floats) -> float:
-    """Return the norm of the area errors, each over the square root of the wanted area."""
-    return float(np.sqrt(((_sums(parts) - target) ** 2 / target).sum()))
-
-
-__all__ = ["exact_in_plane", "exact_on_cap", "shares_of_polygons"]
+__all__ = ["Quartered", "exact_in_plane", "exact_on_cap", "shares_of_polygons"]

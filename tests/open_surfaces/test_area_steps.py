@@ -1,0 +1,88 @@
+"""Exact areas of quartered meshes in the plane and on caps, where flows in whole steps are not enough too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+import omtwarp
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.surface import plane_areas
+from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap
+from omtwarp.open_surfaces.lambert import disk_to_cap
+from omtwarp.open_surfaces.planar import flipped_in_plane
+from omtwarp.spheres import triangle_solid_angles
+
+
+def quartered_disk(rings: int) -> tuple[Quartered, np.ndarray]:
+    """A round disk whose original triangles want the areas that they have, and its points; the rim on the circle."""
+    points = [np.zeros((1, 2))]
+    for ring in range(1, rings + 1):
+        turn = 2.0 * np.pi * (np.arange(6 * ring) + 0.5 * (ring % 2)) / (6 * ring)
+        points.append(ring / rings * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    flat = np.concatenate(points)
+    whole = Delaunay(flat).simplices
+    whole = np.where((plane_areas(flat[whole]) < 0.0)[:, None], whole[:, ::-1], whole)
+    sides = np.sort(np.stack([whole, np.roll(whole, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edges, which, shared = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+    middles = len(flat) + which.reshape(-1, 3)
+    parts = [np.stack([whole[:, k], middles[:, k], middles[:, k - 1]], axis=1) for k in range(3)]
+    faces = np.stack([*parts, middles], axis=1).reshape(-1, 3).astype(np.int32)
+    between = flat[edges].mean(axis=1)
+    rim = shared == 1
+    between[rim] /= np.linalg.norm(between[rim], axis=1)[:, None]
+    held = np.concatenate([np.linalg.norm(flat, axis=1) > 1.0 - 1e-9, rim])
+    places = np.concatenate([flat, between])
+    wanted = plane_areas(places[faces]).reshape(-1, 4).sum(axis=1)
+    surface = np.concatenate([np.concatenate([flat, flat[edges].mean(axis=1)]), np.zeros((len(places), 1))], axis=1)
+    return Quartered(faces, held, surface, wanted), places
+
+
+def shrunken(mesh: Quartered, places: np.ndarray, power: float) -> np.ndarray:
+    """The same disk with its middle shrunken: radius r goes to a power of r."""
+    radius = np.linalg.norm(places, axis=1)
+    return np.where(mesh.held[:, None], places, places * (radius ** (power - 1.0))[:, None])
+
+
+def never() -> np.ndarray:
+    raise AssertionError("not to be asked for")
+
+
+@pytest.mark.parametrize(("power", "fails"), [(1.05, False), (3.0, True)])
+def test_areas_of_a_disk(power, fails):
+    """Small errors are corrected at once; where the middle is shrunken hundreds of times, another map is asked for."""
+    mesh, places = quartered_disk(7)
+    begun = shrunken(mesh, places, power)
+    assert not flipped_in_plane(begun, mesh.faces).any()
+    asked = []
+
+    def anew() -> np.ndarray:
+        asked.append(True)
+        return begun
+
+    found, error = exact_in_plane(begun, mesh, anew)
+    areas = plane_areas(found[mesh.faces]).reshape(-1, 4).sum(axis=1)
+    assert bool(asked) == fails and error < 1e-8
+    assert np.abs(areas / mesh.wanted - 1.0).max() < 1e-8
+    assert not flipped_in_plane(found, mesh.faces).any() and np.array_equal(found[mesh.held], begun[mesh.held])
+
+
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_areas_of_a_cap_that_grows_from_the_disk(share):
+    mesh, places = quartered_disk(5)
+    turned = places * np.where(mesh.held, 1.0, -1.0)[:, None]  # a map that is of no use
+    found, error = exact_on_cap(disk_to_cap(turned, share), mesh, share, lambda: places)
+    areas = triangle_solid_angles(*(found[mesh.faces[:, k]] for k in range(3))).reshape(-1, 4).sum(axis=1)
+    assert error < 1e-8 and np.abs(areas / areas.sum() / (mesh.wanted / mesh.wanted.sum()) - 1.0).max() < 1e-8
+    assert not flipped_faces(found, mesh.faces).any()
+    assert np.array_equal(found[mesh.held], disk_to_cap(places, share)[mesh.held])
+    again, _ = exact_on_cap(found, mesh, share, never)
+    assert np.array_equal(again, found)
+
+
+def test_refusal_is_one_line():
+    mesh, places = quartered_disk(3)
+    flipped = places * np.where(mesh.held, 1.0, -1.0)[:, None]
+    with pytest.raises(omtwarp.OmtwarpError, match="no map with straight sides was found"):
+        exact_in_plane(flipped, mesh, lambda: flipped)
