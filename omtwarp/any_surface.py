@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from math import fsum
 from time import perf_counter
 from typing import TypedDict, TypeVar, Unpack, cast
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import solving_with
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.space_order import in_space_order
 from omtwarp.joined_maps import joined
 from omtwarp.measures.weights import face_weights
 from omtwarp.mesh.checks import MeshLike
@@ -608,19 +610,22 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     filling, own = filled.patch >= opened.small, filled.patch < 0
     if weights is None and not filling.any():
         return surface
-    areas = surface.face_areas.copy()
+    # Areas and sums of them that are the same, to the bit, in any order of vertices and faces.
+    ordered, areas = in_space_order(surface), np.empty(surface.face_count)
+    areas[ordered.faces] = ordered.surface.face_areas
     if weights is not None:
-        before = areas[own].sum()
+        before = fsum(areas[own])
         areas[own] *= weights[opened.face_origin]
-        areas[~own] *= areas[own].sum() / before  # a filling keeps its share
+        areas[~own] *= fsum(areas[own]) / before  # a filling keeps its share
     if not filling.any():
         return surface.with_areas(areas)
-    whole, least = float(areas[own].sum()), SMALL_FILLING * float(areas[own].sum() / areas[filling].sum())
+    whole = fsum(areas[own])
+    least = SMALL_FILLING * whole / fsum(areas[filling])
     side = np.sqrt(4.0 / np.sqrt(3.0) * SPHERE_AREA / np.count_nonzero(own))
     for number in range(opened.small, len(opened.loops)):
         here = filled.patch == number
         around = LEAST_SIDE * side * len(opened.loops[number])  # of a cap with the share (around / 4π)² of the sphere
-        areas[here] *= min(1.0, max(least, whole * (around / SPHERE_AREA) ** 2 / float(areas[here].sum())))
+        areas[here] *= min(1.0, max(least, whole * (around / SPHERE_AREA) ** 2 / fsum(areas[here])))
     return surface.with_areas(areas)
 
 

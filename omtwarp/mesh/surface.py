@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import TypeVar, cast
@@ -260,7 +261,7 @@ def scaled_areas(areas: ArrayLike, count: int) -> NDArray[np.float64]:
         first = int(np.argmax(wrong))
         raise OmtwarpError(f"the area of triangle {first} is {given[first]:g}: every area must be positive and finite")
     given /= given.max()
-    return given * (SPHERE_AREA / given.sum())
+    return given * (SPHERE_AREA / math.fsum(given))  # the same in any order of the triangles
 
 
 class SurfaceArrays:

@@ -23,6 +23,7 @@ from omtwarp.geometry.operators import corner_cotangents
 COARSENING = 0.8  # a ring has at least so many times the vertices of the ring around it
 FAN = 7  # a ring of so few vertices is closed by one vertex in the middle
 RENEWALS = 5  # of the membrane's weights; the area then changes by less than a per cent
+EQUALLY_FAR = 1e-9  # difference of distances, over the largest, that may be round-off of another order or position
 LEAST_WEIGHT = 1e-3  # of an edge: positive, so that a vertex lies among its neighbours
 
 
@@ -40,12 +41,14 @@ class Patch:
 
 
 def fill_loop(points: NDArray[np.float64]) -> Patch:
-    """Fill a closed loop.
+    """Fill a closed loop; the patch is the same, to the bit, whichever vertex of the loop comes first.
 
     Args:
         points: the loop's vertices, three or more, in the direction in which the surface's faces run through them,
             shape [n, 3].
     """
+    count, begin = len(points), _beginning(points)
+    points = np.roll(points, -begin, axis=0)
     # In the unit of the loop: weights and tolerances are then free of scale.
     centre = points.mean(axis=0)
     extent = max(float(np.abs(points - centre).max()), np.finfo(float).tiny)
@@ -53,11 +56,17 @@ def fill_loop(points: NDArray[np.float64]) -> Patch:
     steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
     turns = np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / max(float(steps.sum()), np.finfo(float).tiny)
     flat, faces = _rings(turns)
-    count = len(points)
     places = _harmonic(flat, faces, loop)
     for _ in range(RENEWALS):
         places = _harmonic(places, faces, loop)
-    return Patch(places[count:] * extent + centre, faces)
+    return Patch(places[count:] * extent + centre, np.where(faces < count, (faces + begin) % count, faces))
+
+
+def _beginning(points: NDArray[np.float64]) -> int:
+    """Return the vertex of a loop that is nearest to its middle, of equally near ones the first along x, y and z."""
+    far = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    nearest = np.flatnonzero(far <= far.min() + EQUALLY_FAR * far.max())
+    return int(nearest[np.lexsort(points[nearest, ::-1].T)[0]])
 
 
 def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -8,6 +8,8 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
+import omtwarp
+from omtwarp.mesh import shapes
 from omtwarp.mesh.validate import check
 from omtwarp.topology.boundary import boundary_loops
 from omtwarp.topology.filling import fill_holes, fill_loop
@@ -63,3 +65,30 @@ def test_filled_surface_is_closed_and_marked():
     assert np.array_equal(filled.faces[: len(faces)], faces) and np.array_equal(filled.vertices[: len(points)], points)
     assert (filled.patch[: len(faces)] == -1).all() and set(filled.patch[len(faces) :].tolist()) == {0, 1}
     assert trimesh.Trimesh(filled.vertices, filled.faces).volume == pytest.approx(tube.volume, rel=1e-6)
+
+
+@pytest.mark.parametrize("points", [circle(30), circle(41, 0.3), np.random.default_rng(2).normal(size=(9, 3))])
+def test_patch_is_the_same_whichever_vertex_comes_first(points):
+    """Also of circles, where rounding alone says which vertex is farthest from the middle."""
+    count, patch = len(points), fill_loop(points)
+    for first in (1, count // 2, count - 1):
+        other = fill_loop(np.roll(points, -first, axis=0))
+        own = np.where(other.faces < count, (other.faces + first) % count, other.faces)
+        assert np.array_equal(other.vertices, patch.vertices) and np.array_equal(own, patch.faces)
+
+
+@pytest.mark.parametrize("fill_area", ["natural", "small"])
+def test_map_of_a_filled_surface_does_not_depend_on_numbers(fill_area):
+    """The map of a surface with two holes is the same bits with other numbers of vertices, faces and corners."""
+    blob = shapes.blob(seed=3, sphere=320)
+    used, faces = np.unique(blob.faces[np.abs(blob.vertices[blob.faces, 2]).max(axis=1) < 0.6], return_inverse=True)
+    vertices, faces = blob.vertices[used], faces.reshape(-1, 3)
+    options = {"domain": "sphere", "fill_area": fill_area, "optimality": False, "device": "cpu"}
+    result = omtwarp.map_surface((vertices, faces), **options)
+    rng = np.random.default_rng(1)
+    place = rng.permutation(len(vertices))
+    moved = np.empty_like(vertices)
+    moved[place] = vertices
+    turned = [np.roll(corners, rng.integers(3)) for corners in place[faces][rng.permutation(len(faces))]]
+    other = omtwarp.map_surface((moved, np.array(turned)), **options)
+    assert np.array_equal(other.sphere[place], result.sphere) and len(result.loop_ends) == 2
