@@ -684,10 +684,7 @@ class _Run:
     def finish_optimal(self, found: OptimalMap, weight: float) -> None:
         """Close the stage of the optimal map, found with a weight of the shape term."""
         sphere, repaired = self.untangle(self.sphere, found.sphere)
-        converged, ended = found.converged, found.ended
-        if converged and self.is_far(self.measured):
-            assert self.measured is not None
-            converged, ended = False, f"a minimum with the shape term, {100 * self.measured.gap:.3g} % above the bound"
+        converged, ended = self.how_it_ended(found)
         details: dict[str, str | float | None] = {
             "repaired": repaired,
             "converged": converged,
@@ -695,6 +692,13 @@ class _Run:
             "shape_weight": weight,
         }
         self.finish(Stage.OMT, sphere, len(self.history) - 1, **details)
+
+    def how_it_ended(self, found: OptimalMap) -> tuple[bool, str]:
+        """Return whether a minimisation reached an optimal map, and how it ended; ``measured`` is of its map."""
+        if found.converged and self.is_far(self.measured):
+            assert self.measured is not None
+            return False, f"a minimum with the shape term, {100 * self.measured.gap:.3g} % above the bound"
+        return found.converged, found.ended
 
     @staticmethod
     def is_far(measured: Optimality | None) -> bool:
@@ -983,14 +987,16 @@ class _Run:
             found = solve(before, weight, None)
             self.keep_steps(found)
         sphere, repaired = self.untangle(before, found.sphere)
+        squared = self.options.cost is Cost.SQUARED
+        converged, ended = self.how_it_ended(found) if squared else (found.converged, found.ended)
         self.finish(
             EXACT,
             sphere,
             len(found.history) - 1,
             shape_weight=weight,
             repaired=crowded + repaired,
-            converged=found.converged,
-            ended=found.ended,
+            converged=converged,
+            ended=ended,
             largest_area_error=found.history[-1]["ring_largest"],
         )
 

@@ -192,6 +192,8 @@ def judge(
     if options.refine in (None, Refinement.AREA):
         found = _area_findings(goal, sphere, uniform, PARTS if options.exact else 1)
     unfinished = [record for record in records if record.details.get("converged") is False and record.name != "refine"]
+    if any(record.name == "exact" and record.details.get("converged") for record in records):
+        unfinished = []  # the optimal map of the mesh as it was is only where the one of its quarters began
     if found or unfinished:
         causes = foretell(goal)
         remedy = causes[0].remedy if causes else "remesh with more triangles, evenly shaped"

@@ -433,6 +433,8 @@ def test_exact_areas_of_a_disk_and_of_a_cap(domain, tmp_path):
     assert not flipped_faces(lifted, result.faces).any()
     stage = result.report["stages"][-1]
     assert stage["name"] == domain and stage["largest_area_error"] <= 1e-6 and result.report["exact"]
+    # With weights that jump from triangle to triangle the map before has a gap of 38 %; that of its quarters has 2 %.
+    assert not result.report["warnings"] and result.report["optimality"]["gap"] < 0.05
     result.save(tmp_path / "map.npz")
     again = omtwarp.SurfaceMap.load(tmp_path / "map.npz")
     assert again.certificate.bijective and np.array_equal(again.face_origin, result.face_origin)
