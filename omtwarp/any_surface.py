@@ -26,7 +26,12 @@ from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_o
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
-from omtwarp.open_surfaces.planar import untangle_in_plane, untangle_on_sphere, untangle_patches_on_cap
+from omtwarp.open_surfaces.planar import (
+    match_in_plane,
+    untangle_in_plane,
+    untangle_on_sphere,
+    untangle_patches_on_cap,
+)
 from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (
     AreaMatch,
@@ -720,23 +725,27 @@ def _on_hemisphere(
             opened.filled.vertices, opened.filled.faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3)))
         )
         return _projected(part, parts, result, domain, None, half.face_areas)
-    image = closed.sphere
+    image, refined = closed.sphere, Stage.REFINE in chosen.stages
     if not is_symmetric(glued, image):
         frame = mirror_frame(glued, image, surface.vertex_areas)
         found = symmetric_map(glued, surface, image @ frame, device=chosen.device)
-        if found is None:
+        before = closed.transported
+        if found is not None:
+            image, closed = found, _turned(closed, frame)
+        elif domain == Domain.DISK and refined and before is not None and is_symmetric(glued, before):
+            image = before  # as the disk is refined in the plane
+        else:
             raise OmtwarpError(
-                "the map of the doubled surface is not one to one once it is symmetric: use a finer mesh, or fill the "
-                "hole"
+                "the map of the doubled surface is not one to one once it is symmetric: "
+                + ("leave the refinement out or let area count more in it, " if refined else "")
+                + "use a finer mesh, or fill the hole"
             )
-        image = found
-        closed = _turned(closed, frame)
     result = _restricted(part, opened, closed, image, domain)
     if domain == "hemisphere":
         return result
     refinement = None
-    if Stage.REFINE in chosen.stages and chosen.refine is not None and not isinstance(chosen.refine, AreaMatch):
-        refinement = refinement_weight(chosen.refine)
+    if refined and chosen.refine is not None:
+        refinement = chosen.refine if isinstance(chosen.refine, AreaMatch) else refinement_weight(chosen.refine)
     return _projected(part, half, result, domain, refinement)
 
 
@@ -745,7 +754,7 @@ def _projected(
     half: Surface,
     result: SurfaceMap,
     domain: str,
-    refinement: float | None,
+    refinement: float | AreaMatch | None,
     wanted: Floats | None = None,
 ) -> SurfaceMap:
     """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips.
@@ -755,7 +764,8 @@ def _projected(
         half: what was mapped, with its holes filled, and the areas that its triangles are to have.
         result: the map to the hemisphere.
         domain: ``disk`` or ``cap``.
-        refinement: the weight of area against angle distortion with which a disk is refined.
+        refinement: the weight of area against angle distortion with which a disk is refined, or the area distortion
+            that is to be matched.
         wanted: the exact areas, up to a factor, of the original triangles of a quartered mesh.
     """
     begun, error = perf_counter(), None
@@ -773,7 +783,10 @@ def _projected(
     else:
         rim = _rim(faces, len(whole))
         laid = hemisphere_to_disk(whole)
-        disk, flips = untangle_in_plane(laid, faces, rim, half, refinement)
+        if isinstance(refinement, AreaMatch):
+            disk, flips = match_in_plane(laid, faces, rim, half, len(result.faces), refinement.area)
+        else:
+            disk, flips = untangle_in_plane(laid, faces, rim, half, refinement)
         if flips and wanted is None:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"

@@ -36,6 +36,9 @@ EVENED = Schedule(rings=9, factor=0.5, steps=10, thinnest=0.0, largest=1e-3)
 # Refinement in the plane: rounds over the whole disk with the weight asked for, until no vertex moves farther.
 # With the weight 100 a part of a squirrel then has area distortion 2.0010, but 2.017 where a hundredth ends the rounds.
 REFINEMENTS, SETTLED = 12, 1e-3
+# The same until an area distortion is matched: the range of weights, how near, and how many of them are tried.
+LEAST_WEIGHT, MOST_WEIGHT = 0.1, 1000.0
+MATCH_TOLERANCE, MATCH_TRIALS = 3e-4, 10
 LEAST_MARGIN = 1e-9  # from a flip, of an accepted position
 SOLVES = 3  # of the convex combinations: the first leaves no flips except by rounding
 
@@ -89,6 +92,41 @@ def untangle_in_plane(
             break
         moved = _convex(moved, faces, held, flipped)
     return moved, int(flipped.sum())
+
+
+def match_in_plane(
+    points: Floats, faces: NDArray, held: NDArray[np.bool_], surface: Surface, own: int, area: float
+) -> tuple[Floats, int]:
+    """Refine a map to the disk with the least weight of areas that leaves at most an area distortion.
+
+    Args:
+        points, faces, held, surface: as of :func:`untangle_in_plane`.
+        own: number of the first faces, whose distortion counts; others fill holes.
+        area: the mean of r + 1/r over the surface, r being the ratio of areas.
+
+    Returns:
+        The map, that with the largest weight where all have more distortion, and the number of remaining flips.
+    """
+    sizes = surface.face_areas[:own] / surface.face_areas[:own].sum()
+
+    def refined(start: Floats, weight: float) -> tuple[Floats, int, float]:
+        disk, flips = untangle_in_plane(start, faces, held, surface, weight)
+        images = plane_areas(disk[faces[:own]])
+        ratio = np.maximum(images / images.sum() / sizes, TINY)
+        return disk, flips, float(sizes @ (ratio + 1.0 / ratio))
+
+    best = found = refined(points, MOST_WEIGHT)
+    low, high = np.log(LEAST_WEIGHT), np.log(MOST_WEIGHT)
+    for _ in range(MATCH_TRIALS):
+        if best[1] or not area - MATCH_TOLERANCE > best[2]:
+            break
+        middle = 0.5 * (low + high)
+        found = refined(found[0], float(np.exp(middle)))
+        if found[1] == 0 and found[2] <= area:
+            best, high = found, middle
+        else:
+            low = middle
+    return best[0], best[1]
 
 
 def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface, refinement: float | None) -> Floats:
@@ -256,4 +294,4 @@ def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: ND
     return moved
 
 
-__all__ = ["flipped_in_plane", "untangle_in_plane", "untangle_on_sphere"]
+__all__ = ["flipped_in_plane", "match_in_plane", "untangle_in_plane", "untangle_on_sphere"]

@@ -316,6 +316,22 @@ def test_refinement_of_a_disk_is_in_the_plane():
     assert angle[0] > angle[1] > angle[2] + 0.1 > angle[3] + 0.2
 
 
+def test_a_disk_matches_an_area_distortion():
+    result = omtwarp.map_surface(face_with_hole(), domain="disk", refine="match:2.02", optimality=False, device="cpu")
+    assert not flipped_in_plane(result.disk, result.faces).any()
+    assert 2.015 < result.distortion("disk").area["surface"] <= 2.02
+
+
+def test_a_disk_is_laid_flat_without_a_refinement_that_is_not_symmetric(monkeypatch):
+    answers = iter([False, True, False])
+    monkeypatch.setattr(omtwarp.any_surface, "is_symmetric", lambda *_: next(answers))
+    monkeypatch.setattr(omtwarp.any_surface, "symmetric_map", lambda *_, **__: None)
+    disk = omtwarp.map_surface(face_with_hole(), domain="disk", refine="angle", optimality=False, device="cpu")
+    assert disk.certificate.bijective and np.array_equal(disk.sphere, disk.transported)
+    with pytest.raises(omtwarp.OmtwarpError, match="let area count more"):
+        omtwarp.map_surface(face_with_hole(), domain="hemisphere", refine="angle", optimality=False, device="cpu")
+
+
 def thick_ring(around: int = 24, across: int = 16) -> tuple[np.ndarray, np.ndarray]:
     """A ring torus of near-equilateral triangles."""
     i, j = (index.ravel() for index in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
