@@ -4,7 +4,7 @@ With c1, c2 the columns of a triangle's Jacobian, fro = |c1|² + |c2|² and D = 
 brings the image's total flat area to 4π. Angle distortion is fro / D, area distortion scale D + 1 / (scale D).
 """
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, THREE, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
 from omtwarp.triangle_newton.newton_kernels import packed
 from omtwarp.triangle_newton.triangle import (
@@ -49,6 +49,21 @@ def needle_curvature(cosine: wp.float64) -> wp.float64:
     gap = STEEP_COSINE - cosine
     share = gap / cosine
     return TWO * share * (THREE + THREE * share + share * share)
+
+
+@wp.func
+def half_angle(x: wp.float64, y: wp.float64) -> wp.vec2d:
+    """Return the cosine and sine of half the angle of the vector (x, y), between -90 and 90 degrees; 0 has none."""
+    length = wp.sqrt(x * x + y * y)
+    if length == ZERO:
+        return wp.vec2d(ONE, ZERO)
+    if x >= ZERO:
+        cosine = wp.sqrt(HALF * (length + x) / length)
+        return wp.vec2d(cosine, HALF * y / (length * cosine))
+    sine = wp.sqrt(HALF * (length - x) / length)
+    if y < ZERO:
+        sine = -sine
+    return wp.vec2d(HALF * y / (length * sine), sine)
 
 
 @wp.kernel
@@ -181,9 +196,9 @@ def triangle_hessian(
     p = wp.dot(c1, c1)
     q = wp.dot(c2, c2)
     r = wp.dot(c1, c2)
-    turn = HALF * wp.atan2(TWO * r, p - q)
-    cosine = wp.cos(turn)
-    sine = wp.sin(turn)
+    turn = half_angle(p - q, TWO * r)
+    cosine = turn[0]
+    sine = turn[1]
     long_image = cosine * c1 + sine * c2
     s1 = wp.length(long_image)
     u1 = long_image / s1
@@ -202,10 +217,11 @@ def triangle_hessian(
     half_gap = wp.sqrt(HALF * HALF * (h11 - h22) * (h11 - h22) + h12 * h12)
     stiff = half_sum + half_gap
     soft = wp.max(half_sum - half_gap, ZERO)
-    lean = HALF * wp.atan2(TWO * h12, h11 - h22)
-    x = wp.cos(lean)
-    y = wp.sin(lean)
-    root = wp.sqrt(HALF)
+    lean = half_angle(h11 - h22, TWO * h12)
+    of_twist = wp.sqrt(HALF * twist)
+    of_flip = wp.sqrt(HALF * flip)
+    of_stiff = wp.sqrt(stiff) * lean
+    of_soft = wp.sqrt(soft) * lean
 
     first = first_weights(frame)
     second = second_weights(frame)
@@ -214,9 +230,10 @@ def triangle_hessian(
     tilt = oriented_volume(a, b, c) * scale / d
     upright = wp.sqrt(barrier * needle_curvature(tilt)) / d
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
+    share = areas[t] / divisor
     modes = wp.matrix(dtype=wp.float64, shape=(6, 5))
     for i in range(3):
-        yi = wp.vec3d(points[i, 0], points[i, 1], points[i, 2])
+        yi = points[i]
         ti = first_tangent(yi)
         along = cosine * first[i] + sine * second[i]
         across = cosine * second[i] - sine * first[i]
@@ -228,18 +245,18 @@ def triangle_hessian(
             m12 = wp.dot(bi, u1) * across
             m21 = wp.dot(bi, u2) * along
             m22 = wp.dot(bi, u2) * across
-            modes[2 * i + u, 0] = wp.sqrt(twist) * root * (m21 - m12)
-            modes[2 * i + u, 1] = wp.sqrt(flip) * root * (m21 + m12)
-            modes[2 * i + u, 2] = wp.sqrt(stiff) * (x * m11 + y * m22)
-            modes[2 * i + u, 3] = wp.sqrt(soft) * (x * m22 - y * m11)
-            solid = wp.dot(bi, wp.vec3d(normals[i, 0], normals[i, 1], normals[i, 2]))
+            solid = wp.dot(bi, normals[i])
+            modes[2 * i + u, 0] = of_twist * (m21 - m12)
+            modes[2 * i + u, 1] = of_flip * (m21 + m12)
+            modes[2 * i + u, 2] = of_stiff[0] * m11 + of_stiff[1] * m22
+            modes[2 * i + u, 3] = of_soft[0] * m22 - of_soft[1] * m11
             modes[2 * i + u, 4] = upright * (solid - tilt * (s2 * m11 + s1 * m22))
     for i in range(6):
         for j in range(i, 6):
             entry = ZERO
             for k in range(5):
                 entry += modes[i, k] * modes[j, k]
-            hessian[t, packed(i, j)] = areas[t] * entry / divisor
+            hessian[t, packed(i, j)] = share * entry
 
 
 @wp.kernel
