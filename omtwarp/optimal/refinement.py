@@ -5,9 +5,14 @@ larger λ on triangles would lock the mesh: 2V - 5 areas leave its 2V - 3 coordi
 buckles. The part of λ above 10 is therefore the weight of the areas around vertices, of which there are half as many:
 
     angle + min(λ, 10) · area + max(λ - 10, 0) · Σ_v m_v (a_v / 3m_v - 1)² / 4π.
+
+On limbs of few vertices a weight of 10 can leave the areas of triangles worse than the optimal map has them. The named
+weight ``area``, whose promise is area, then gives them more: 30, 100 or 300 in place of 10.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +42,11 @@ TRIANGLE_WEIGHT = 10.0
 # match:AREA looks for λ between these weights, by bisection of its logarithm, until the area distortion is within the
 # tolerance below the one asked for, or for that many trials.
 LEAST_WEIGHT, MOST_WEIGHT = 0.1, 1000.0
+# Where ``area`` leaves more than the first times the area distortion above 2 of the map given, as on limbs of few
+# vertices, the areas of triangles count more, up to the first of the others that does not. An octopus goes from 2.038
+# to 2.26 with 10 and to 2.020 with 100, at six tenths of the angle distortion of the map given; a person from 2.031 to
+# 2.052 and, with 30, to 2.017. Areas around vertices are kept as well with all of them.
+LOST_AREA, RAISED_WEIGHTS = 1.05, (30.0, 100.0, 300.0)
 MATCH_TOLERANCE, MATCH_TRIALS = 1e-4, 16
 
 
@@ -73,7 +83,8 @@ def refine_map(
         surface: the original surface in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
         sphere: images of its vertices, unit vectors, shape [V, 3], no triangle flipped.
         weight: λ; ``area``, ``balanced`` or ``angle`` for 1000, 10 or 2; or ``match:AREA``, the least λ whose map has
-            at most this mean area distortion of triangles, such as ``match:2.02``. An area that is out of reach with
+            at most this mean area distortion of triangles, such as ``match:2.02``. With ``area``, more than 10 of λ
+            goes to the areas of triangles where they would become worse otherwise. An area that is out of reach with
             areas kept around vertices is matched by a λ of the areas of triangles alone, for which the map may buckle.
         iterations: largest number of steps.
         tolerance: stop when the expected decrease falls below this and below a hundredth of the difference between the
@@ -113,6 +124,8 @@ def refine_map(
     refinement = _Refinement(surface, str(resolve_device(device)), iterations, tolerance, progress)
     if isinstance(parsed, AreaMatch):
         return refinement.match(start, parsed.area)
+    if parsed is Refinement.AREA:
+        return refinement.towards_area(start)
     return refinement.run(start, refinement_weight(weight))
 
 
@@ -124,15 +137,18 @@ class _Refinement:
         self.iterations, self.tolerance, self.progress = iterations, tolerance, progress
         self.refiner = Refiner(surface, self.device)
 
-    def run(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
-        """Minimise the distortion at a weight, beginning with a flip-free map, shape [V, 3]."""
-        if weight <= TRIANGLE_WEIGHT:
+    def run(self, sphere: NDArray[np.float64], weight: float, of_triangles: float = TRIANGLE_WEIGHT) -> RefineResult:
+        """Minimise the distortion at a weight, beginning with a flip-free map, shape [V, 3].
+
+        Up to ``of_triangles`` the weight is that of the areas of triangles, the rest that of those around vertices.
+        """
+        if weight <= of_triangles:
             return self.by_triangles(sphere, weight)
         energy = TransportEnergy(
-            self.surface, vectors(sphere, self.device), self.device, 1.0, cost_weight=0.0, area_weight=TRIANGLE_WEIGHT
+            self.surface, vectors(sphere, self.device), self.device, 1.0, cost_weight=0.0, area_weight=of_triangles
         )
         # Σ m (a / 3m - 1)² / 4π equals Σ (a - 3m)² / 3m over 12π; the penalty is half of that.
-        penalty = 2.0 * (weight - TRIANGLE_WEIGHT)
+        penalty = 2.0 * (weight - of_triangles)
         found = minimise(
             energy,
             sphere,
@@ -149,9 +165,20 @@ class _Refinement:
             sphere, weight, iterations=self.iterations, tolerance=self.tolerance, progress=self.progress
         )
 
+    def towards_area(self, sphere: NDArray[np.float64]) -> RefineResult:
+        """Refine at the weight of ``area``, with more of it on triangles where their areas would become worse."""
+        largest = LOST_AREA * self.refiner.energy.terms(self.refiner.energy.upload(sphere)).area
+        found = self.run(sphere, WEIGHTS[Refinement.AREA])
+        for of_triangles in RAISED_WEIGHTS:
+            if self.area(found) - 2.0 <= largest:
+                break
+            found = self.run(found.sphere, WEIGHTS[Refinement.AREA], of_triangles)
+        return found
+
     def match(self, sphere: NDArray[np.float64], area: float) -> RefineResult:
         """Find the weight whose refined map has the wanted area distortion, or the map nearest above where none has."""
-        refine, least = self.run, LEAST_WEIGHT
+        refine: Callable[[NDArray[np.float64], float], RefineResult] = self.run
+        least = LEAST_WEIGHT
         best = refine(sphere, MOST_WEIGHT)
         if self.area(best) > area:
             refine, least = self.by_triangles, TRIANGLE_WEIGHT

@@ -14,6 +14,7 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, tube
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.optimal.refinement import refine_map, refinement_weight
+from omtwarp.pipeline import map_to_sphere
 from omtwarp.start.tube import tube_map
 from omtwarp.triangle_newton.newton import NewtonMatrix
 from omtwarp.untangling.untangle import untangle
@@ -191,3 +192,27 @@ def test_newton_matrix_sums_blocks_and_solves():
     matrix.factorise(packed)
     right = rng.normal(size=(count, 2))
     assert np.allclose(dense @ matrix.solve(right).ravel(), right.ravel(), rtol=1e-4, atol=1e-4)
+
+
+def ring_rms(surface, sphere):
+    """Relative errors of the areas around vertices, root mean square by area."""
+    a, b, c = (sphere[surface.faces[:, k]] for k in range(3))
+    dots = 1.0 + sum(np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
+    solid = 2.0 * np.arctan2(np.einsum("ij,ij->i", a, np.cross(b, c)), dots)
+    image, own = surface.sum_to_vertices(solid), surface.sum_to_vertices(surface.own_areas)
+    return float(np.sqrt(own @ (image / own - 1.0) ** 2 / own.sum()))
+
+
+@pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
+def test_refinement_named_area_loses_none_on_long_limbs():
+    """The same weight as a number, with 10 of it on triangles, makes their areas on a long tube worse."""
+    surface = tube(20.0, face_count=1500)
+    optimal = map_to_sphere(surface, optimality=False, device="cpu")
+    given_area = optimal.distortion().area["surface"] - 2.0
+    named, number = (
+        refine_map(surface, optimal.sphere, weight=weight, device="cpu").sphere for weight in ("area", 1e3)
+    )
+    lost, kept = (measure_triangles(surface.vertices, surface.faces, sphere) for sphere in (number, named))
+    assert lost.area["surface"] - 2.0 > 1.1 * given_area
+    assert kept.area["surface"] - 2.0 < 1.05 * given_area and kept.flips == 0
+    assert ring_rms(surface, named) < 0.02
