@@ -107,21 +107,21 @@ class Curve:
         """The map of a weight, refined from the map made before whose weight is nearest."""
         known = [point for point in self.points if point.flips == 0]
         nearest = min(known, key=lambda point: abs(np.log(min(point.weight, MOST) / weight)))
+        named = next((str(name) for name, value in NAMED.items() if value == weight), None)
         begun = time.perf_counter()
         # The smaller λ, the closer the curve comes to the conformal map, and the less there is between two maps.
         tolerance = self.tolerance * min(1.0, weight)
         refined = omtwarp.refine_map(
             self.surface,
             nearest.sphere,
-            weight=weight,
+            weight=named or weight,
             iterations=ITERATIONS,
             tolerance=tolerance,
             device=self.device,
         )
         seconds = time.perf_counter() - begun
-        name = next((str(named) for named, value in NAMED.items() if value == weight), f"{weight:.4g}")
         steps = len(refined.history) - 1
-        point = self._judge(name, weight, refined.sphere, seconds, steps, refined.converged)
+        point = self._judge(named or f"{weight:.4g}", weight, refined.sphere, seconds, steps, refined.converged)
         self.points.append(point)
         self.points.sort(key=lambda p: -p.weight)
         return point
