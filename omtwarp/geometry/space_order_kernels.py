@@ -23,6 +23,15 @@ def cell_of(x: wp.float64):
     return wp.clamp(int(x * wp.float64(LAST_CELL + 1)), 0, LAST_CELL)
 
 
+@wp.func
+def turned_back(x: int, other: int, bit: int):
+    """Undo the curve's turn at one bit for the first coordinate and another one."""
+    if other & bit:
+        return x ^ (bit - 1), other
+    swapped = (x ^ other) & (bit - 1)
+    return x ^ swapped, other ^ swapped
+
+
 @wp.kernel
 def number_along_curve(
     points: wp.array[wp.vec3d],
@@ -37,21 +46,10 @@ def number_along_curve(
     # Undo the turns of the curve, from the coarsest cells to the finest.
     bit = int(HIGHEST_BIT)
     while bit > 1:
-        below = bit - 1
         if x & bit:
-            x = x ^ below
-        if y & bit:
-            x = x ^ below
-        else:
-            swapped = (x ^ y) & below
-            x = x ^ swapped
-            y = y ^ swapped
-        if z & bit:
-            x = x ^ below
-        else:
-            swapped = (x ^ z) & below
-            x = x ^ swapped
-            z = z ^ swapped
+            x = x ^ (bit - 1)
+        x, y = turned_back(x, y, bit)
+        x, z = turned_back(x, z, bit)
         bit = bit >> 1
     # Gray code.
     y = y ^ x

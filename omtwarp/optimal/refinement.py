@@ -167,10 +167,10 @@ class _Refinement:
 
     def towards_area(self, sphere: NDArray[np.float64]) -> RefineResult:
         """Refine at the weight of ``area``, with more of it on triangles where their areas would become worse."""
-        largest = LOST_AREA * self.refiner.energy.terms(self.refiner.energy.upload(sphere)).area
+        largest = LOST_AREA * self.excess(sphere)
         found = self.run(sphere, WEIGHTS[Refinement.AREA])
         for of_triangles in RAISED_WEIGHTS:
-            if self.area(found) - 2.0 <= largest:
+            if self.excess(found.sphere) <= largest:
                 break
             found = self.run(found.sphere, WEIGHTS[Refinement.AREA], of_triangles)
         return found
@@ -201,7 +201,11 @@ class _Refinement:
 
     def area(self, refined: RefineResult) -> float:
         """Return the mean area distortion of the triangles of a refined map."""
-        return self.refiner.energy.terms(self.refiner.energy.upload(refined.sphere)).area + 2.0
+        return self.excess(refined.sphere) + 2.0
+
+    def excess(self, sphere: NDArray[np.float64]) -> float:
+        """Return how far the mean area distortion of the triangles of a map is above 2."""
+        return self.refiner.energy.terms(self.refiner.energy.upload(sphere)).area
 
 
 __all__ = ["TRIANGLE_WEIGHT", "WEIGHTS", "refine_map", "refinement_weight"]
