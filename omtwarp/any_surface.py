@@ -16,6 +16,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order
 from omtwarp.joined_maps import joined
 from omtwarp.measures.weights import face_weights
+from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.names import InputNames
 from omtwarp.mesh.quarter import PARTS, quarter
@@ -504,7 +505,7 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
     given = opened.filled.vertices
     points = np.concatenate([given, 0.5 * given[ends[:, 0]] + 0.5 * given[ends[:, 1]]])[order]
     faces = place[closed.faces].astype(np.int32)
-    keys = ends.min(axis=1) * whole + ends.max(axis=1)
+    keys = edge_keys(ends, whole)
     sorted_keys = np.argsort(keys)
     loops = []
     for loop in opened.loops:

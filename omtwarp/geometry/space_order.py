@@ -17,6 +17,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.geometry import space_order_kernels as kernels
+from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.names import InputNames
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
@@ -52,9 +53,9 @@ class OrderedSurface:
             Of every vertex and every face of this surface quartered: the number of its equal, shapes [V + E] and [4 F].
         """
         count = self.surface.vertex_count
-        known = _edge_keys(given.ends, count)
+        known = edge_keys(given.ends, count)
         order = np.argsort(known)
-        middles = order[np.searchsorted(known, _edge_keys(self.vertices[self.surface.edges], count), sorter=order)]
+        middles = order[np.searchsorted(known, edge_keys(self.vertices[self.surface.edges], count), sorter=order)]
         parts = np.full((len(self.faces), PARTS), PARTS - 1)
         parts[:, :CORNERS] = (np.arange(CORNERS) + self.turns[:, None]) % CORNERS
         return np.r_[self.vertices, count + middles], (PARTS * self.faces[:, None] + parts).ravel()
@@ -114,12 +115,6 @@ def _ordered(surface: Surface) -> OrderedSurface:
     # No two faces of an oriented surface have the same two corners first; those of others keep their order.
     faces = np.argsort(turned[:, 0] * len(vertices) + turned[:, 1], kind="stable")
     return OrderedSurface(Surface(surface.vertices[vertices], turned[faces]), vertices, faces, turns[faces])
-
-
-def _edge_keys(ends: NDArray[np.int32] | Places, vertex_count: int) -> Places:
-    """Return a number for every edge, whichever of its ends comes first, shape [E]."""
-    ends = ends.astype(np.int64)
-    return ends.min(axis=1) * vertex_count + ends.max(axis=1)
 
 
 __all__ = ["OrderedSurface", "in_space_order", "space_order"]

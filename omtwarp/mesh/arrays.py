@@ -125,6 +125,17 @@ def fitting_arrays(
     return fitting
 
 
+def edge_keys(ends: NDArray[np.integer], vertex_count: int) -> NDArray[np.int64]:
+    """Return a number for every edge, whichever of its ends comes first, shape [E]; it sorts as edges do.
+
+    Args:
+        ends: vertices, shape [E, 2].
+        vertex_count: of the surface.
+    """
+    ends = ends.astype(np.int64)
+    return ends.min(axis=1) * vertex_count + ends.max(axis=1)
+
+
 def owned(values: object, dtype: type[np.generic]) -> NDArray[np.generic]:
     """Return a read-only copy, or the array itself if it is one already."""
     array = np.asarray(values)
@@ -242,6 +253,7 @@ __all__ = [
     "ROUND_OFF",
     "TINY",
     "Layout",
+    "edge_keys",
     "fitting_arrays",
     "in_range",
     "owned",

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.validate import Topology, as_arrays, check, duplicate_faces, number, unit_coordinates, zero_area_faces
 
 LARGEST_HOLE = 64
@@ -261,7 +262,7 @@ class _Work:
         if not lone.any() or topology.clashing_edges.any():
             return
         half = np.stack([self.faces.ravel(), np.roll(self.faces, -1, axis=1).ravel()], axis=1)
-        keys = half.min(axis=1) * len(self.points) + half.max(axis=1)
+        keys = edge_keys(half, len(self.points))
         boundary = np.isin(keys, topology.edges[lone] @ np.array([len(self.points), 1]))
         known = set(map(tuple, topology.edges.tolist()))
         filled, faces_added = 0, 0

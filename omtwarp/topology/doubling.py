@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.topology.boundary import boundary_half_edges
 
@@ -49,7 +50,7 @@ def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np
     tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     keys = low * count + high
-    chord = on_boundary[tail] & on_boundary[head] & ~np.isin(keys, half.min(axis=1) * count + half.max(axis=1))
+    chord = on_boundary[tail] & on_boundary[head] & ~np.isin(keys, edge_keys(half, count))
     split, number = np.unique(keys[chord], return_inverse=True)
     edges = np.stack([split // count, split % count], axis=1)
     midpoint = np.full(len(keys), -1, dtype=np.int64)
@@ -145,7 +146,7 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
     """
     count, ends = len(whole.mirror), quartered.ends.astype(np.int64)
     images = np.sort(whole.mirror[ends], axis=1)
-    keys, wanted = ends.min(axis=1) * count + ends.max(axis=1), images[:, 0] * count + images[:, 1]
+    keys, wanted = edge_keys(ends, count), images[:, 0] * count + images[:, 1]
     order = np.argsort(keys)
     image = order[np.searchsorted(keys, wanted, sorter=order)]
     own = np.zeros(len(ends), dtype=bool)

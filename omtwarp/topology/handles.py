@@ -21,6 +21,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import edge_keys
 from omtwarp.topology.boundary import boundary_loops
 
 FAR_SWEEPS = 3  # from the farthest vertex to the one farthest from it
@@ -295,7 +296,7 @@ def _cut_along(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return faces cut open along a loop or a path, and the vertices that were copied, in the order of the copies."""
     ends = np.stack([loop, np.roll(loop, -1)], axis=1)[: None if closed else -1]
-    cut = np.unique(ends.min(axis=1) * count + ends.max(axis=1))
+    cut = np.unique(edge_keys(ends, count))
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     corner = np.arange(len(tail))
     following = corner.reshape(-1, 3)[:, [1, 2, 0]].ravel()

@@ -22,7 +22,7 @@ from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents
-from omtwarp.mesh.arrays import ROUND_OFF, TINY
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, edge_keys
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
@@ -149,7 +149,7 @@ def _mesh_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
 def _harmonic(count: int, points: Floats, edges: WeightedEdges) -> Floats:
     """Return the functions at vertices whose differences and the steps make harmonic forms, shape [V, 2]."""
     apart = edges.ends[:, 0] != edges.ends[:, 1]
-    keys = edges.ends.min(axis=1) * count + edges.ends.max(axis=1)
+    keys = edge_keys(edges.ends, count)
     unique, which = np.unique(keys[apart], return_inverse=True)
     # Edges of the same two vertices act as one, whose step is the weighted mean.
     forward = np.where(edges.ends[apart, 0] < edges.ends[apart, 1], 1.0, -1.0)
