@@ -93,6 +93,11 @@ def launch_parts(
     run_all(launch, [slice(a, b) for a, b in pairwise(bounds)])
 
 
+def cut(array: wp.array, part: slice) -> wp.array:
+    """Return the part of an array that a launch over a slice works on; without a slice where that is all of it."""
+    return array if part.start == 0 and part.stop == len(array) else array[part]
+
+
 @contextlib.contextmanager
 def blas_threads(count: int) -> Iterator[None]:
     """Limit the linear algebra of NumPy and SciPy to a number of threads, as a context or a decorator.
@@ -112,4 +117,4 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-__all__ = ["Arguments", "blas_threads", "core_count", "launch_parts", "load", "pool", "run_all"]
+__all__ = ["Arguments", "blas_threads", "core_count", "cut", "launch_parts", "load", "pool", "run_all"]

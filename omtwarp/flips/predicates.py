@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, launch_parts
+from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.flips.guard_kernels import UNCERTAIN, certain_signs
 
 # Six triple products, each rounded at most four times, and their sum: 7 units of roundoff suffice, 8 also
@@ -45,7 +45,7 @@ def orientation_signs(
     out = wp.empty(len(corners), dtype=wp.int8, device=where)
 
     def arguments(part: slice) -> Arguments:
-        return [given, corners[part], wp.float64(_RELATIVE_BOUND), wp.float64(_UNDERFLOW_BOUND)], [out[part]]
+        return [given, cut(corners, part), wp.float64(_RELATIVE_BOUND), wp.float64(_UNDERFLOW_BOUND)], [cut(out, part)]
 
     launch_parts(certain_signs, len(corners), arguments, where)
     signs = out.numpy()

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import cut, launch_parts
 from omtwarp.mesh.checks import as_unit_vectors
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA
@@ -171,7 +171,7 @@ class CellEnergy(TransportEnergy):
         cost = wp.empty(self.surface.vertex_count, dtype=wp.float64, device=self.device)
 
         def of_triangles(part: slice) -> tuple[list[object], list[object]]:
-            return [points, self._mesh.faces[part]], [self._solid[part]]
+            return [points, cut(self._mesh.faces, part)], [cut(self._solid, part)]
 
         def of_vertices(part: slice) -> tuple[list[object], list[object]]:
             return [self._start[part], points[part], self.softness], [cost[part]]

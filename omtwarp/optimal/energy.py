@@ -29,8 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import empty
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import cut, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, transport_gradient
 from omtwarp.refine.energy import DistortionEnergy, Terms
@@ -111,8 +112,8 @@ class TransportEnergy:
         self._start, self._mesh, self._rows = start, mesh, mesh.vertex_corners
         self.start_points: Numbers = start.numpy()
         count, faces, edges = surface.vertex_count, surface.face_count, len(surface.edges)
-        self._solid = wp.empty(faces, dtype=wp.float64, device=device)
-        self._forward, self._backward = (wp.empty(edges, dtype=wp.vec2d, device=device) for _ in range(2))
+        self._solid = empty(faces, wp.float64, device)
+        self._forward, self._backward = (empty(edges, wp.vec2d, device) for _ in range(2))
         self._metric = wp.empty((count, 4), dtype=wp.float64, device=device)
         self._newton = NewtonMatrix.of_surface(surface, self.shape.workspace)
 
@@ -127,10 +128,10 @@ class TransportEnergy:
     def terms(self, points: wp.array) -> MapTerms:
         """Return the areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""
         count, faces = self.surface.vertex_count, self._mesh.faces
-        ring, cost = (wp.empty(count, dtype=wp.float64, device=self.device) for _ in range(2))
+        ring, cost = (empty(count, wp.float64, self.device) for _ in range(2))
 
         def of_triangles(part: slice) -> tuple[list[object], list[object]]:
-            return [points, faces[part]], [self._solid[part]]
+            return [points, cut(faces, part)], [cut(self._solid, part)]
 
         def of_vertices(part: slice) -> tuple[list[object], list[object]]:
             return [self._start, points, self._solid, *self._rows, self.softness, part.start], [ring, cost]
@@ -166,7 +167,7 @@ class TransportEnergy:
         count, device = self.surface.vertex_count, self.device
         ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
         potential = wp.array(self.potential(terms, multipliers), dtype=wp.float64, device=device, copy=False)
-        gradient = wp.empty(count, dtype=wp.vec3d, device=device)
+        gradient = empty(count, wp.vec3d, device)
         factor = wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA))
 
         def around(part: slice) -> tuple[list[object], list[object]]:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import vectors
+from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -478,7 +478,7 @@ class _Newton:
 
     def _tangent(self, points: wp.array, coordinates: Numbers) -> Numbers:
         """Return coordinates in the bases that the matrix was made in as vectors tangent at the points, [V, 3]."""
-        vectors_ = wp.empty(len(coordinates), dtype=wp.vec3d, device=self.device)
+        vectors_ = empty(len(coordinates), wp.vec3d, self.device)
         inputs = [self.base, wp.array(coordinates, dtype=wp.float64, device=self.device)]
         wp.launch(from_tangent, dim=len(coordinates), inputs=inputs, outputs=[vectors_], device=self.device)
         here, step = points.numpy(), vectors_.numpy()

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import vectors
+from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, launch_parts
+from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
 from omtwarp.refine.sums import DistortionSums
@@ -102,10 +102,10 @@ class TriangleKernels:
 
     def terms(self, points: wp.array) -> list[wp.array]:
         """Return angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
-        outputs = [wp.empty(self.count, dtype=wp.float64, device=self.device) for _ in range(4)]
+        outputs = [empty(self.count, wp.float64, self.device) for _ in range(4)]
 
         def arguments(part: slice) -> Arguments:
-            return [points, self.faces[part], self.frames[part]], [array[part] for array in outputs]
+            return [points, cut(self.faces, part), cut(self.frames, part)], [cut(array, part) for array in outputs]
 
         launch_parts(triangle_terms, self.count, arguments, self.device)
         return outputs
@@ -120,11 +120,11 @@ class TriangleKernels:
         corners = self._scratch(3 * self.count, 3)
 
         def arguments(part: slice) -> Arguments:
-            inputs = [points, self.faces[part], self.frames[part], self.areas[part], *pressures]
+            inputs = [points, *(cut(array, part) for array in (self.faces, self.frames, self.areas)), *pressures]
             return inputs, [corners[3 * part.start : 3 * part.stop]]
 
         launch_parts(triangle_gradient, self.count, arguments, self.device)
-        gradient = wp.empty(self.rows[0].size - 1, dtype=wp.vec3d, device=self.device)
+        gradient = empty(self.rows[0].size - 1, wp.vec3d, self.device)
 
         def gathered(part: slice) -> Arguments:
             return [points, *self.rows, corners, wp.float64(SPHERE_AREA), part.start], [gradient]
@@ -141,7 +141,8 @@ class TriangleKernels:
         numbers = [*pressures, wp.float64(curvature_share), wp.float64(SPHERE_AREA)]
 
         def arguments(part: slice) -> Arguments:
-            return [points, self.faces[part], self.frames[part], self.areas[part], *numbers], [blocks[part]]
+            own = [cut(array, part) for array in (self.faces, self.frames, self.areas)]
+            return [points, *own, *numbers], [cut(blocks, part)]
 
         launch_parts(triangle_hessian, self.count, arguments, self.device)
         return blocks

@@ -36,6 +36,12 @@ def signed_ratio(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.f
     return oriented_volume(a, b, c) * frame[0] * frame[2]
 
 
+@wp.func
+def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
+    """Return the signed solid angle of a triangle (van Oosterom and Strackee 1983)."""
+    return TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
+
+
 @wp.kernel
 def untangle_value(
     sphere: wp.array[wp.vec3d],
@@ -46,7 +52,9 @@ def untangle_value(
     weight: wp.float64,
     # Data out:
     value: wp.array[wp.float64],
+    solid: wp.array[wp.float64],
 ):
+    """Compute the energy of every triangle and its signed solid angle."""
     t = wp.tid()
     face = faces[t]
     a = sphere[face[0]]
@@ -57,6 +65,7 @@ def untangle_value(
     d = signed_ratio(frames[t], a, b, c)
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
     value[t] = areas[t] * (fro + weight * (d * d + ONE)) / barrier(d, epsilon[t])
+    solid[t] = solid_angle(a, b, c)
 
 
 @wp.kernel
@@ -66,10 +75,9 @@ def solid_angles(
     # Data out:
     solid: wp.array[wp.float64],
 ):
-    """Compute the signed solid angle of every triangle (van Oosterom and Strackee 1983)."""
+    """Compute the signed solid angle of every triangle."""
     t = wp.tid()
-    a, b, c = sphere[faces[t][0]], sphere[faces[t][1]], sphere[faces[t][2]]
-    solid[t] = TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
+    solid[t] = solid_angle(sphere[faces[t][0]], sphere[faces[t][1]], sphere[faces[t][2]])
 
 
 # Unlike in triangle_hessian of refinement, which is built from eigenvectors, the area ratio is signed and the barrier a

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import vectors
+from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import Surface
@@ -168,7 +168,7 @@ class FlipFreeSteps:
             held = np.unique(faces[bad])
             shares[held] *= 0.5
             shares[held[shares[held] < LEAST_SHARE]] = 0.0
-            there = wp.empty(len(held), dtype=wp.vec3d, device=device)
+            there = empty(len(held), wp.vec3d, device)
             places = [wp.array(values[held], dtype=wp.vec3d, device=device) for values in (here, step)]
             inputs = [*places, wp.array(shares[held], dtype=wp.float64, device=device), wp.float64(length)]
             wp.launch(retract_to_sphere, dim=len(held), inputs=inputs, outputs=[there], device=device)
@@ -178,7 +178,7 @@ class FlipFreeSteps:
             around = corners[np.arange(counts.sum()) + np.repeat(offsets[held] - first, counts)] // 3
             near = np.unique(around)
             marks, found = (
-                wp.empty(len(near), dtype=wp.int32, device=device),
+                empty(len(near), wp.int32, device),
                 wp.zeros(1, dtype=wp.int32, device=device),
             )
             triangles = wp.array(faces[near], dtype=wp.vec3i, device=device)
@@ -201,7 +201,7 @@ class FlipFreeSteps:
         count = self._surface.vertex_count
         if share is None:
             share = wp.full(count, 1.0, dtype=wp.float64, device=self._device)
-        moved = wp.empty(count, dtype=wp.vec3d, device=self._device)
+        moved = empty(count, wp.vec3d, self._device)
         inputs = [points, direction, share, wp.float64(length)]
         wp.launch(retract_to_sphere, dim=count, inputs=inputs, outputs=[moved], device=self._device)
         return moved
@@ -213,7 +213,7 @@ class FlipFreeSteps:
 
     def _marked(self, moved: wp.array, volume: wp.array) -> wp.array | None:
         """Return the mask on the device, of integers."""
-        trouble = wp.empty(self._surface.face_count, dtype=wp.int32, device=self._device)
+        trouble = empty(self._surface.face_count, wp.int32, self._device)
         count = wp.zeros(1, dtype=wp.int32, device=self._device)
         inputs, outputs = [moved, self._faces, volume], [trouble, count]
         wp.launch(triangle_trouble, dim=trouble.size, inputs=inputs, outputs=outputs, device=self._device)

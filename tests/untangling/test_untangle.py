@@ -162,8 +162,8 @@ def test_derivatives_of_the_energy(epsilon, device):
         moved = wp.empty(surface.vertex_count, dtype=wp.vec3d, device=where)
         step = wp.array(h * direction, dtype=wp.float64, device=where)
         wp.launch(move_in_tangent, dim=surface.vertex_count, inputs=[points, step], outputs=[moved], device=where)
-        value = wp.empty(count, dtype=wp.float64, device=where)
-        wp.launch(untangle_value, dim=count, inputs=[moved, *inputs], outputs=[value], device=where)
+        value, solid = (wp.empty(count, dtype=wp.float64, device=where) for _ in range(2))
+        wp.launch(untangle_value, dim=count, inputs=[moved, *inputs], outputs=[value, solid], device=where)
         return value.numpy().copy()
 
     h = 1e-6
