@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.conformal import density
 from omtwarp.device.arrays import vectors
 from omtwarp.device.memory import give_back
-from omtwarp.device.policy import resolve_device, solving_with, wanted_solver
+from omtwarp.device.policy import resolve_device, solves_with_scipy, solving_with, wanted_solver
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
@@ -44,6 +44,7 @@ from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, continued
 from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapReport, MapResult, StageRecord, renumbered
+from omtwarp.solvers.mesh_factor import begin_saddle_order
 from omtwarp.start.choice import bijective_start, mostly_shrunken, shrunken_triangles
 from omtwarp.texturing.density import TargetLike, as_target
 from omtwarp.topology.doubling import Double, quartered_double
@@ -522,6 +523,8 @@ class _Run:
     def moser(self) -> None:
         """Run Moser's flow from the start, again from its own result, and repair flips after each pass."""
         sphere = self.sphere
+        if Stage.OMT in self.options.stages and self.by_newton and self.mirror is None and not solves_with_scipy():
+            begin_saddle_order(self.surface)
         least = self.area_error(sphere)
         steps = repaired = 0
         fewest = self.surface.face_count  # flips of a pass so far
@@ -552,7 +555,7 @@ class _Run:
             self.transport_as_published()
             return
         initial = self.sphere
-        if self.options.scheme is Scheme.DEFAULT and self.target is None:
+        if self.by_newton:
             found, weight = self.transport_by_newton()
             if self.options.cost is Cost.GEODESIC:
                 found, weight = self.by_distance(found, weight)
@@ -592,6 +595,11 @@ class _Run:
                 self.remember(polished.history[1:])
         ended: dict[str, str | float | None] = {"converged": last.converged, "ended": last.ended}
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **ended)
+
+    @property
+    def by_newton(self) -> bool:
+        """Whether the optimal map is the discrete one, found by Newton's method."""
+        return self.options.scheme is Scheme.DEFAULT and self.target is None
 
     def transport_by_newton(self) -> tuple[OptimalMap, float]:
         """Return the discrete optimal map, areas around vertices kept and cost at its minimum, and its shape weight."""

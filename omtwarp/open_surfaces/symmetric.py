@@ -21,6 +21,7 @@ from omtwarp.optimal.cells import CELL_GAIN, ITERATIONS, CellEnergy, minimise_ce
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.solver import GAIN, PENALTY, SHAPE_WEIGHT, OptimalMap, minimise, softness
 from omtwarp.options import Cost, Progress
+from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor, saddle_factor_of_cells
 from omtwarp.topology.doubling import Double
 from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
@@ -243,7 +244,7 @@ class MirrorFactor:
 
     def _made(self, places: Floats) -> SaddlePointFactor:
         """Factorise the systems of the half, whose vertices are at these places."""
-        return saddle_factor(places, self._edges)
+        return saddle_factor(len(places), self._edges, lambda: dissect(places, self._edges))
 
     def at(self, points: wp.array) -> None:
         """Set the tangent bases to those of a symmetric map, vec3d, shape [W], for the following matrices."""

@@ -13,14 +13,14 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from omtwarp.device.arrays import vectors
+from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import ONE, wp
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, transport_gradient
 from omtwarp.refine.energy import TriangleKernels
-from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.cholesky import NotPositiveDefinite, part_dissection
 from omtwarp.solvers.mesh_factor import saddle_factor
 from omtwarp.triangle_newton.line_search import search_patches
 from omtwarp.triangle_newton.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
@@ -111,7 +111,7 @@ class LocalSteps:
         self._outside = np.zeros(count)
         ring, _ = self._rings(self._sent(self._points, wp.vec3d))
         self._outside = terms.ring[self._vertices] - ring
-        self._factor = saddle_factor(surface.scaled_vertices[self._vertices], edges)
+        self._factor = saddle_factor(count, edges, lambda: part_dissection(surface, self._vertices, edges))
 
     def run(self, enough: float, most: int = MAX_STEPS) -> tuple[wp.array, NDArray[np.intp], Numbers]:
         """Take Newton steps of all patches until the expected gain is small.
@@ -143,9 +143,9 @@ class LocalSteps:
     def _rings(self, points: wp.array) -> tuple[Numbers, Numbers]:
         """Return the areas around vertices and the costs of moving them from their starts, shape [P] each."""
         count = len(self._vertices)
-        solid = wp.empty(len(self._areas), dtype=wp.float64, device=self._device)
+        solid = empty(len(self._areas), wp.float64, self._device)
         wp.launch(solid_angles, dim=solid.size, inputs=[points, self._faces], outputs=[solid], device=self._device)
-        ring, cost = (wp.empty(count, dtype=wp.float64, device=self._device) for _ in range(2))
+        ring, cost = (empty(count, wp.float64, self._device) for _ in range(2))
         inputs = [self._start, points, solid, *self._rows, self._energy.softness, 0]
         wp.launch(ring_terms, dim=count, inputs=inputs, outputs=[ring, cost], device=self._device)
         return self._outside + ring.numpy(), cost.numpy()
@@ -164,7 +164,7 @@ class LocalSteps:
             of_faces = self._areas * (angle + linear * ratio + inverse / ratio + barrier * steepness)
         of_faces *= energy.shape_weight / SPHERE_AREA
         if before is not None:
-            trouble = wp.empty(len(self._areas), dtype=wp.int32, device=device)
+            trouble = empty(len(self._areas), wp.int32, device)
             found = wp.zeros(1, dtype=wp.int32, device=device)
             inputs = [points, self._faces, before]
             wp.launch(triangle_trouble, dim=trouble.size, inputs=inputs, outputs=[trouble, found], device=device)
@@ -180,7 +180,7 @@ class LocalSteps:
         potential = self.multipliers + energy.cost_weight / (3.0 * SPHERE_AREA) * cost
         d_ring = self._sent(ring, wp.float64)
         factor = wp.float64(energy.cost_weight * 2.0 / (3.0 * SPHERE_AREA))
-        gradient = wp.empty(free, dtype=wp.vec3d, device=device)
+        gradient = empty(free, wp.vec3d, device)
         mesh = [self._start, points, self._faces, d_ring, self._sent(potential, wp.float64), *self._rows]
         inputs = [*mesh, factor, energy.softness, 0]
         wp.launch(transport_gradient, dim=free, inputs=inputs, outputs=[gradient], device=device)
@@ -196,7 +196,7 @@ class LocalSteps:
             return points, 0.0
         u, q = self._factor.solve(right, -missing)
         decrements = self._sums((right * u).sum(axis=1) - missing * q + self._stiffness * missing**2)
-        vectors = wp.empty(free, dtype=wp.vec3d, device=device)
+        vectors = empty(free, wp.vec3d, device)
         inputs = [points, self._sent(u[:free], wp.float64)]
         wp.launch(from_tangent, dim=free, inputs=inputs, outputs=[vectors], device=device)
         reach = np.zeros(self._patch_count)
@@ -251,7 +251,7 @@ class LocalSteps:
         diagonal[free:] = entries.mean() * np.eye(2)
         off_diagonal = energy.shape_weight * across.numpy().reshape(-1, 2, 2)
         off_diagonal[self._outward] = 0.0
-        forward, backward = (wp.empty(edges, dtype=wp.vec2d, device=device) for _ in range(2))
+        forward, backward = (empty(edges, wp.vec2d, device) for _ in range(2))
         inputs = [points, self._faces, self._edges, self._edge_corners]
         wp.launch(ring_couplings, dim=edges, inputs=inputs, outputs=[forward, backward], device=device)
         gradients = np.stack([forward.numpy(), backward.numpy()])

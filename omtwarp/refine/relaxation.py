@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import empty
 from omtwarp.device.start import ONE, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches, grow
@@ -76,8 +77,7 @@ class Relaxation:
         # Patches are a small part of the map's area: its scale is taken as constant.
         self._pressures = energy.pressures(terms, weight)
         self._areas = surface.face_areas[patches.triangles]
-        freed = surface.scaled_vertices[patches.vertices[: patches.free]]
-        self._matrix = NewtonMatrix.of_patches(patches, freed, energy.workspace)
+        self._matrix = NewtonMatrix.of_patches(patches, surface, energy.workspace)
         faces, areas = self._sent(patches.faces, wp.vec3i), self._sent(self._areas, wp.float64)
         frames = self._taken(energy.triangles.frames, self._sent(patches.triangles, wp.int32))
         rows = [array.to(device) for array in self._matrix.vertex_corners]
@@ -103,7 +103,7 @@ class Relaxation:
 
     def _taken(self, vectors: wp.array, places: wp.array) -> wp.array:
         """Gather the vectors at some indices on the device."""
-        out = wp.empty(len(places), dtype=wp.vec3d, device=self._device)
+        out = empty(len(places), wp.vec3d, self._device)
         wp.launch(take_vectors, dim=len(places), inputs=[vectors, places], outputs=[out], device=self._device)
         return out
 
@@ -115,8 +115,8 @@ class Relaxation:
         gradient = self._gradient()
         blocks = self._triangles.hessian(points, self._pressures, self._curvature_share)
         self._matrix.factorise(blocks.numpy())
-        coordinates = wp.array(-self._matrix.solve(gradient), dtype=wp.float64, device=device)
-        vectors = wp.empty(free, dtype=wp.vec3d, device=device)
+        coordinates = self._sent(-self._matrix.solve(gradient), wp.float64)
+        vectors = empty(free, wp.vec3d, device)
         wp.launch(from_tangent, dim=free, inputs=[points, coordinates], outputs=[vectors], device=device)
         direction = coordinates.numpy()
         slope = patches.sum_of_vertices((direction * gradient).sum(axis=1))
@@ -134,7 +134,7 @@ class Relaxation:
 
     def _moved(self, vectors: wp.array, length: NDArray[np.float64]) -> wp.array:
         moved = wp.clone(self._points)
-        share = wp.array(length[self._patches.vertex_patch], dtype=wp.float64, device=self._device)
+        share = self._sent(length[self._patches.vertex_patch], wp.float64)
         inputs = [self._points, vectors, share, ONE]
         wp.launch(retract_to_sphere, dim=self._patches.free, inputs=inputs, outputs=[moved], device=self._device)
         return moved
@@ -148,7 +148,7 @@ class Relaxation:
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             values = self._areas * (angle + linear * ratio + inverse / ratio + barrier * steepness) / SPHERE_AREA
         if before is not None:
-            trouble = wp.empty(count, dtype=wp.int32, device=device)
+            trouble = empty(count, wp.int32, device)
             inputs, found = [points, self._triangles.faces, before], wp.zeros(1, dtype=wp.int32, device=device)
             wp.launch(triangle_trouble, dim=count, inputs=inputs, outputs=[trouble, found], device=device)
             values[trouble.numpy() > 0] = np.inf

@@ -7,6 +7,7 @@ an ordinary sparse matrix of them and passes it to SuperLU.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import solves_with_scipy
+from omtwarp.device.threads import pool
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, dissect, surface_dissection
+from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, surface_dissection
 from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
 from omtwarp.solvers.cholesky.saddle import SaddleFactor, expand
 
@@ -199,21 +201,32 @@ def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) 
     if solves_with_scipy():
         i, j = surface.edges.T
         return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])
-    order = surface_dissection(surface)
-    return SaddleFactor(order, workspace, surface.kept("saddle-point order", lambda: expand(order)))
+    return SaddleFactor(surface_dissection(surface), workspace, begin_saddle_order(surface).result())
 
 
-def saddle_factor(points: NDArray[np.float64], edges: NDArray[np.int32]) -> SaddlePointFactor:
+def begin_saddle_order(surface: Surface) -> Future[Dissection]:
+    """Begin to compute the order of a surface's saddle-point systems on another thread.
+
+    It takes 0.04 seconds for 12,000 vertices, in which the stages before the first such system use one thread at most.
+    """
+
+    def begin() -> Future[Dissection]:
+        order = surface_dissection(surface)
+        return pool().submit(expand, order)
+
+    return surface.kept("saddle-point order", begin)
+
+
+def saddle_factor(count: int, edges: NDArray[np.int32], dissection: Callable[[], Dissection]) -> SaddlePointFactor:
     """Create the chosen factorisation of saddle-point matrices on the edges of any mesh.
 
     Args:
-        points: positions of the vertices, shape [V, 3]; used only for which are near one another.
-        edges: every edge (i, j) once, shape [E, 2].
+        count, edges, dissection: as of :func:`mesh_factor`; edges are pairs (i, j).
     """
     if solves_with_scipy():
         i, j = edges.T
-        return SparseSaddleFactor(len(points), edges, np.r_[i, j], np.r_[j, i])
-    return SaddleFactor(dissect(points, edges))
+        return SparseSaddleFactor(count, edges, np.r_[i, j], np.r_[j, i])
+    return SaddleFactor(dissection())
 
 
 def cell_saddle_factor(surface: Surface, cells: NDArray[np.int32]) -> SaddlePointFactor:
@@ -242,6 +255,7 @@ __all__ = [
     "SaddlePointFactor",
     "SparseFactor",
     "SparseSaddleFactor",
+    "begin_saddle_order",
     "cell_saddle_factor",
     "mesh_factor",
     "saddle_factor",

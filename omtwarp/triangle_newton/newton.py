@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, launch_parts
+from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
+from omtwarp.solvers.cholesky import NotPositiveDefinite, part_dissection
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
 from omtwarp.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 
@@ -64,15 +64,15 @@ class NewtonMatrix:
     def of_patches(
         cls,
         patches: Patches,
-        points: NDArray[np.float64],
+        surface: Surface,
         workspace: Workspace | None = None,
         growth: float = PATCH_REGULARISATION,
     ) -> NewtonMatrix:
         """Return the matrix over the freed vertices of patches.
 
         Args:
-            patches: V of their vertices are freed.
-            points: positions of those on the surface, shape [V, 3].
+            patches: what may move.
+            surface: the surface that they are part of.
             workspace: memory for the fronts; the blocks of triangles may be in it until the factorisation.
             growth: what is added to the diagonal, relative to its mean at each vertex.
         """
@@ -94,7 +94,9 @@ class NewtonMatrix:
 
         sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
         rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
-        factor = mesh_factor(count, edges, lambda: dissect(points, edges), 2, workspace or Workspace())
+        factor = mesh_factor(
+            count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, workspace or Workspace()
+        )
         return cls(*sides, rows, factor, 0.0, growth)
 
     def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -103,10 +105,11 @@ class NewtonMatrix:
         (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
 
         def of_vertices(part: slice) -> Arguments:
-            return [offsets[part.start : part.stop + 1], corners, source], [self._diagonal[part]]
+            rows = cut(offsets, slice(part.start, part.stop + 1))
+            return [rows, corners, source], [cut(self._diagonal, part)]
 
         def of_edges(part: slice) -> Arguments:
-            return [edges[part], faces, edge_corners[part], source], [self._off_diagonal[part]]
+            return [cut(edges, part), faces, cut(edge_corners, part), source], [cut(self._off_diagonal, part)]
 
         launch_parts(gather_vertex_blocks, self._diagonal.shape[0], of_vertices, "cpu")
         launch_parts(gather_edge_blocks, self._off_diagonal.shape[0], of_edges, "cpu")

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import triangles, vectors
+from omtwarp.device.arrays import empty, triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -281,8 +281,7 @@ class _Untangling:
     def _take(self, patches: Patches) -> None:
         """Create the matrix, the gradient's index and the arrays on the device for these patches."""
         self.patches = patches
-        points = self.surface.scaled_vertices[patches.vertices[: patches.free]]
-        self.matrix = NewtonMatrix.of_patches(patches, points, growth=DAMPING)
+        self.matrix = NewtonMatrix.of_patches(patches, self.surface, growth=DAMPING)
         corner = np.repeat(patches.faces, 2, axis=1)
         index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
         self.gradient_kept = np.flatnonzero(index >= 0)
@@ -291,7 +290,7 @@ class _Untangling:
         self.d_faces = wp.array(patches.faces, dtype=wp.vec3i, device=device)
         self.d_frames = wp.array(self.frames, dtype=wp.vec3d, device=device)
         self.d_areas = wp.array(self.surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
-        self.d_value = wp.empty(count, dtype=wp.float64, device=device)
+        self.d_value, self.d_solid = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
         self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
         self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
@@ -359,7 +358,7 @@ class _Untangling:
     def _newton_step(self, points, epsilon, active) -> tuple[wp.array, bool]:
         """Take a step of the active patches; return the points, and whether all expected gains are small."""
         patches = self.patches
-        face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device)
+        face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device, copy=False)
         energy = self._energy(points, face_epsilon)
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
         wp.launch(
@@ -397,7 +396,7 @@ class _Untangling:
     def _moved(self, points, step: NDArray[np.float64]):
         """Move the freed points by coordinates [free, 2] in their tangent planes."""
         moved = wp.clone(points)
-        inputs = [points, wp.array(step, dtype=wp.float64, device=self.device)]
+        inputs = [points, wp.array(step, dtype=wp.float64, device=self.device, copy=False)]
         wp.launch(move_in_tangent, dim=self.patches.free, inputs=inputs, outputs=[moved], device=self.device)
         return moved
 
@@ -405,14 +404,16 @@ class _Untangling:
         """Return the energy of every patch; infinite where it covers the sphere once more than it did."""
         patches = self.patches
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
-        wp.launch(untangle_value, dim=len(patches.faces), inputs=inputs, outputs=[self.d_value], device=self.device)
+        outputs = [self.d_value, self.d_solid]
+        wp.launch(untangle_value, dim=len(patches.faces), inputs=inputs, outputs=outputs, device=self.device)
         energy = patches.sum_of_faces(self.d_value.numpy())
-        energy[np.abs(np.rint(self._covered(points, self.patches) - self.share)) > np.abs(self.surplus)] = np.inf
+        covered = patches.sum_of_faces(self.d_solid.numpy()) / SPHERE_AREA
+        energy[np.abs(np.rint(covered - self.share)) > np.abs(self.surplus)] = np.inf
         return energy
 
     def _covered(self, points: wp.array, patches: Patches) -> NDArray[np.float64]:
         """Return the signed area that every patch covers, with multiplicity, over that of the sphere, shape [count]."""
         faces = triangles(patches.faces, self.device)
-        solid = wp.empty(len(faces), dtype=wp.float64, device=self.device)
+        solid = empty(len(faces), wp.float64, self.device)
         wp.launch(solid_angles, dim=len(faces), inputs=[points, faces], outputs=[solid], device=self.device)
         return patches.sum_of_faces(solid.numpy()) / SPHERE_AREA

@@ -18,6 +18,7 @@ from omtwarp.solvers.cholesky import (
     NotPositiveDefinite,
     dissect,
     multifrontal,
+    part_dissection,
     surface_dissection,
 )
 from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver
@@ -95,6 +96,58 @@ def test_pieces_that_do_not_touch(seed, counts, block, leaf, threads):
     right = rng.normal(size=(union.vertex_count, block))
     truth = spsolve(block_matrix(union, diagonal, off), right.ravel()).reshape(right.shape)
     np.testing.assert_allclose(factor.solve(right), truth, rtol=1e-9, atol=1e-11)
+
+
+@settings(max_examples=15)
+@given(
+    seed=st.integers(0, 10_000),
+    chosen=st.sampled_from([1, 3, 20, 300, 1212]),
+    threads=st.sampled_from([1, 3]),
+)
+def test_a_part_is_ordered_by_the_separators_of_the_whole(seed, chosen, threads):
+    """Systems on any vertices of a surface, as those of patches, are solved in the order of the whole surface."""
+    surface = blob(seed=seed % 7, sphere=2560)
+    rng = np.random.default_rng(seed)
+    vertices = rng.permutation(surface.vertex_count)[:chosen]
+    place = np.full(surface.vertex_count, -1, dtype=np.int32)
+    place[vertices] = np.arange(chosen)
+    edges = place[surface.edges]
+    edges = edges[(edges >= 0).all(axis=1)]
+    part = SimpleNamespace(vertex_count=chosen, edges=edges)
+    diagonal, off = dominant_blocks(part, 2, seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(multifrontal, "MIN_PARALLEL_OPERATIONS", 1.0)
+        factor = MultifrontalCholesky(part_dissection(surface, vertices, edges), 2, threads)
+        factor.factorise(diagonal, off)
+    right = rng.normal(size=(chosen, 2))
+    truth = spsolve(block_matrix(part, diagonal, off), right.ravel()).reshape(right.shape)
+    np.testing.assert_allclose(factor.solve(right), truth, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_matrices_and_right_sides_may_change_place_and_number(threads):
+    """What is kept from one factorisation or solve to the next does not depend on where the arrays of the last lay."""
+    surface = blob(seed=5, sphere=5120)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(multifrontal, "MIN_PARALLEL_OPERATIONS", 1.0)
+        factor = MultifrontalCholesky(surface_dissection(surface), 2, threads)
+    rng = np.random.default_rng(0)
+    kept = dominant_blocks(surface, 2, 0)
+    for round in range(4):
+        diagonal, off = dominant_blocks(surface, 2, round)
+        if round % 2:
+            kept[0][:], kept[1][:] = diagonal, off  # the same arrays as two rounds ago
+            factor.factorise(*kept)
+        else:
+            factor.factorise(diagonal, off)
+        matrix = block_matrix(surface, diagonal, off)
+        for columns in (1, 3, 1):
+            right = rng.normal(size=(surface.vertex_count, 2, columns))
+            found = factor.solve(right)
+            again = factor.solve(right)
+            np.testing.assert_array_equal(found, again)
+            residual = matrix @ found.reshape(-1, columns) - right.reshape(-1, columns)
+            assert np.abs(residual).max() < 1e-9
 
 
 @pytest.mark.parametrize("leaf", [1, 7, 48])
