@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, cast
 
+from omtwarp.options import Domain
+
 # Degrees are whole numbers but for the round-off of a million solid angles, as in omtwarp.spheres.
 WHOLE_COVER = 1e-6
 
@@ -14,7 +16,12 @@ if TYPE_CHECKING:
 
 
 class MapFacts(TypedDict):
-    """A finished map, its files and its figures, ready for JSON."""
+    """A finished map, its files and its figures, ready for JSON.
+
+    ``degree`` is of the whole map: the total signed solid angle over 4π, so that parts with a sphere each are added up.
+    ``degree_of_parts`` has one for each of these parts, in their order, and is None for all other maps. Of a disk, a
+    degree is the signed area over the unsigned one.
+    """
 
     output: str
     report: str | None
@@ -26,6 +33,8 @@ class MapFacts(TypedDict):
     bijective: bool
     flips: int
     degree: float
+    degree_of_parts: list[float] | None
+    domain: str
     area: float
     angle: float
     largest_area_error: float | None
@@ -39,10 +48,12 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
     last = stages[-1]
     # Of parts mapped each by itself, the figure of the part that has the largest is told.
     whole = cast("MapReport", result.report)
-    reports = [whole, *whole.get("parts", [])]
+    parts = whole.get("parts", [])
+    reports = [whole, *parts]
     errors = [
         stage["largest_area_error"] for each in reports for stage in each["stages"] if "largest_area_error" in stage
     ]
+    apart = getattr(result, "cap_centres", None) is None  # not side by side on one sphere
     gaps = [each["optimality"]["gap"] for each in reports if each.get("optimality")]
     return {
         "output": str(output),
@@ -53,6 +64,8 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
         "bijective": certificate.bijective,
         "flips": certificate.flips,
         "degree": last["degree"],
+        "degree_of_parts": [part["stages"][-1]["degree"] for part in parts] if parts and apart else None,
+        "domain": str(getattr(result, "domain", Domain.SPHERE)),
         "area": last["area"]["surface"],
         "angle": last["angle"]["surface"],
         "largest_area_error": max(errors, default=None),
@@ -106,11 +119,10 @@ def summary(facts: MapFacts) -> str:
 def quality(facts: MapFacts) -> str:
     """Return the figures of a map's quality: flips, degree, area, angle, and the gap where it was computed.
 
-    Of a map to a part of the sphere, the degree is the share that is covered.
+    Of a map to a part of the sphere, the degree is the share that is covered; of parts with a sphere each, it is told
+    for each of them.
     """
-    degree = facts["degree"]
-    whole = abs(degree - round(degree)) < WHOLE_COVER
-    line = f"flips {facts['flips']}, " + (f"degree {degree:.6f}" if whole else f"{degree:.2%} of the sphere covered")
+    line = f"flips {facts['flips']}, {_covered(facts)}"
     of_parts = "" if facts["largest_area_error"] is None else " (of the quarters)"
     line += f", area {facts['area']:.4f}{of_parts}, angle {facts['angle']:.4f}"
     if facts["largest_area_error"] is not None:
@@ -118,3 +130,14 @@ def quality(facts: MapFacts) -> str:
     if facts["gap"] is not None:
         line += f", cost within {facts['gap']:.3%} of the least"
     return line
+
+
+def _covered(facts: MapFacts) -> str:
+    """Return the degree of a map or of its parts in words, or the share of the sphere that is covered."""
+    degrees = facts["degree_of_parts"] or [facts["degree"]]
+    where = f" each of {len(degrees)} {'disks' if facts['domain'] == Domain.DISK else 'spheres'}"
+    several, low, high = len(degrees) > 1, min(degrees), max(degrees)
+    if all(abs(degree - round(low)) < WHOLE_COVER for degree in degrees):
+        return f"degree {low:.6f}" + (f" on{where}" if several else "")
+    share = f"{low:.2%}" if f"{low:.2%}" == f"{high:.2%}" else f"{low:.2%} to {high:.2%}"
+    return f"{share} of{where if several else ' the sphere'} covered"

@@ -12,6 +12,7 @@ from scipy import sparse
 
 import omtwarp
 from omtwarp.cli import main
+from omtwarp.commands._facts import quality
 from omtwarp.commands._work import load_map
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
@@ -112,6 +113,39 @@ def test_parts(capsys, tmp_path):
     assert status == 0, err
     status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together", "--disk")
     assert status == 1 and "both --together and --disk" in err
+
+
+def test_degree_is_told_for_each_part(capsys, tmp_path):
+    """The degrees of parts that have a sphere each are added up in one number only, beside which all are listed."""
+    ball = shapes.blob(seed=1, sphere=320)
+    half = ball.faces[(shapes.icosphere(4).vertices[ball.faces, 2] > -1e-9).all(axis=1)]
+    used, rim = np.unique(half, return_inverse=True)
+    pieces = {
+        "closed": [(ball.vertices, ball.faces)] * 3,
+        "open": [(ball.vertices[used], rim.reshape(-1, 3))] * 2,
+    }
+    for name, parts in pieces.items():
+        counts = np.cumsum([0] + [len(points) for points, _ in parts])
+        vertices = np.concatenate([points + 4.0 * k for k, (points, _) in enumerate(parts)])
+        faces = np.concatenate([corners + count for (_, corners), count in zip(parts, counts, strict=False)])
+        write_mesh(tmp_path / f"{name}.ply", vertices, faces)
+    told = {
+        ("closed", "--components"): "degree 1.000000 on each of 3 spheres",
+        ("open", "--hemisphere"): "50.00% of each of 2 spheres covered",
+        ("open", "--disk"): "degree 1.000000 on each of 2 disks",
+        ("closed", "--together"): "% of the sphere covered",
+    }
+    for (name, option), words in told.items():
+        asked = ("map", tmp_path / f"{name}.ply", "-o", tmp_path / "m.npz", "--components", option)
+        status, out, err = run(capsys, *asked, "--json")
+        facts, parts = json.loads(out), omtwarp.SurfaceMap.load(tmp_path / "m.npz").report["parts"]
+        assert status == 0 and words in quality(facts), err
+        if option == "--together":
+            assert facts["degree_of_parts"] is None and facts["degree"] < 1.0
+        else:
+            assert facts["degree_of_parts"] == [part["stages"][-1]["degree"] for part in parts]
+        if option not in ("--disk", "--together"):
+            assert sum(facts["degree_of_parts"]) == pytest.approx(facts["degree"], rel=1e-12)
 
 
 def test_handles(capsys, tmp_path):
