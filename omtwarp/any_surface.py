@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import solving_with
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order
+from omtwarp.input_order import in_input_order, torus_in_input_order
 from omtwarp.joined_maps import joined
 from omtwarp.measures.weights import face_weights
 from omtwarp.mesh.arrays import edge_keys
@@ -57,7 +58,7 @@ from omtwarp.topology.cuts import cut_open
 from omtwarp.topology.doubling import Double, double, quartered_double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
 from omtwarp.topology.handles import cut_handles, slit_open
-from omtwarp.topology.kind import Part, described, options_for, parts_of
+from omtwarp.topology.kind import Part, described, numbered_in_space, options_for, parts_of, places_of
 from omtwarp.torus.mapping import map_to_torus
 from omtwarp.torus.torus_map import TorusMap
 
@@ -156,29 +157,17 @@ def map_surface(
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
         return _on_torus(parts[0], progress, options)
     _check_domain(domain, parts, components, together, along)
-    count = len(np.asarray(vertices))
+    count, exact = len(np.asarray(vertices)), bool(options.get("exact"))
     shares = None if weights is None else face_weights(weights, np.asarray(faces), count)
+    given, parts = parts, [numbered_in_space(part) for part in parts]
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
     names = mesh.names if isinstance(mesh, Surface) else None
-    maps = [
-        _map_part(
-            part,
-            domain,
-            fill_area,
-            along,
-            progress,
-            options,
-            None if shares is None else shares[part.face_origin],
-            names,
-        )
-        for part in parts
-    ]
+    maps = [_map_part(part, domain, fill_area, along, progress, options, shares, names) for part in parts]
     caps: tuple[Floats, Floats] | None = None
     if together:
-        maps, centres, sizes = _side_by_side(maps, [_mass(part, shares) for part in parts], bool(options.get("exact")))
-        caps = centres, sizes
-    _certify(maps)
+        maps, caps = _packed(parts, maps, shares, exact)
+    maps = _finished(maps, given, exact)
     return maps[0] if len(maps) == 1 else joined(maps, count, caps)
 
 
@@ -218,16 +207,18 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
             )
 
 
-def _certify(maps: list[SurfaceMap]) -> None:
-    """Put the certificates of maps into their reports.
+def _finished(maps: list[SurfaceMap], given: list[Part], exact: bool) -> list[SurfaceMap]:
+    """Put the maps of parts into the order of the input, and their certificates into their reports.
 
     Raises:
         OmtwarpError: a map is not one to one.
     """
+    maps = [in_input_order(each, part, exact=exact) for each, part in zip(maps, given, strict=True)]
     for each in maps:
         each.report["certificate"] = each.certificate.to_dict()
         if not each.certificate.bijective:
             raise OmtwarpError(f"no map to the {each.domain} that is one to one was found: {each.certificate}")
+    return maps
 
 
 def _slit(part: Part) -> Part:
@@ -251,6 +242,26 @@ def _mass(part: Part, weights: Floats | None) -> float:
     """Return a part's area, in the input's units, times the weights of its faces where there are any."""
     areas = triangle_areas(part.vertices, part.faces)
     return float(areas.sum() if weights is None else areas @ weights[part.face_origin])
+
+
+def _packed(
+    parts: list[Part], maps: list[SurfaceMap], shares: Floats | None, exact: bool
+) -> tuple[list[SurfaceMap], tuple[Floats, Floats]]:
+    """Carry the maps of parts to disjoint caps, in an arrangement that does not depend on the order of the parts.
+
+    Args:
+        parts: what is mapped.
+        maps: of the parts, to the hemisphere.
+        shares: weights of the input's faces; None where all are 1.
+        exact: as of :func:`_side_by_side`.
+
+    Returns:
+        The maps, and their caps' centres, shape [P, 3], and shares of the sphere, shape [P].
+    """
+    order = places_of(parts)
+    placed, centres, covered = _side_by_side([maps[k] for k in order], [_mass(parts[k], shares) for k in order], exact)
+    back = np.argsort(order)
+    return [placed[k] for k in back], (centres[back], covered[back])
 
 
 def _side_by_side(maps: list[SurfaceMap], masses: list[float], exact: bool) -> tuple[list[SurfaceMap], Floats, Floats]:
@@ -407,20 +418,21 @@ def _on_torus(part: Part, progress: Progress | None, options: MapKeywords) -> To
     Raises:
         OmtwarpError: options that only maps to the sphere have.
     """
-    standard = MapOptions()
-    given = cast(Mapping[str, object], options)
+    standard, ordered = MapOptions(), numbered_in_space(part)
+    asked = cast(Mapping[str, object], options)
     for name in ("method", "until", "cost", "scheme"):
-        if given.get(name, getattr(standard, name)) != getattr(standard, name):
+        if asked.get(name, getattr(standard, name)) != getattr(standard, name):
             raise OmtwarpError(f"'{name}' is an option of maps to the sphere: a map to a torus has none")
     with solving_with(choose(Solver, options.get("solver", standard.solver))):
-        return map_to_torus(
-            Surface(part.vertices, part.faces),
+        result = map_to_torus(
+            Surface(ordered.vertices, ordered.faces),
             refine=parse_refinement(options.get("refine")),
             exact=bool(options.get("exact", False)),
             optimality=bool(options.get("optimality", True)),
             strict=bool(options.get("strict", False)),
             progress=progress,
         )
+    return torus_in_input_order(result, ordered, part)
 
 
 def _arrays(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
@@ -466,9 +478,10 @@ def _map_part(
     along: CutAlong | None,
     progress: Progress | None,
     options: MapKeywords,
-    weights: Floats | None,
+    shares: Floats | None,
     names: InputNames | None,
 ) -> SurfaceMap:
+    weights = None if shares is None else shares[part.face_origin]
     if domain == "auto":
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
     opened = _opened(part, fill_area, along or CutAlong.AUTO, to_rim=domain != "sphere")

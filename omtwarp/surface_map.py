@@ -81,9 +81,9 @@ class SurfaceMap(MapResult):
     def __post_init__(self) -> None:
         super().__post_init__()
         counts = {"V": len(self.vertices), "F": len(self.faces)}
-        fitting = fitting_arrays(vars(self), _LAYOUT, counts)
+        fitting = fitting_arrays(vars(self), OWN_LAYOUT, counts)
         for name, value in fitting.items():
-            object.__setattr__(self, name, owned(value, _LAYOUT[name][0]))
+            object.__setattr__(self, name, owned(value, OWN_LAYOUT[name][0]))
         if self.filled_faces is not None:
             points = self.vertices if self.filled_vertices is None else self.filled_vertices
             whole_numbers(self.filled_faces, "'filled_faces'", (None, 3), below=len(points))
@@ -185,7 +185,7 @@ class SurfaceMap(MapResult):
 
     def _stored_arrays(self) -> dict[str, NDArray]:
         """Return the arrays of the file that :meth:`save` writes: a :class:`MapResult`'s, and those of this class."""
-        own = {name: getattr(self, name) for name in _LAYOUT if getattr(self, name) is not None}
+        own = {name: getattr(self, name) for name in OWN_LAYOUT if getattr(self, name) is not None}
         return super()._stored_arrays() | {"domain": np.array(self.domain)} | own
 
     @classmethod
@@ -197,7 +197,7 @@ class SurfaceMap(MapResult):
         """
         base = MapResult.load(path)
         with open_input(as_path(path), LARGEST_MESH_FILE, "map") as stream:
-            arrays = read_arrays(stream, (*_LAYOUT, "domain"))
+            arrays = read_arrays(stream, (*OWN_LAYOUT, "domain"))
         domain = str(arrays.pop("domain", "sphere"))
         known = {item.name: getattr(base, item.name) for item in fields(MapResult)}
         try:
@@ -219,7 +219,7 @@ def read_map(path: str | os.PathLike[str]) -> MapResult:
 
 
 class _Arrays(TypedDict, total=False):
-    """The arrays that a map of a surface has in addition to those of :class:`MapResult`, typed as in ``_LAYOUT``."""
+    """The arrays that a map of a surface has in addition to those of :class:`MapResult`, typed as in ``OWN_LAYOUT``."""
 
     disk: Array
     split_edges: NDArray[np.int64]
@@ -247,8 +247,8 @@ def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:
     return certify_triangles(np.asarray(own, dtype=np.int32), places)
 
 
-# Type and shape of every array, with V vertices and F faces of the map, W and H of the filled surface.
-_LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+# Type and shape of every array that a MapResult lacks, with V vertices and F faces, W and H of the filled surface.
+OWN_LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "disk": (np.float64, ("V", 2)),
     "split_edges": (np.int64, ("K", 2)),
     "part": (np.int64, ("F",)),
@@ -264,4 +264,4 @@ _LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "filled_loop": (np.int64, ("H",)),
 }
 
-__all__ = ["SurfaceMap", "read_map"]
+__all__ = ["OWN_LAYOUT", "SurfaceMap", "read_map"]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.space_order import in_space_order, space_order
+from omtwarp.mesh.arrays import in_range
+from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
 from omtwarp.topology.boundary import boundary_loops
 
@@ -74,6 +77,31 @@ def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part
     return parts
 
 
+def numbered_in_space(part: Part) -> Part:
+    """Return a part with its vertices and faces numbered by their places, see :mod:`omtwarp.geometry.space_order`.
+
+    What is computed from it is the same, to the bit, however the input is numbered. Its origins say where it is there.
+    """
+    ordered = in_space_order(Surface(part.vertices, part.faces))
+    surface = ordered.surface
+    return replace(
+        part,
+        vertices=surface.vertices,
+        faces=surface.faces,
+        vertex_origin=part.vertex_origin[ordered.vertices],
+        face_origin=part.face_origin[ordered.faces],
+        loops=boundary_loops(surface.faces, surface.vertex_count) if part.loops else [],
+    )
+
+
+def places_of(parts: list[Part]) -> NDArray[np.int64]:
+    """Return the parts' numbers in the order of their first vertices along a curve through all of them, shape [P]."""
+    points = np.concatenate([part.vertices for part in parts])
+    place = np.argsort(space_order(in_range(points)))
+    ends = np.cumsum([len(part.vertices) for part in parts])
+    return np.argsort([own.min() for own in np.split(place, ends[:-1])])
+
+
 def connected_components(faces: NDArray, vertex_count: int) -> tuple[int, NDArray[np.int32]]:
     """Return the number of pieces connected through edges, and the piece of every face, shape [F]."""
     return Topology(np.asarray(faces, dtype=np.int64), vertex_count).components
@@ -116,4 +144,13 @@ def options_for(parts: list[Part]) -> list[str]:
     return lines
 
 
-__all__ = ["MAPPABLE", "Part", "connected_components", "described", "options_for", "parts_of"]
+__all__ = [
+    "MAPPABLE",
+    "Part",
+    "connected_components",
+    "described",
+    "numbered_in_space",
+    "options_for",
+    "parts_of",
+    "places_of",
+]
