@@ -85,7 +85,7 @@ def in_space_order(surface: Surface) -> OrderedSurface:
     return OrderedSurface(other, kept.vertices, kept.faces, kept.turns)
 
 
-def space_order(points: NDArray[np.float64]) -> Places:
+def order_along_curve(points: NDArray[np.float64]) -> Places:
     """Return the numbers of points in their order along Hilbert's curve through their bounding cube, shape [N].
 
     Points in one cell of it are ordered by their coordinates.
@@ -106,7 +106,7 @@ def space_order(points: NDArray[np.float64]) -> Places:
 
 
 def _ordered(surface: Surface) -> OrderedSurface:
-    vertices = space_order(surface.moderate_vertices)
+    vertices = order_along_curve(surface.moderate_vertices)
     place = np.empty_like(vertices)
     place[vertices] = np.arange(len(vertices))
     renumbered = place[surface.faces]
@@ -117,4 +117,4 @@ def _ordered(surface: Surface) -> OrderedSurface:
     return OrderedSurface(Surface(surface.vertices[vertices], turned[faces]), vertices, faces, turns[faces])
 
 
-__all__ = ["OrderedSurface", "in_space_order", "space_order"]
+__all__ = ["OrderedSurface", "in_space_order", "order_along_curve"]

@@ -138,7 +138,7 @@ class TransportDual:
         self.cost: Array = 0.5 * (self.log**2).sum(axis=1)
         self.tolerance = tolerance * float(mass @ self.cost) / float(mass.sum())
         # Triangles near each other in space next to each other in the tree.
-        self.order = space_order(y[surface.faces].mean(axis=1))
+        self.order = order_by_halves(y[surface.faces].mean(axis=1))
         self._faces = wp.array(surface.faces[self.order], dtype=wp.vec3i, device=self.device)
         self._edge = wp.empty(faces, dtype=wp.vec3d, device=self.device)
         self._launch(kernels.edge_bulges, faces, [self.y, self._faces, displaced], [self._edge])
@@ -316,8 +316,12 @@ def quadratic_means(nodal: Array, corners: NDArray[np.int32], edge_terms: Array)
     return nodal[corners].mean(axis=1) + edge_terms.sum(axis=1) / 12.0
 
 
-def space_order(points: Array) -> NDArray[np.int32]:
+def order_by_halves(points: Array) -> NDArray[np.int32]:
     """Order points so that those below each node of a complete binary tree in heap order lie close together.
+
+    Each node's points are halved along the longest side of their bounding box. Along Hilbert's curve
+    (:mod:`omtwarp.geometry.space_order`) halves lie less close: transforms then examine 1.5 to 1.6 times as many nodes,
+    and a bound takes 1.2 to 1.5 times as long, on a blob and on a statue of 20,000 faces, with the same gap to 1e-6.
 
     Args:
         points: shape [N, 3].

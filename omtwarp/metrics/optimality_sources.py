@@ -22,7 +22,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.metrics import optimality_kernels as kernels
-from omtwarp.metrics.optimality_dual import TransportDual, space_order
+from omtwarp.metrics.optimality_dual import TransportDual, order_by_halves
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class SourceDual:
         self._dual = dual
         self._lowered = np.zeros(count) if shared is None else shared.lowered
         chosen = np.arange(count) if shared is None else shared.chosen
-        order = space_order(x[chosen])
+        order = order_by_halves(x[chosen])
         self._chosen = chosen[order]
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))

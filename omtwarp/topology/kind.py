@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry.space_order import in_space_order, space_order
+from omtwarp.geometry.space_order import in_space_order, order_along_curve
 from omtwarp.mesh.arrays import in_range
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
@@ -97,7 +97,7 @@ def numbered_in_space(part: Part) -> Part:
 def places_of(parts: list[Part]) -> NDArray[np.int64]:
     """Return the parts' numbers in the order of their first vertices along a curve through all of them, shape [P]."""
     points = np.concatenate([part.vertices for part in parts])
-    place = np.argsort(space_order(in_range(points)))
+    place = np.argsort(order_along_curve(in_range(points)))
     ends = np.cumsum([len(part.vertices) for part in parts])
     return np.argsort([own.min() for own in np.split(place, ends[:-1])])
 

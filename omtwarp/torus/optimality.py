@@ -21,7 +21,7 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH
-from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, missing_mass, space_order
+from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, missing_mass, order_by_halves
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec7d
 
@@ -154,7 +154,7 @@ class _Dual:
         middle = corner.mean(axis=1)
         corner -= (np.floor(middle @ back) @ lattice)[:, None]
         # Triangles near each other in the plane next to each other in the tree.
-        self._order = space_order(np.concatenate([corner.mean(axis=1), np.zeros((len(corner), 1))], axis=1))
+        self._order = order_by_halves(np.concatenate([corner.mean(axis=1), np.zeros((len(corner), 1))], axis=1))
         self._corner = np.ascontiguousarray(corner[self._order])
         self._faces = surface.faces[self._order]
         slope = moved[self._faces]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import omtwarp
-from omtwarp.geometry.space_order import in_space_order, space_order
+from omtwarp.geometry.space_order import in_space_order, order_along_curve
 from omtwarp.mesh import shapes
 from omtwarp.mesh.quarter import quarter
 
@@ -27,7 +27,7 @@ def renumbered(surface, seed):
 def test_the_curve_goes_from_cell_to_neighbouring_cell():
     """What defines Hilbert's curve: it visits every cell of a grid, each next to the one before."""
     cells = grid(8)
-    order = space_order(np.concatenate([cells, [[0.0] * 3, [1.0] * 3]]))
+    order = order_along_curve(np.concatenate([cells, [[0.0] * 3, [1.0] * 3]]))
     order = order[order < len(cells)]
     steps = np.abs(np.diff(8.0 * cells[order], axis=0)).sum(axis=1)
     assert sorted(order) == list(range(len(cells))) and np.allclose(steps, 1.0)
@@ -37,12 +37,12 @@ def test_points_in_one_cell_are_ordered_by_coordinates():
     points = np.zeros((6, 3))
     points[:5, 2] = np.array([4.0, 1.0, 3.0, 0.0, 2.0]) * 1e-12
     points[5] = 1.0
-    assert space_order(points).tolist() == [3, 1, 4, 2, 0, 5]
+    assert order_along_curve(points).tolist() == [3, 1, 4, 2, 0, 5]
 
 
 def test_equal_and_extreme_points_are_ordered():
-    assert space_order(np.ones((4, 3))).tolist() == [0, 1, 2, 3]
-    assert sorted(space_order(1e-300 * grid(2))) == list(range(8))
+    assert order_along_curve(np.ones((4, 3))).tolist() == [0, 1, 2, 3]
+    assert sorted(order_along_curve(1e-300 * grid(2))) == list(range(8))
 
 
 def test_order_holds_the_same_surface():

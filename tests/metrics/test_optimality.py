@@ -12,7 +12,7 @@ from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality import exact_transport, map_optimality, optimality, relative_curl
-from omtwarp.metrics.optimality_dual import TransportDual, space_order
+from omtwarp.metrics.optimality_dual import TransportDual, order_by_halves
 from omtwarp.metrics.optimality_sources import SourceDual
 from omtwarp.result import MapResult
 
@@ -244,7 +244,7 @@ def test_the_largest_potential_is_the_c_transform_of_any_function(apart):
     if apart == 1.0:
         np.testing.assert_array_equal(found.potential, transform)
         nearest = np.argmin(costs - transform, axis=1)
-        chosen = space_order(x)
+        chosen = order_by_halves(x)
         np.testing.assert_array_equal(chosen[found.nearest], nearest)
 
 
@@ -271,7 +271,7 @@ def test_a_bound_raised_at_the_sources_comes_near_the_exact_optimum():
 def test_halves_of_the_order_in_space_are_apart(seed, count):
     """Every node's first child lies below the second along the longest side of their bounding box."""
     points = np.round(np.random.default_rng(seed).normal(size=(count, 3)), 1)
-    order = space_order(points)
+    order = order_by_halves(points)
     assert sorted(order) == list(range(count))
     size = 2
     while size < 2 * count:
