@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay
+from plane_truths import round_disk
 
 import omtwarp
 from omtwarp.flips.predicates import flipped_faces
@@ -17,13 +17,7 @@ from omtwarp.spheres import triangle_solid_angles
 
 def quartered_disk(rings: int) -> tuple[Quartered, np.ndarray]:
     """A round disk whose original triangles want the areas that they have, and its points; the rim on the circle."""
-    points = [np.zeros((1, 2))]
-    for ring in range(1, rings + 1):
-        turn = 2.0 * np.pi * (np.arange(6 * ring) + 0.5 * (ring % 2)) / (6 * ring)
-        points.append(ring / rings * np.stack([np.cos(turn), np.sin(turn)], axis=1))
-    flat = np.concatenate(points)
-    whole = Delaunay(flat).simplices
-    whole = np.where((plane_areas(flat[whole]) < 0.0)[:, None], whole[:, ::-1], whole)
+    flat, whole = round_disk(rings)
     sides = np.sort(np.stack([whole, np.roll(whole, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     edges, which, shared = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
     middles = len(flat) + which.reshape(-1, 3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay
+from plane_truths import round_disk
 from sphere_truths import SHARED
 
 import omtwarp
@@ -16,20 +16,6 @@ from omtwarp.open_surfaces.packing import cap_radius, pack_caps
 from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_sphere
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops
 from omtwarp.topology.kind import parts_of
-
-
-def round_disk(rings: int = 14) -> tuple[np.ndarray, np.ndarray]:
-    """Triangulate a unit disk in the plane: points of nearly even density, [V, 2], and faces."""
-    points = [np.zeros((1, 2))]
-    for ring in range(1, rings + 1):
-        turn = 2.0 * np.pi * (np.arange(6 * ring) + 0.5 * (ring % 2)) / (6 * ring)
-        points.append(ring / rings * np.stack([np.cos(turn), np.sin(turn)], axis=1))
-    flat = np.concatenate(points)
-    faces = Delaunay(flat).simplices
-    first, second = flat[faces[:, 1]] - flat[faces[:, 0]], flat[faces[:, 2]] - flat[faces[:, 0]]
-    turned = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0
-    faces[turned] = faces[turned][:, ::-1]
-    return flat, faces
 
 
 def without(surface: omtwarp.Surface, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
