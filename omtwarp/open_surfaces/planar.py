@@ -14,6 +14,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
+from omtwarp.refine.matching import MOST_WEIGHT, match_area
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.topology.boundary import boundary_loops
 from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, Schedule, untangle_patches
@@ -36,8 +37,7 @@ EVENED = Schedule(rings=9, factor=0.5, steps=10, thinnest=0.0, largest=1e-3)
 # Refinement in the plane: rounds over the whole disk with the weight asked for, until no vertex moves farther.
 # With the weight 100 a part of a squirrel then has area distortion 2.0010, but 2.017 where a hundredth ends the rounds.
 REFINEMENTS, SETTLED = 12, 1e-3
-# The same until an area distortion is matched: the range of weights, how near, and how many of them are tried.
-LEAST_WEIGHT, MOST_WEIGHT = 0.1, 1000.0
+# The same until an area distortion is matched: how near, and how many weights are tried.
 MATCH_TOLERANCE, MATCH_TRIALS = 3e-4, 10
 LEAST_MARGIN = 1e-9  # from a flip, of an accepted position
 SOLVES = 3  # of the convex combinations: the first leaves no flips except by rounding
@@ -109,24 +109,16 @@ def match_in_plane(
     """
     sizes = surface.face_areas[:own] / surface.face_areas[:own].sum()
 
-    def refined(start: Floats, weight: float) -> tuple[Floats, int, float]:
-        disk, flips = untangle_in_plane(start, faces, held, surface, weight)
-        images = plane_areas(disk[faces[:own]])
-        ratio = np.maximum(images / images.sum() / sizes, TINY)
-        return disk, flips, float(sizes @ (ratio + 1.0 / ratio))
+    def refined(start: tuple[Floats, int], weight: float) -> tuple[Floats, int]:
+        return untangle_in_plane(start[0], faces, held, surface, weight)
 
-    best = found = refined(points, MOST_WEIGHT)
-    low, high = np.log(LEAST_WEIGHT), np.log(MOST_WEIGHT)
-    for _ in range(MATCH_TRIALS):
-        if best[1] or not area - MATCH_TOLERANCE > best[2]:
-            break
-        middle = 0.5 * (low + high)
-        found = refined(found[0], float(np.exp(middle)))
-        if found[1] == 0 and found[2] <= area:
-            best, high = found, middle
-        else:
-            low = middle
-    return best[0], best[1]
+    def area_of(found: tuple[Floats, int]) -> float:
+        images = plane_areas(found[0][faces[:own]])
+        ratio = np.maximum(images / images.sum() / sizes, TINY)
+        return float(sizes @ (ratio + 1.0 / ratio)) if found[1] == 0 else np.inf
+
+    first = refined((points, 0), MOST_WEIGHT)
+    return match_area(first, area, refined, area_of, tolerance=MATCH_TOLERANCE, trials=MATCH_TRIALS)[0]
 
 
 def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface, refinement: float | None) -> Floats:

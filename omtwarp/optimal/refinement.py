@@ -28,6 +28,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.solver import minimise
 from omtwarp.options import AreaMatch, Progress, Refinement, parse_refinement
+from omtwarp.refine.matching import LEAST_WEIGHT, MOST_WEIGHT, match_area
 from omtwarp.refine.solver import Refiner, RefineResult
 
 # λ, the weight of area against angle, of each named refinement
@@ -39,14 +40,13 @@ WEIGHTS = {
 # The largest weight of the areas of triangles. On a scan of 20,000 triangles the metric jumps from one to the next by
 # 0.054 at weights 2 and 10, 0.060 at 30 and 0.071 at 100.
 TRIANGLE_WEIGHT = 10.0
-# match:AREA looks for λ between these weights, by bisection of its logarithm, until the area distortion is within the
-# tolerance below the one asked for, or for that many trials.
-LEAST_WEIGHT, MOST_WEIGHT = 0.1, 1000.0
 # Where ``area`` leaves more than the first times the area distortion above 2 of the map given, as on limbs of few
 # vertices, the areas of triangles count more, up to the first of the others that does not. An octopus goes from 2.038
 # to 2.26 with 10 and to 2.020 with 100, at six tenths of the angle distortion of the map given; a person from 2.031 to
 # 2.052 and, with 30, to 2.017. Areas around vertices are kept as well with all of them.
 LOST_AREA, RAISED_WEIGHTS = 1.05, (30.0, 100.0, 300.0)
+# match:AREA looks for λ until the area distortion is within the tolerance below the one asked for, or for that many
+# trials.
 MATCH_TOLERANCE, MATCH_TRIALS = 1e-4, 16
 
 
@@ -185,19 +185,15 @@ class _Refinement:
             best = refine(best.sphere, MOST_WEIGHT)
             if self.area(best) > area:
                 return best
-        found = best
-        low, high = np.log(least), np.log(MOST_WEIGHT)
-        for _ in range(MATCH_TRIALS):
-            middle = 0.5 * (low + high)
-            found = refine(found.sphere, float(np.exp(middle)))
-            reached = self.area(found)
-            if reached <= area:
-                best, high = found, middle
-                if area - reached <= MATCH_TOLERANCE:
-                    break
-            else:
-                low = middle
-        return best
+        return match_area(
+            best,
+            area,
+            lambda found, weight: refine(found.sphere, weight),
+            self.area,
+            tolerance=MATCH_TOLERANCE,
+            trials=MATCH_TRIALS,
+            least=least,
+        )[0]
 
     def area(self, refined: RefineResult) -> float:
         """Return the mean area distortion of the triangles of a refined map."""

@@ -19,14 +19,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.refinement import (
-    LEAST_WEIGHT,
-    MATCH_TOLERANCE,
-    MATCH_TRIALS,
-    MOST_WEIGHT,
-    TRIANGLE_WEIGHT,
-    refinement_weight,
-)
+from omtwarp.optimal.refinement import MATCH_TOLERANCE, MATCH_TRIALS, TRIANGLE_WEIGHT, refinement_weight
 from omtwarp.optimal.solver import (
     DAMPING_DECAY,
     DAMPING_GROWTH,
@@ -42,6 +35,7 @@ from omtwarp.optimal.solver import (
     STIFFER,
 )
 from omtwarp.options import AreaMatch, Record, parse_refinement
+from omtwarp.refine.matching import MOST_WEIGHT, match_area
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.torus.cells import TorusCellEnergy
@@ -205,19 +199,14 @@ def refine_on_torus(
     if not isinstance(parsed, AreaMatch):
         value = refinement_weight(weight)
         return run(points, value), value
-    low, high = np.log(LEAST_WEIGHT), np.log(MOST_WEIGHT)
-    best, used = run(points, MOST_WEIGHT), MOST_WEIGHT
-    found = best
-    for _ in range(MATCH_TRIALS):
-        if best.history[-1]["area"] >= parsed.area - MATCH_TOLERANCE:
-            break
-        middle = 0.5 * (low + high)
-        found = run(found.points, float(np.exp(middle)))
-        if found.history[-1]["area"] <= parsed.area:
-            best, used, high = found, float(np.exp(middle)), middle
-        else:
-            low = middle
-    return best, used
+    return match_area(
+        run(points, MOST_WEIGHT),
+        parsed.area,
+        lambda found, value: run(found.points, value),
+        lambda found: found.history[-1]["area"],
+        tolerance=MATCH_TOLERANCE,
+        trials=MATCH_TRIALS,
+    )
 
 
 def _with_right_areas(energy: TorusEnergy, found: TorusTransport, rounds: int) -> TorusTransport:
