@@ -11,9 +11,9 @@ from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.options import PreviewOptions
 from omtwarp.render.subject import map_view, torus_view
 from omtwarp.reporting.markup import asset, data_block, fill_page, html, script, source_hash
-from omtwarp.reporting.page import viewer_section
 from omtwarp.reporting.scene import data_uri, make_scene
 from omtwarp.reporting.stages import Stage, stages_of
+from omtwarp.reporting.viewer import viewer_section
 from omtwarp.result import MapResult
 from omtwarp.texturing.rasterizing import rasterize
 from omtwarp.torus.torus_map import TorusMap

@@ -11,6 +11,7 @@ from typing import cast
 
 from omtwarp.options import Record
 from omtwarp.result import MapReport, MapResult
+from omtwarp.torus.torus_map import TorusMap
 
 NUMBER, COUNT, TEXT, FLAG = "number", "count", "text", "flag"
 _LARGEST = 1e300  # of a number that is shown: sums and squares of roots of more would overflow
@@ -44,12 +45,12 @@ REPORT: dict[str, object] = {
 HISTORY: list[object] = [{"iteration": NUMBER, "cost": NUMBER}]
 
 
-def shown_report(result: MapResult) -> MapReport:
+def shown_report(result: MapResult | TorusMap) -> MapReport:
     """Take from a result's report the fields that a page shows."""
     return cast(MapReport, _fitting(result.report, REPORT) or {})
 
 
-def shown_history(result: MapResult) -> list[Record]:
+def shown_history(result: MapResult | TorusMap) -> list[Record]:
     """Take from a result's history the iterations whose cost is known."""
     fitting = cast(list[Record], _fitting(result.history, HISTORY) or [])
     return [entry for entry in fitting if "cost" in entry]

@@ -10,6 +10,7 @@ import base64
 import io
 import json
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -112,16 +113,11 @@ def make_scene(
     vertices, faces = shown_mesh(result.vertices, result.faces, most_faces)
     used, corners = np.unique(faces, return_inverse=True)
     triangles = corners.reshape(-1, 3).astype(np.int32)
-    pose = pose or posed(SurfaceView(result.vertices, result.faces))
-    upward = pose.up or "y"
-    axes = _axes(upward, pose.front or DEFAULT_FRONT[upward.lstrip("+-")])
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    centred = (vertices - 0.5 * (low + high)) / max(float((high - low).max()), np.finfo(float).tiny)
-    placed = centred[used] @ axes.T
-    placed /= np.linalg.norm(placed, axis=1).max()
+    axes = view_axes(pose or posed(SurfaceView(result.vertices, result.faces)))
+    placed = placed_in_view(vertices, used, axes)
     arrays: dict[str, NDArray] = {
-        "position": _signed(placed),
-        "normal": _signed(vertex_normals(vertices, np.asarray(result.faces))[used] @ axes.T),
+        "position": signed(placed),
+        "normal": signed(vertex_normals(vertices, np.asarray(result.faces))[used] @ axes.T),
         "index": triangles.astype(np.uint32).ravel(),
     }
     several = any(stage.count > 1 for stage in stages)
@@ -129,9 +125,9 @@ def make_scene(
         if several:
             arrays[f"place-{stage.key}"] = domain_places(stage, result.faces, placed, triangles, used)
         area, angle = vertex_scalars(result.faces, stage)
-        arrays[f"direction-{stage.key}"] = _signed(stage.sphere[used])
-        arrays[f"area-{stage.key}"] = _levels(area[used], -AREA_RANGE, AREA_RANGE)
-        arrays[f"angle-{stage.key}"] = _levels(angle[used], 0.0, ANGLE_RANGE)
+        arrays[f"direction-{stage.key}"] = signed(stage.sphere[used])
+        arrays[f"area-{stage.key}"] = levels(area[used], -AREA_RANGE, AREA_RANGE)
+        arrays[f"angle-{stage.key}"] = levels(angle[used], 0.0, ANGLE_RANGE)
 
     # A sphere of the surface's own area, unless folds make that too large for the view.
     covered = SPHERE_AREA * COVERED.get(stages[-1].domain, 1.0)
@@ -142,25 +138,55 @@ def make_scene(
         turn = alignment(stages[-1].sphere[used], placed - own[-1][:, :3])
         radius = max(float((np.linalg.norm(place[:, :3], axis=1) + place[:, 3]).max()) for place in own)
 
+    header: dict[str, object] = {
+        "stages": [{"key": stage.key, "label": stage.label, "flat": stage.disk is not None} for stage in stages],
+        "radius": radius,
+        "picture": cube_faces(texture, texels, device=device),
+    }
+    return packed_scene(arrays, header, turn, len(triangles))
+
+
+def view_axes(pose: SurfaceView) -> Floats:
+    """Return as rows the axes of a surface that point right, up and towards the viewer, shape [3, 3]."""
+    upward = pose.up or "y"
+    return _axes(upward, pose.front or DEFAULT_FRONT[upward.lstrip("+-")])
+
+
+def placed_in_view(vertices: Floats, used: NDArray[np.integer], axes: Floats) -> Floats:
+    """Return vertices where the view has them: about the middle of the surface, the farthest at 1, shape [N, 3]."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    centred = (vertices - 0.5 * (low + high)) / max(float((high - low).max()), np.finfo(float).tiny)
+    placed = centred[used] @ axes.T
+    placed /= np.linalg.norm(placed, axis=1).max()
+    return placed
+
+
+def packed_scene(arrays: Mapping[str, NDArray], header: Mapping[str, object], turn: Floats, faces: int) -> Scene:
+    """Pack the arrays of a view, and complete its header by what all views have.
+
+    Args:
+        arrays: by name.
+        header: ``stages``, ``radius`` and ``picture``, and what else this view has.
+        turn: the rotation of the domain, shape [3, 3].
+        faces: how many triangles are shown.
+    """
     blob, places = bytearray(), {}
     for name, array in arrays.items():
         blob += bytes(-len(blob) % 4)
         places[name] = [len(blob), array.size]
         blob += array.astype(array.dtype.newbyteorder("<")).tobytes()
-    header = {
+    whole = {
         "arrays": places,
-        "stages": [{"key": stage.key, "label": stage.label, "flat": stage.disk is not None} for stage in stages],
-        "radius": radius,
         "azimuth": AZIMUTH,
         "elevation": ELEVATION,
         # Column by column, as WebGL takes it.
         "turn": turn.T.ravel().round(6).tolist(),
         "area": {"range": AREA_RANGE, "colours": colour_ramp(AREA_COLOURS)},
         "angle": {"range": ANGLE_RANGE, "colours": colour_ramp(ANGLE_COLOURS, ANGLE_PART)},
-        "picture": cube_faces(texture, texels, device=device),
+        **header,
     }
     packed = base64.b64encode(zlib.compress(bytes(blob), PACKING)).decode()
-    return Scene(json.dumps(header, separators=(",", ":")), packed, len(triangles))
+    return Scene(json.dumps(whole, separators=(",", ":")), packed, faces)
 
 
 def domain_places(
@@ -250,7 +276,7 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
 
     atlas = Cube(size, gutter=0)
     baked = bake_bytes(texture, Look(atlas, resolve_device(device)))[..., :3]
-    photograph = _count_colours(baked[::4, ::4]) > PHOTOGRAPH
+    kind = picture_kind(baked)
     uris = []
     for normal, right, down in _GL_FACES:
         # Both have equiangular faces, so that one is the other's turned by quarters.
@@ -262,8 +288,13 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
             cell, own_right, own_up = cell.transpose(1, 0, 2), -own_up, -own_right
         across, along = int(right @ own_right), -int(down @ own_up)
         face = pil.fromarray(np.ascontiguousarray(cell[::along, ::across]))
-        uris.append(data_uri(face, "jpeg" if photograph else "png"))
+        uris.append(data_uri(face, kind))
     return uris
+
+
+def picture_kind(picture: NDArray[np.uint8]) -> str:
+    """Return how a picture [H, W, 3] is written: ``jpeg`` for a photograph, ``png`` for a pattern."""
+    return "jpeg" if _count_colours(picture[::4, ::4]) > PHOTOGRAPH else "png"
 
 
 def _count_colours(picture: NDArray[np.uint8]) -> int:
@@ -288,11 +319,13 @@ def colour_ramp(name: str, part: float = 1.0, count: int = 64) -> str:
     return colormap_table(name, round(count / part))[:count].tobytes().hex()
 
 
-def _signed(values: Floats) -> NDArray[np.int16]:
+def signed(values: Floats) -> NDArray[np.int16]:
+    """Write numbers from -1 to 1 as whole numbers of 16 bits."""
     return np.rint(np.clip(values, -1.0, 1.0) * INT16).astype(np.int16)
 
 
-def _levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
+def levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
+    """Write numbers between two bounds as whole numbers of 8 bits; those beyond are at the bounds."""
     return np.rint(np.clip((values - low) / (high - low), 0.0, 1.0) * 255.0).astype(np.uint8)
 
 

@@ -87,7 +87,7 @@ def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> 
         )
     maps = "two maps" if len(pair) > 1 else "the map"
     words = f"{shown} on the sphere, carried to the surface by {maps}."
-    return _section("Before and after", words, html('<div class="pair pictures">{}</div>', join(figures)))
+    return section("Before and after", words, html('<div class="pair pictures">{}</div>', join(figures)))
 
 
 def _picture_caption(stage: Stage) -> Markup:
@@ -128,7 +128,7 @@ def distributions(stages: Sequence[Stage]) -> Markup:
         right,
     )
     words = "How much of the surface is distorted how far, each distribution scaled to its own peak."
-    return _section("Distortion", words, html('<div class="pair">{}</div>', cards))
+    return section("Distortion", words, html('<div class="pair">{}</div>', cards))
 
 
 def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Stage]) -> Markup:
@@ -160,7 +160,7 @@ def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Sta
     if not cards:
         return html("")
     words = "From the start to the optimal map: mass moves along the gradient flow that lowers its cost."
-    return _section("Transport", words, html('<div class="pair">{}</div>', join(cards)))
+    return section("Transport", words, html('<div class="pair">{}</div>', join(cards)))
 
 
 def _transport_facts(
@@ -248,7 +248,7 @@ def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
         "on a triangle; 2 is perfect. Given are the mean weighted by area on the surface, the 95th percentile over the "
         "triangles, and the mean weighted by area on the sphere."
     )
-    return _section("Stages", words, table)
+    return section("Stages", words, table)
 
 
 def certificate(report: MapReport, shown_faces: int, last: Stage, filled: bool) -> Markup:
@@ -288,7 +288,7 @@ def certificate(report: MapReport, shown_faces: int, last: Stage, filled: bool) 
     count = report.get("mesh", {}).get("faces")
     if count and shown_faces < count:
         facts.append(("Interactive view", f"simplified to {shown_faces:,} triangles; figures are of the whole mesh"))
-    return _section("Certificate", words, html('<div class="card">{}</div>', _facts(facts)))
+    return section("Certificate", words, html('<div class="card">{}</div>', _facts(facts)))
 
 
 def footer(report: MapReport) -> Markup:
@@ -317,7 +317,8 @@ def _weighted_quantiles(
     return [float(values[order[min(place, len(order) - 1)]]) for place in places]
 
 
-def _section(heading: str, words: str, content: Markup) -> Markup:
+def section(heading: str, words: str, content: Markup) -> Markup:
+    """Make a section of a page: a heading, a sentence and what they are about."""
     return html('<section class="block"><h2>{}</h2><p>{}</p>{}</section>', heading, words, content)
 
 

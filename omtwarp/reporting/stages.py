@@ -32,6 +32,7 @@ ROUTES = {
     "tutte": "Tutte",
     "mean-value": "Mean value",
 }
+TORUS = "torus"  # the domain of the stages of a map to a torus
 # Domains that a map to the hemisphere is carried to at the end.
 OF_HEMISPHERES = (Domain.DISK, Domain.CAP)
 
@@ -44,7 +45,7 @@ class Stage:
         key: name of the stage's record in the report.
         label: name for readers.
         colour: CSS variable that the stage is drawn in.
-        sphere: unit vectors, float64, shape [V, 3].
+        sphere: unit vectors, float64, shape [V, 3]; or the points of a ring torus, in its unit.
         distortion: of this map.
         record: the stage's entry of ``report["stages"]``, empty if there is none.
         weights: the part of the surface that every triangle is, float64, shape [F], sum 1.

@@ -1,15 +1,23 @@
-"""The page about a map to a torus: pictures, figures of its stages and the certificate, without a script."""
+"""The page about a map to a torus: the interactive view, pictures, figures of its stages and the certificate."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from omtwarp.render import Camera, preview
+from omtwarp.files import staged
+from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.subject import torus_view
-from omtwarp.reporting.markup import Markup, element
-from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
+from omtwarp.render.upright import posed
+from omtwarp.reporting import sections
+from omtwarp.reporting.markup import Markup, element, html, join
+from omtwarp.reporting.plain import figure
+from omtwarp.reporting.record import shown_report
+from omtwarp.reporting.scene import data_uri
+from omtwarp.reporting.torus_scene import torus_scene, torus_stages
+from omtwarp.reporting.viewer import page_with_view, verdict, viewer_section
 from omtwarp.texturing.image import PictureLike
 from omtwarp.torus.torus_map import TorusMap
 
@@ -20,6 +28,12 @@ FIGURES = (
     ("transport_cost", "transport cost", "{:.6g}"),
     ("largest_ring_error", "largest error of an area around a vertex", "{:.1e}"),
     ("flips", "flipped triangles", "{:d}"),
+)
+# Of the report: the map, what it is drawn on, and words about it.
+PICTURES = (
+    ("optimal", "surface", "The surface through the optimal map: what is equal on the torus has equal areas."),
+    ("conformal", "surface", "The surface through the conformal map: shapes are kept, areas are not."),
+    ("optimal", "torus", "The ring torus that the surface covers, areas in proportion."),
 )
 
 
@@ -46,39 +60,69 @@ def write_torus_report(
         picture_size: width of the pictures in pixels.
         device: where pictures are drawn without OpenGL.
     """
-    shown = []
-    for which, on, words in (
-        ("optimal", "surface", "The surface through the optimal map: what is equal on the torus has equal areas."),
-        ("conformal", "surface", "The surface through the conformal map: shapes are kept, areas are not."),
-        ("optimal", "torus", "The ring torus that the surface covers, areas in proportion."),
-    ):
+    pose = posed(SurfaceView(result.vertices, result.faces), up)
+    drawn = []
+    for which, on, _ in PICTURES:
         view = torus_view(result, image, which=which, on=on, pattern=pattern)
-        if on == "surface" and up is not None:
-            view.up = up
-        drawn = preview(
-            view,
-            size=(picture_size, picture_size * 3 // 4),
-            camera=Camera(margin=0.03),
-            transparent=True,
-            device=device,
-        )
-        shown.append(figure(drawn, f"{which}, {on}. ", words))
-    body = [pictures(shown), *_words(result), _stages(result)]
-    return write_plain_page(path, title or "Map to a torus", body)
-
-
-def _words(result: TorusMap) -> list[Markup]:
+        if on == "surface":
+            view.up, view.front = pose.up, pose.front
+        size = picture_size, picture_size * 3 // 4
+        drawn.append(preview(view, size=size, camera=Camera(margin=0.03), transparent=True, device=device))
+    shown = [
+        figure(picture, f"{which}, {on}. ", words) for picture, (which, on, words) in zip(drawn, PICTURES, strict=True)
+    ]
+    stages = torus_stages(result)
+    report = shown_report(result)
     certificate = result.certificate
+    page = page_with_view(
+        torus_scene(result, stages, image, pattern, pose),
+        title=title or "Map to a torus",
+        version=report.get("versions", {}).get("omtwarp", ""),
+        lead=f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to a flat torus.",
+        verdict=verdict(certificate.bijective, certificate.flips),
+        view=viewer_section(
+            stages,
+            data_uri(drawn[0], "webp"),
+            "The pattern carried to the surface by the final map",
+            "Picture" if image is not None else pattern.capitalize(),
+        ),
+        sections=join(
+            [
+                sections.figures(stages, report),
+                sections.section(
+                    "Before and after",
+                    "The pattern on the torus, carried to the surface by two maps.",
+                    element("div", *shown, class_="pair pictures"),
+                ),
+                sections.distributions(stages),
+                sections.section(
+                    "Stages", "Distortion is the mean over the surface, each triangle by its area.", _stages(result)
+                ),
+                sections.section("Certificate", _certified(result), _torus(result)),
+            ],
+            "\n",
+        ),
+        footer=sections.footer(report),
+    )
+    with staged(path) as file:
+        file.write_text(page, "utf-8")
+    return path
+
+
+def _certified(result: TorusMap) -> Markup:
+    certificate = result.certificate
+    verdict = "The map is one to one" if certificate.bijective else "The map is not one to one"
+    return html("{}: {}, decided exactly in the universal cover.", verdict, certificate)
+
+
+def _torus(result: TorusMap) -> Markup:
     along = np.linalg.norm(result.lattice, axis=1)
     angle = np.degrees(np.arccos(np.clip(result.lattice[0] @ result.lattice[1] / along.prod(), -1.0, 1.0)))
-    verdict = "The map is one to one" if certificate.bijective else "The map is not one to one"
-    lines = [
-        f"{len(result.vertices)} vertices, {len(result.faces)} faces. {verdict}: {certificate}, decided exactly in the "
-        "universal cover.",
+    return element(
+        "p",
         f"The torus repeats along vectors of length {along[0]:.6g} and {along[1]:.6g} at {angle:.2f} degrees; it has "
         "the surface's area.",
-    ]
-    return [element("p", line) for line in lines]
+    )
 
 
 def _stages(result: TorusMap) -> Markup:
@@ -93,7 +137,11 @@ def _stages(result: TorusMap) -> Markup:
         found = [stage.get(kind) for stage in stages]
         means = [value.get("surface") if isinstance(value, dict) else None for value in found]
         lines.append([f"mean {kind} distortion (2 is none)", *(_number("{:.4f}", value) for value in means)])
-    return table(["", *(str(stage.get("name", "")) for stage in stages)], lines)
+    head = element("tr", *(element("th", name) for name in ("", *(str(stage.get("name", "")) for stage in stages))))
+    rows = [
+        element("tr", element("th", name, scope="row"), *map(partial(element, "td"), cells)) for name, *cells in lines
+    ]
+    return element("div", element("table", head, *rows), class_="scroll")
 
 
 def _number(form: str, value: object) -> str:

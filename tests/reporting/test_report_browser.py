@@ -119,6 +119,35 @@ def test_the_surface_becomes_the_sphere(browser, page):
     assert darker > 0.01
 
 
+@pytest.fixture(scope="module")
+def torus_page(tmp_path_factory) -> Path:
+    ring = shapes.rings(1, cell=0.25)
+    made = omtwarp.map_surface((ring.vertices, ring.faces), domain="torus")
+    return write_report(made, tmp_path_factory.mktemp("torus") / "page.html", picture_size=200, device="cpu")
+
+
+def test_a_torus_has_a_view_with_a_pattern_that_repeats(browser, torus_page):
+    """The ring shows spots of all hues, as a ring torus too, and as large inside as outside through the final map."""
+    browser.complaints.clear()
+    assert browser.open(f"{torus_page.as_uri()}#colouring=plain") == "live"
+    plain, spotted = (choose(browser, colouring=name) for name in ("plain", "picture"))
+    changed = np.abs(spotted - plain).max(axis=2) > 0.06
+    rows, columns = box(changed)
+    hole = changed[rows, columns][(rows.stop - rows.start) // 2, (columns.stop - columns.start) // 2]
+    assert not hole and 0.2 < changed[rows, columns].mean() < 0.8
+    counts, _ = np.histogram(hue(spotted)[changed & (colourfulness(spotted) > 0.2)], 12, (-np.pi, np.pi))
+    assert (counts > 0.02 * counts.sum()).sum() >= 6
+    browser.open(f"{torus_page.as_uri()}#morph=100")
+    ring = choose(browser, colouring="picture")
+    assert (np.abs(ring - spotted).max(axis=2) > 0.1).mean() > 0.01
+    ruled = choose(browser, colouring="graticule")
+    assert (np.abs(ruled - ring).max(axis=2) > 0.1).mean() > 0.1
+    grown = choose(browser, stage="conformal", colouring="area")
+    red, _, blue = np.moveaxis(grown[np.abs(grown - plain).max(axis=2) > 0.1], -1, 0)
+    assert (red > blue + 0.1).any() and (blue > red + 0.1).any()  # the inside gained area, the outside lost it
+    assert browser.complaints == []
+
+
 def test_other_stages_carry_the_texture_elsewhere(browser, page):
     browser.open(page.as_uri())
     optimal = choose(browser, stage="omt")

@@ -1,8 +1,10 @@
-// The interactive view of a report page: a surface and its maps to the sphere, drawn with three.js (global THREE).
+// The interactive view of a report page: a surface and its maps to the sphere or to a torus, drawn with three.js
+// (global THREE).
 //
 // The page carries two elements: #scene, JSON with sizes, ranges and stages; and #scene-data, the vertex data, deflated
-// and in base64. What a vertex has is listed in omtwarp/reporting/scene.py, which writes both. Textures are looked up
-// per pixel by direction in a cube map, so there is no seam and no pole. Whatever fails, the still picture stays.
+// and in base64. What a vertex has is listed in omtwarp/reporting/scene.py, which writes both; of a torus, in torus_scene.py. Textures are
+// looked up per pixel by direction in a cube map, so there is no seam and no pole; on a torus, in a picture that
+// repeats. Whatever fails, the still picture stays.
 (() => {
   'use strict';
 
@@ -11,12 +13,19 @@
   const canvas = document.getElementById('viewer-canvas');
   const calm = window.matchMedia('(prefers-reduced-motion: reduce)').matches;
 
+  const REPEAT = 1000; // three.js's RepeatWrapping, which three.min.js does not export
+
   const VERTEX = `
     attribute vec3 directionFrom, directionTo;
     attribute float areaFrom, areaTo, angleFrom, angleTo;
     uniform float change, morph, radius, flatFrom, flatTo;
     #ifdef PLACED
     attribute vec4 placeFrom, placeTo;
+    #endif
+    #ifdef RING
+    attribute vec2 latticeFrom, latticeTo;
+    uniform float ring;
+    varying vec2 lattice;
     #endif
     uniform mat3 turn;
     varying vec3 direction, normalEye, positionEye;
@@ -34,6 +43,12 @@
       #endif
       vec3 placed = mix(position, place.xyz + place.w * (turn * mix(onSphere, onDisk, lying)), morph);
       vec3 outward = turn * mix(onSphere, vec3(0.0, 0.0, 1.0), lying);
+      #ifdef RING
+      // Directions are points of the ring torus; outward is away from the circle in the middle of its tube.
+      placed = mix(position, radius * (turn * direction), morph);
+      outward = turn * normalize(direction - vec3(ring * normalize(direction.xy + vec2(1e-9)), 0.0));
+      lattice = mix(latticeFrom, latticeTo, change);
+      #endif
       area = mix(areaFrom, areaTo, change);
       angle = mix(angleFrom, angleTo, change);
       normalEye = normalMatrix * mix(normal, outward, morph);
@@ -44,7 +59,13 @@
 
   const FRAGMENT = `
     uniform int colouring;
+    #ifdef RING
+    uniform sampler2D picture;
+    uniform vec3 lines;
+    varying vec2 lattice;
+    #else
     uniform samplerCube picture;
+    #endif
     uniform sampler2D areaColours, angleColours;
     varying vec3 direction, normalEye, positionEye;
     varying float area, angle;
@@ -65,6 +86,21 @@
       return (1.0 - smoothstep(0.5 * width - 0.5, 0.5 * width + 0.5, off / max(w, 1e-6))) * (1.0 - smoothstep(0.25, 0.6, w));
     }
 
+    #ifdef RING
+    vec3 pictured() { return texture2D(picture, lattice, -0.5).rgb; }
+
+    // Lines along both vectors that the torus repeats along, and a thick one where it closes.
+    vec3 ruled() {
+      vec2 at = lattice * lines.xy;
+      float thin = max(line(at.x, 1.6), line(at.y, 1.6)), thick = max(line(lattice.x, 4.0), line(lattice.y, 4.0));
+      vec2 wave = 0.5 + 0.5 * cos(6.283185307179586 * lattice);
+      vec3 base = mix(vec3(0.93, 0.90, 0.84), vec3(0.62, 0.74, 0.84), wave.y);
+      base = mix(base, vec3(0.87, 0.66, 0.55), 0.6 * wave.x);
+      return mix(base, vec3(0.10, 0.14, 0.22), 0.85 * max(thin, thick));
+    }
+    #else
+    vec3 pictured() { return textureCube(picture, equiangular(normalize(direction)), -0.5).rgb; }
+
     vec3 graticule(vec3 d) {
       float latitude = asin(clamp(d.z, -1.0, 1.0));
       // Of two cuts of the longitude the one that is not here, so that its jump is not taken for a line.
@@ -77,11 +113,13 @@
       return mix(base, vec3(0.10, 0.14, 0.22), 0.85 * max(meridians * step(abs(latitude), 1.5), parallels));
     }
 
+    vec3 ruled() { return graticule(normalize(direction)); }
+    #endif
+
     void main() {
-      vec3 d = normalize(direction);
       vec3 base = vec3(0.80, 0.80, 0.79);
-      if (colouring == 0) base = textureCube(picture, equiangular(d), -0.5).rgb;
-      else if (colouring == 1) base = graticule(d);
+      if (colouring == 0) base = pictured();
+      else if (colouring == 1) base = ruled();
       else if (colouring == 2) base = texture2D(areaColours, vec2(area, 0.5)).rgb;
       else if (colouring == 3) base = texture2D(angleColours, vec2(angle, 0.5)).rgb;
       base = linear(base);
@@ -142,6 +180,19 @@
     });
   }
 
+  // A picture that repeats both ways, its lowest row first.
+  function repeating(image) {
+    const { width, height } = image;
+    const page = document.createElement('canvas').getContext('2d');
+    Object.assign(page.canvas, { width, height });
+    page.setTransform(1, 0, 0, -1, 0, height);
+    page.drawImage(image, 0, 0);
+    const texels = new Uint8Array(page.getImageData(0, 0, width, height).data.buffer);
+    const texture = new THREE.DataTexture(texels, width, height, THREE.RGBAFormat);
+    texture.wrapS = texture.wrapT = REPEAT;
+    return texture;
+  }
+
   function show(scene, buffer, pictures) {
     const part = (name, Type, width, normalised) => {
       const [offset, count] = scene.arrays[name];
@@ -158,14 +209,15 @@
       area: part(`area-${key}`, Uint8Array, 1, true),
       angle: part(`angle-${key}`, Uint8Array, 1, true),
       ...(placed ? { place: part(`place-${key}`, Float32Array, 4, false) } : {}),
+      ...(scene.ring ? { lattice: part(`lattice-${key}`, Float32Array, 2, false) } : {}),
     }));
 
-    const cube = new THREE.CubeTexture(pictures);
-    cube.flipY = false;
-    cube.generateMipmaps = true;
-    cube.minFilter = THREE.LinearMipmapLinearFilter;
-    cube.magFilter = THREE.LinearFilter;
-    cube.needsUpdate = true;
+    const picture = scene.ring ? repeating(pictures[0]) : new THREE.CubeTexture(pictures);
+    picture.flipY = false;
+    picture.generateMipmaps = true;
+    picture.minFilter = THREE.LinearMipmapLinearFilter;
+    picture.magFilter = THREE.LinearFilter;
+    picture.needsUpdate = true;
     const ramp = (hex) => {
       const size = hex.length / 6;
       const data = new Uint8Array(4 * size).fill(255);
@@ -184,13 +236,15 @@
       flatTo: { value: 0 },
       turn: { value: new THREE.Matrix3().fromArray(scene.turn) },
       colouring: { value: 0 },
-      picture: { value: cube },
+      picture: { value: picture },
+      ring: { value: scene.ring ? scene.ring.radius : 0 },
+      lines: { value: new THREE.Vector3(...(scene.ring ? scene.ring.lines : [0, 0]), 0) },
       areaColours: { value: ramp(scene.area.colours) },
       angleColours: { value: ramp(scene.angle.colours) },
       ink: { value: new THREE.Vector3(0.05, 0.07, 0.12) },
       strength: { value: 0.3 },
     };
-    const defines = placed ? { PLACED: 1 } : {};
+    const defines = { ...(placed ? { PLACED: 1 } : {}), ...(scene.ring ? { RING: 1 } : {}) };
     const material = new THREE.ShaderMaterial({
       uniforms,
       defines,
@@ -209,7 +263,7 @@
 
     const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: 'low-power' });
     renderer.setClearColor(0x000000, 0);
-    cube.anisotropy = renderer.capabilities.getMaxAnisotropy();
+    picture.anisotropy = renderer.capabilities.getMaxAnisotropy();
     const camera = new THREE.PerspectiveCamera(24, 1, 0.05, 60);
     const controls = new THREE.OrbitControls(camera, canvas);
     controls.enableDamping = !calm;
