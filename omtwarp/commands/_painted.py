@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack, overload
 
 from omtwarp.commands._streams import say
-from omtwarp.commands._work import load_map, make_map, require_bijective, say_made, start_device
+from omtwarp.commands._work import load_map, make_map, require_bijective, require_whole, say_made, start_device
 from omtwarp.errors import OmtwarpError
 
 if TYPE_CHECKING:
@@ -98,8 +99,42 @@ def painted_map(
             raise OmtwarpError(f"{finished} and {path}: {error}") from None
         return mesh, result
     mesh, surface = read_sound_painted(path, repair)
+    return mesh, _mapped(surface, path, quiet=quiet, device=device, verbose=verbose, **options)
+
+
+def painted_maps(
+    files: Sequence[tuple[Path, Path | None]], *, repair: bool, quiet: bool, device: str, verbose: bool
+) -> list[tuple[PaintedMesh, MapResult]]:
+    """Return meshes with their materials and maps of the whole sphere; all are read before the first is mapped.
+
+    Args:
+        files: of meshes, each with that of its finished map, or None for one that is computed.
+        repair: whether to repair meshes first.
+        quiet: whether to draw no progress.
+        device: where kernels run.
+        verbose: whether to say what every stage of a new map did.
+
+    Raises:
+        OmtwarpError: a mesh or a map cannot be used, a map is of another mesh, or does not cover the sphere.
+    """
+    finished, sound = {}, {}
+    for number, (path, of_map) in enumerate(files):
+        if of_map is None:
+            sound[number] = read_sound_painted(path, repair)
+        else:
+            mesh, result = painted_map(path, of_map, repair=repair, quiet=quiet, device=device, verbose=verbose)
+            finished[number] = mesh, require_whole(result, of_map)
+    for number, (mesh, surface) in sound.items():
+        finished[number] = mesh, _mapped(surface, files[number][0], quiet=quiet, device=device, verbose=verbose)
+    return [finished[number] for number in range(len(files))]
+
+
+def _mapped(
+    surface: Surface, path: Path, *, quiet: bool, device: str, verbose: bool, **options: Unpack[MapChoices]
+) -> MapResult:
+    """Map the surface of a file, and say how well."""
     start_device(device)
     made = make_map(surface, quiet=quiet, device=device, **options)
     require_bijective(made)
     say_made(made, path, quiet=quiet, verbose=verbose)
-    return mesh, made
+    return made

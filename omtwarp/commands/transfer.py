@@ -10,9 +10,9 @@ import typer
 
 from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption, output_option
-from omtwarp.commands._painted import painted_map
+from omtwarp.commands._painted import painted_maps
 from omtwarp.commands._streams import input_file, say
-from omtwarp.commands._work import require_whole, show_facts, with_files
+from omtwarp.commands._work import show_facts, with_files
 from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.errors import OmtwarpWarning
 from omtwarp.files import check_output
@@ -57,10 +57,9 @@ def transfer(
     from omtwarp.painting import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
-    painted, result = painted_map(source, map_of_source, repair=repair, quiet=quiet, device=device, verbose=verbose)
-    require_whole(result, map_of_source or source)
-    plain, other = painted_map(target, map_of_target, repair=repair, quiet=quiet, device=device, verbose=verbose)
-    require_whole(other, map_of_target or target)
+    (painted, result), (plain, other) = painted_maps(
+        [(source, map_of_source), (target, map_of_target)], repair=repair, quiet=quiet, device=device, verbose=verbose
+    )
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
         made = transfer_texture(

@@ -299,6 +299,46 @@ def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, tmp_path, kind
             assert all(float(number) > 0.0 for number in re.findall(r"\d+\.\d+", shown)), shown
 
 
+SPHERE_OF = "triangles do not cover the sphere once"
+NO_SPHERE = "not a sphere about the origin"
+# Of meshes that hold what the surface is mapped to, and of surfaces without a map.
+MESHES = {
+    "align {image} --surface {mesh} -o {out}.ply": {"disk": NO_SPHERE, "torus": NO_SPHERE},
+    "align {closed} --to {image} --to-surface {mesh} -o {out}.ply": {"disk": NO_SPHERE, "torus": NO_SPHERE},
+    "resample {image} --surface {mesh} --to ico2 -o {out}.ply --sphere {out}.off --matrix {out}.npz": {
+        "disk": NO_SPHERE,
+        "torus": NO_SPHERE,
+    },
+    "resample {image} --data {data} --to ico2 -o {out}.npy --method conservative": {
+        "disk": NO_SPHERE,
+        "torus": NO_SPHERE,
+    },
+    "spharm {mesh} -o {out}.csv --degree 3": dict.fromkeys(KINDS, "'omtwarp map' with --"),
+    "distance {image} {closed}": dict.fromkeys(KINDS, "is not a map"),
+    "group {manifest} -o {out} --grid ico1 --degree 3": NOT_THE_SPHERE,
+    "transfer {ball} {mesh} -o {out}.glb --size 32": dict.fromkeys(KINDS, "'omtwarp map' with --"),
+    "transfer {mesh} {ball} -o {out}.obj --size 32": dict.fromkeys(KINDS, "'omtwarp map' with --"),
+}
+
+
+@pytest.mark.parametrize("kind", ["hemisphere", "disk", "parts", "together", "torus"])
+@pytest.mark.parametrize("command", MESHES)
+def test_commands_refuse_meshes_that_do_not_cover_the_sphere(capsys, maps, tmp_path, kind, command):
+    """In one line, before anything is mapped or written."""
+    mesh, *options = KINDS[kind]
+    if "{image}" in command and not (maps / f"{kind}_image.ply").exists():
+        status, _, err = run(capsys, "map", maps / f"{mesh}.ply", "-o", maps / f"{kind}_image.ply", "-q", *options)
+        assert status == 0, err
+    whole, own = maps / "closed.npz", maps / f"{kind}.npz"
+    (maps / "shapes.csv").write_text(f"path\n{whole}\n{own}\n", "utf-8")
+    words = {"image": maps / f"{kind}_image.ply", "mesh": maps / f"{mesh}.ply", "closed": whole}
+    words |= {"data": maps / f"{kind}.npy", "ball": maps / "painted.ply", "manifest": maps / "shapes.csv"}
+    words |= {"out": tmp_path / "out"}
+    status, shown, err = run(capsys, *(word.format(**words) for word in command.split()))
+    assert (status, shown) == (1, "") and len(err.splitlines()) == 1, err
+    assert MESHES[command].get(kind, SPHERE_OF) in err and not list(tmp_path.iterdir())
+
+
 def look_at(file, command, result):
     """Read what a command wrote, and see that it is about the map, and not blank."""
     name, count = command.split()[0], len(result.faces)
