@@ -182,7 +182,7 @@ class _Run:
             text = f"areas around vertices are kept to {wrong:.1%} at worst: remesh with more triangles, evenly shaped"
             if strict:
                 raise OmtwarpError(f"the map is not as good as --strict requires: {text}")
-            warnings.warn(OmtwarpWarning(text), stacklevel=4)
+            warnings.warn(OmtwarpWarning(text), stacklevel=5)
         result.report.update(
             {
                 "domain": "torus",

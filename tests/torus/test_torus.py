@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from scipy import ndimage
 from texture_truths import jumps_across_edges
 
@@ -301,3 +302,10 @@ def test_intrinsic_delaunay_weights_of_a_twisted_grid():
     along = places[edges.ends[:, 1]] - places[edges.ends[:, 0]] + edges.steps
     # Without the twist, edges are short: none leads around the tube or the ring.
     assert np.abs(along[:, 0]).max() < 0.2 and np.abs(along[:, 1] + 3.0 * along[:, 0]).max() < 0.3
+
+
+def test_a_warning_names_the_line_that_asked_for_the_map():
+    ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+    with pytest.warns(omtwarp.OmtwarpWarning, match="areas around vertices") as caught:
+        omtwarp.map_surface(ring, domain="torus")
+    assert [warning.filename for warning in caught] == [__file__]
