@@ -31,6 +31,10 @@ MAX_HALVINGS_CORRECTED = 2  # of a step with an older matrix: after that a new m
 MAX_REPAIR_TRIALS = 3  # step lengths that are tried with repair of the triangles they flip
 MIN_CURVATURE_SHARE = 0.03  # of the curvature of D, see omtwarp.refine.kernels.triangle_hessian
 MAX_TRUSTED_REPAIRS = 0.01  # of the vertices: a step after which fewer are repaired counts as a full step
+# Of the vertices: near the minimum the matrix is used again after fewer took steps of their own. If any such step
+# renews it, scans of 7,000 to 35,000 vertices take 11 to 20 factorisations in place of 7 to 13. Used again from the
+# beginning, it lets noise of 1e-12 move a vertex of a skull's map by 0.1 radians, in place of 5e-6.
+MAX_TRUSTED_RELAXED = 0.06
 MIN_GAIN_SHARE = 0.15  # of the gain of the last new matrix: where a corrected step gains less, the matrix is renewed
 
 # With a small weight of area, the energy of a nearly conformal map is a few hundredths above its least value, and an
@@ -96,6 +100,7 @@ class _MatrixPolicy:
     def __init__(self, vertex_count: int) -> None:
         self.curvature_share, self.renew, self.factorisations = 1.0, True, 0
         self._trusted_repairs = MAX_TRUSTED_REPAIRS * vertex_count
+        self._trusted_relaxed = MAX_TRUSTED_RELAXED * vertex_count
         self._last_gain = 0.0  # of a step with a new matrix
 
     @property
@@ -122,7 +127,9 @@ class _MatrixPolicy:
                 self.curvature_share = min(1.0, 3.0 * self.curvature_share)
             self._last_gain = gain
         too_little = gain < MIN_GAIN_SHARE * self._last_gain
-        self.renew = step.corrected > 0 or relaxed > 0 or too_little or (fresh and step.length < 1.0)
+        near = self.curvature_share == MIN_CURVATURE_SHARE
+        outdated = step.corrected > 0 or relaxed > (self._trusted_relaxed if near else 0)
+        self.renew = outdated or too_little or (fresh and step.length < 1.0)
 
 
 class Refiner:

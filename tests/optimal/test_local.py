@@ -9,7 +9,7 @@ from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.patches import grow
 from omtwarp.mesh.shapes import demo_shape
 from omtwarp.optimal.energy import TransportEnergy
-from omtwarp.optimal.local import MAX_CHOSEN_SHARE, LocalSteps, freed_vertices
+from omtwarp.optimal.local import FREED_RINGS, MAX_CHOSEN_SHARE, LocalSteps, freed_vertices
 from omtwarp.optimal.solver import PENALTY, minimise
 from omtwarp.pipeline import map_to_sphere
 
@@ -72,10 +72,21 @@ def test_the_same_optimum_in_fewer_factorisations(moser):
 def test_too_many_vertices_are_left_to_whole_steps():
     surface = demo_shape(3000)
     count = surface.vertex_count
-    assert freed_vertices(surface.faces, np.ones(count)) is None
+    everywhere = np.zeros(count)
+    everywhere[:: int(1.0 / MAX_CHOSEN_SHARE)] = 1.0  # with their rings they are nearly all vertices
+    assert freed_vertices(surface.faces, everywhere) is None
     assert freed_vertices(surface.faces, np.zeros(count)) is None
     gains = np.full(count, 1e-6)
     gains[7] = 1.0
     freed = freed_vertices(surface.faces, gains)
     assert freed is not None and freed[7]
     assert 0 < freed.sum() < MAX_CHOSEN_SHARE * count
+
+
+def test_no_more_than_a_share_of_the_vertices_is_chosen():
+    surface = demo_shape(3000)
+    gains = np.arange(surface.vertex_count, 0.0, -1.0)  # the largest come first
+    freed = freed_vertices(surface.faces, gains)
+    chosen = np.zeros(surface.vertex_count, dtype=bool)
+    chosen[: int(MAX_CHOSEN_SHARE * surface.vertex_count)] = True
+    np.testing.assert_array_equal(freed, grow(surface.faces, chosen, FREED_RINGS))
