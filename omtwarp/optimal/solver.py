@@ -76,6 +76,12 @@ FAR_DAMPING, FAR_LOCAL_STEPS = 0.5, 4
 # regions: with 0.1 to 0.48, 0.05 to 0.35 and 0.1 to 0.45 scans took as many steps, a body with thin arms 38 to 41.
 TRUSTED, DISTRUSTED, RENEWED = 0.4, 0.2, 0.3
 
+# Most local steps times the share of the vertices that they move: a local step takes about that share of the time of a
+# whole one. With 1 instead, two scans take 5 and 4 factorisations of the whole map in place of 3, without a limit as
+# many. Under a light penalty, where whole steps are short, there is no limit: a box with needles ends at an area
+# distortion of 2.012 to 2.021 with it, of 2.010 to 2.016 without.
+MAX_LOCAL_WORK = 1.4
+
 # Areas around vertices that are off by more than this (root mean square) and came right by less than this share in so
 # many steps will not come right: on a box with triangles of 0.001 degrees, where they are off by 0.86, the error falls
 # by 1 % in five steps and by 2 % in 25.
@@ -409,7 +415,10 @@ class _Newton:
         if freed is None:
             return points, terms, 0
         steps = LocalSteps(energy, freed, points, terms, self.multipliers, self.stiffness, self.constrained)
-        moved, vertices, multipliers = steps.run(LOCAL_GAIN_SHARE * self._enough(terms), self.local_steps)
+        most = self.local_steps
+        if self.strictness == 1.0:
+            most = min(most, max(int(MAX_LOCAL_WORK / float(freed.mean())), 1))
+        moved, vertices, multipliers = steps.run(LOCAL_GAIN_SHARE * self._enough(terms), most)
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0
