@@ -78,7 +78,8 @@ class MultifrontalCholesky:
         self._shared = {int(f) for fronts in few for f in fronts if costs[f] > MIN_SHARED_OPERATIONS * self.threads}
         # What is launched at once: the jobs, the pieces of the trunk's depths, and for solves all of the trunk.
         pieces = [np.array_split(fronts, min(self.threads, len(fronts))) for fronts in self._trunk]
-        groups = [*self._jobs, *(piece for depth in pieces for piece in depth), *self._whole_trunk()]
+        trunk = [np.concatenate(self._trunk)] if self._trunk else []
+        groups = [*self._jobs, *(piece for depth in pieces for piece in depth), *trunk]
         numbers = iter(range(len(groups)))
         self._of_jobs = [next(numbers) for _ in self._jobs]
         self._of_depths = [[next(numbers) for _ in depth] for depth in pieces]
@@ -87,9 +88,6 @@ class MultifrontalCholesky:
         self._groups = [wp.array(fronts, dtype=wp.int32, device="cpu", copy=False) for fronts in groups]
         self._factorisations, self._solves = _Launches(), _Launches()
         self._upload()
-
-    def _whole_trunk(self) -> list[NDArray[np.int32]]:
-        return [np.concatenate(self._trunk)] if self._trunk else []
 
     def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
         """Divide the fronts into jobs, each of whole branches of the tree, and the trunk above them by depth."""
@@ -264,7 +262,7 @@ class MultifrontalCholesky:
 
         def run(group: int, transposed: int) -> None:
             own = [self._groups[group], transposed]
-            self._solves.run((group, transposed), solve_triangular, count, [*own, *inputs])
+            self._solves.run((group, transposed, count), solve_triangular, count, [*own, *inputs])
 
         run_all(partial(run, transposed=0), self._of_jobs)
         for trunk in self._of_trunk:
