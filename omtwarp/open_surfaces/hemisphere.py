@@ -20,6 +20,10 @@ from omtwarp.untangling.untangle import RepairBudget, untangle
 
 Floats = NDArray[np.float64]
 
+# Weight of area in a start of little angle distortion. After refinement and one round of area weights an octopus cut at
+# a quarter is at an area distortion of 2.038 with it, at 2.053 with 10, 2.099 with 100 and 2.123 with 3, where areas
+# around vertices are still off by 9 % (rms).
+ANGLE_START_WEIGHT = 1.0
 ROUNDS = 4  # of repair after symmetrising; one was enough on every surface tried
 
 
@@ -102,7 +106,13 @@ def symmetric_map(
 
 
 def symmetric_start(
-    double: Double, surface: Surface, source: Floats, *, device: str | None = "auto", progress: Progress | None = None
+    double: Double,
+    surface: Surface,
+    source: Floats,
+    *,
+    angle: bool = False,
+    device: str | None = "auto",
+    progress: Progress | None = None,
 ) -> Floats | None:
     """Make a symmetric map without flips from coarse to fine, turned about the axis of the mirror towards another map.
 
@@ -110,6 +120,7 @@ def symmetric_start(
         double: the surface and its copy.
         surface: the same as a surface.
         source: a symmetric map of it, flipped triangles and all, shape [W, 3].
+        angle: whether angles count as much as areas: one map, for what makes areas even afterwards.
         device: where vertices move.
         progress: called as ``progress("start", placed, vertices, {})``.
 
@@ -124,7 +135,9 @@ def symmetric_start(
         hemispherical_embedding, surface.scaled_vertices[own], faces, areas, device=device, progress=progress
     )
     trials = [partial(embed, thorough=True)]
-    if is_uneven(surface):
+    if angle:
+        trials = [partial(embed, area_weight=ANGLE_START_WEIGHT, by_distance=True)]
+    elif is_uneven(surface):
         trials.append(partial(embed, area_weight=UNEVEN_AREA_WEIGHT, by_distance=True))
     best, least = None, np.inf
     for trial in trials:
