@@ -68,6 +68,7 @@ def symmetric_optimal_map(
     gain: float = GAIN,
     cost: str = Cost.SQUARED,
     far: bool = False,
+    shape_areas: Floats | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -80,6 +81,7 @@ def symmetric_optimal_map(
         start: the points x that are transported, symmetric, shape [W, 3].
         shape_weight, area_weight, area_penalty, multipliers: as of :func:`omtwarp.optimal_map`.
         iterations, gain, cost, far, device, progress: as of :func:`omtwarp.optimal_map`.
+        shape_areas: what every triangle counts in the shape term, in any unit, shape [2F]; its measure where left out.
 
     Returns:
         The map, symmetric to the last bit.
@@ -91,7 +93,14 @@ def symmetric_optimal_map(
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
     soft = softness(surface.vertex_areas, given, x, cost)
     energy = SymmetricEnergy(
-        double, surface, vectors(x, where), where, shape_weight, area_weight=area_weight, softness=soft
+        double,
+        surface,
+        vectors(x, where),
+        where,
+        shape_weight,
+        area_weight=area_weight,
+        softness=soft,
+        shape_areas=shape_areas,
     )
     return minimise(
         energy,
@@ -174,7 +183,7 @@ class SymmetricEnergy(_OnHalf):
     Args:
         double: the surface and its copy, W vertices.
         surface: the double as a surface.
-        start, device, shape_weight, cost_weight, area_weight, softness: as of :class:`TransportEnergy`.
+        start, device, shape_weight, cost_weight, area_weight, softness, shape_areas: as of :class:`TransportEnergy`.
     """
 
     def __init__(
@@ -187,8 +196,9 @@ class SymmetricEnergy(_OnHalf):
         cost_weight: float = 1.0,
         area_weight: float = AREA_WEIGHT,
         softness: float = 0.0,
+        shape_areas: Floats | None = None,
     ):
-        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight, softness)
+        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight, softness, shape_areas)
         self._double = double
         self._mirror = MirrorFactor(double, surface, device)
 

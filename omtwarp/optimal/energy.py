@@ -78,6 +78,7 @@ class TransportEnergy:
         cost_weight: factor of the cost; with 0 only the shape counts.
         area_weight: λ of the shape.
         softness: in radians; 0 for the squared distance, otherwise the cost is sqrt(d² + softness²) - softness.
+        shape_areas: ``areas`` of :class:`omtwarp.refine.energy.DistortionEnergy`.
 
     Attributes:
         wanted: the areas that constraints ask for, 3 m_v, shape [V].
@@ -102,11 +103,12 @@ class TransportEnergy:
         cost_weight: float = 1.0,
         area_weight: float = AREA_WEIGHT,
         softness: float = 0.0,
+        shape_areas: Numbers | None = None,
     ):
         self.softness = wp.float64(softness)
         self.surface, self.device, self.shape_weight, self.cost_weight = surface, device, shape_weight, cost_weight
         self.area_weight = area_weight
-        self.shape = DistortionEnergy(surface, device)
+        self.shape = DistortionEnergy(surface, device, shape_areas)
         self.wanted = 3.0 * surface.vertex_areas
         mesh = surface.on(device)
         self._start, self._mesh, self._rows = start, mesh, mesh.vertex_corners

@@ -12,7 +12,7 @@ from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, scaled_areas
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
 from omtwarp.refine.sums import DistortionSums
 from omtwarp.triangle_newton.frames import triangle_frames
@@ -154,20 +154,22 @@ class DistortionEnergy:
     Args:
         surface: the original surface, V vertices and F faces.
         device: a Warp device.
+        areas: what every triangle counts in the sums, scaled to 4π in all, shape [F]; its measure where left out.
 
     Attributes:
         workspace: on the host, for Hessians and the fronts of factorisations.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device):
+    def __init__(self, surface: Surface, device: wp.Device, areas: NDArray[np.float64] | None = None):
         self.surface = surface
         self.device = device
-        self.areas = surface.face_areas
+        self.areas = surface.face_areas if areas is None else scaled_areas(areas, surface.face_count)
         count = surface.face_count
         self.workspace = Workspace()
         mesh = surface.on(device)
         own = wp.array(triangle_frames(surface), dtype=wp.vec3d, device=device, copy=False)
-        self.triangles = TriangleKernels(mesh.faces, own, mesh.face_areas, mesh.vertex_corners, self.workspace)
+        counted = mesh.face_areas if areas is None else wp.array(self.areas, dtype=wp.float64, device=device)
+        self.triangles = TriangleKernels(mesh.faces, own, counted, mesh.vertex_corners, self.workspace)
         self._sums = None if shares_host_memory(device) else DistortionSums(count, device)
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:

@@ -76,7 +76,7 @@ class Relaxation:
         self._points = self._taken(points, self._vertices)
         # Patches are a small part of the map's area: its scale is taken as constant.
         self._pressures = energy.pressures(terms, weight)
-        self._areas = surface.face_areas[patches.triangles]
+        self._areas = energy.areas[patches.triangles]
         self._matrix = NewtonMatrix.of_patches(patches, surface, energy.workspace)
         faces, areas = self._sent(patches.faces, wp.vec3i), self._sent(self._areas, wp.float64)
         frames = self._taken(energy.triangles.frames, self._sent(patches.triangles, wp.int32))

@@ -138,12 +138,13 @@ class Refiner:
     Args:
         surface: the original surface.
         device: a Warp device.
+        areas: as of :class:`omtwarp.refine.energy.DistortionEnergy`.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device):
+    def __init__(self, surface: Surface, device: wp.Device, areas: NDArray[np.float64] | None = None):
         self.surface = surface
         self.device = device
-        self.energy = DistortionEnergy(surface, device)
+        self.energy = DistortionEnergy(surface, device, areas)
         self._steps = steps_for(self.energy)
         self._flip_free = FlipFreeSteps(surface, device)
 

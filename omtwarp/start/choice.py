@@ -68,6 +68,7 @@ class Start:
 def bijective_start(
     surface: Surface,
     *,
+    drawn_out_map: Callable[[NDArray[np.float64]], NDArray[np.float64] | None] | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Start:
@@ -79,6 +80,8 @@ def bijective_start(
 
     Args:
         surface: a valid closed mesh.
+        drawn_out_map: returns a flip-free map in place of the coarse-to-fine one, or None, from the conformal map of a
+            surface most of whose triangles that shrinks to points.
         device: where kernels run.
         progress: called with a stage name, done, total and details.
 
@@ -114,12 +117,22 @@ def bijective_start(
     if is_bijective(sphere, mesh.faces, device=device) and area(sphere) < TUBE_AREA:
         return Start(sphere, "tube", reason, conformal, 0, budget.exhausted)
     drawn_out = conformal is not None and mostly_shrunken(surface, conformal.sphere)
+    found = _made_from(conformal, drawn_out_map) if drawn_out else None
+    if found is not None:
+        return Start(found, "hierarchical", reason, conformal, 0, budget.exhausted)
     sphere, coarse_area = _coarse_to_fine(surface, uneven, drawn_out, area, device, progress)
     if conformal is not None and many and coarse_area > COARSE_AREA:
         repaired = untangle(surface, conformal.sphere, device=device)
         if repaired.bijective and area(repaired.sphere) < coarse_area:
             return Start(repaired.sphere, "conformal, repaired", "", conformal, many)
     return Start(sphere, "hierarchical", reason, conformal, 0, budget.exhausted)
+
+
+def _made_from(
+    conformal: ConformalMap | None, make: Callable[[NDArray[np.float64]], NDArray[np.float64] | None] | None
+) -> NDArray[np.float64] | None:
+    """Return the map that is made from a conformal map; None without a way or a map."""
+    return None if conformal is None or make is None else make(conformal.sphere)
 
 
 def _coarse_to_fine(

@@ -487,12 +487,12 @@ def test_figures_of_a_disk_and_a_cap_are_those_of_what_is_handed_over():
 
 
 @pytest.mark.parametrize(
-    ("name", "height", "area", "gap"), [("box_11k", 0.5, 2.04, None), ("octopus_33k", 0.5, 2.01, 0.03)]
+    ("name", "height", "area", "gap"), [("box_11k", 0.5, 2.03, None), ("octopus_33k", 0.5, 2.01, 0.04)]
 )
 def test_halves_of_a_drawn_part_and_of_long_limbs(name, height, area, gap):
-    """A box with needles along the cut comes to an area of 2.017 or 2.018.
+    """A box with needles along the cut and in its fillings comes to an area of 2.004 to 2.021.
 
-    An octopus comes to 2.005 at a gap of 2.5 %; with areas before shape it came to 2.046.
+    An octopus comes to 2.004 at a gap of 2.8 %; with areas before shape it came to 2.046.
     """
     path = SHARED / "data" / f"{name}.ply"
     if not path.exists():
@@ -506,4 +506,6 @@ def test_halves_of_a_drawn_part_and_of_long_limbs(name, height, area, gap):
     with pytest.warns(omtwarp.OmtwarpWarning, match="did not converge"):
         found = omtwarp.map_surface(part, domain="hemisphere", device="cpu")
     assert found.certificate.bijective and found.distortion().area["surface"] < area
+    rims = boundary_loops(found.faces, len(found.vertices))  # of holes, and one on the equator
+    assert found.distortion().flips == 0 and min(np.abs(found.sphere[rim, 2]).max() for rim in rims) == 0.0
     assert gap is None or found.report["optimality"]["gap"] < gap

@@ -7,7 +7,7 @@ import pytest
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.shapes import blob, icosphere, needle, noisy
-from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.refine.energy import DistortionEnergy, needle_weight
 from omtwarp.start.tube import tube_map
 from omtwarp.triangle_newton.frames import triangle_frames
@@ -75,12 +75,26 @@ def test_a_sphere_is_its_own_best_map(device):
     assert np.abs(energy.gradient(points, terms, 100.0).numpy()).max() < 1e-12
 
 
+def test_triangles_that_count_nothing_leave_the_distortion_of_the_others(device):
+    """Shares of areas are then those of the others, on the surface and on the sphere."""
+    surface = blob(3, sphere=600)
+    sphere = start_map(surface)
+    own = np.arange(surface.face_count) % 3 > 0
+    energy = DistortionEnergy(surface, resolve_device(device), surface.face_areas * np.where(own, 1.0, 1e-15))
+    terms = energy.terms(energy.upload(sphere))
+    shares = [triangle_areas(points, surface.faces[own]) for points in (surface.vertices, sphere)]
+    given, image = (sizes / sizes.sum() for sizes in shares)
+    assert terms.area == pytest.approx(float((given * (image / given + given / image)).sum()) - 2.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("counted", ["by area", "by some"])
 @pytest.mark.parametrize("weight", [0.5, 10.0, 300.0])
-def test_gradient_matches_central_differences(weight, device):
+def test_gradient_matches_central_differences(weight, counted, device):
     """The gradient agrees with differences along random directions, in which the image's total area varies too."""
     surface = blob(5, sphere=500)
     sphere = start_map(surface)
-    energy = DistortionEnergy(surface, resolve_device(device))
+    uneven = surface.face_areas * np.where(np.arange(surface.face_count) % 3 > 0, 1.0, 0.01)
+    energy = DistortionEnergy(surface, resolve_device(device), None if counted == "by area" else uneven)
     points = energy.upload(sphere)
     gradient = energy.gradient(points, energy.terms(points), weight).numpy()
     assert np.abs((gradient * sphere).sum(axis=1)).max() < 1e-10 * np.abs(gradient).max()
