@@ -563,7 +563,7 @@ class _Run:
     def moser(self) -> None:
         """Run Moser's flow from the start, again from its own result, and repair flips after each pass."""
         sphere = self.sphere
-        if Stage.OMT in self.options.stages and self.by_newton and self.mirror is None and not solves_with_scipy():
+        if self.optimal_by_newton and self.mirror is None and not solves_with_scipy():
             begin_saddle_order(self.surface)
         least = self.area_error(sphere)
         steps = repaired = 0
