@@ -533,24 +533,25 @@ class _Run:
         self.source = symmetrised(mirror, given @ frame)
         return self.symmetric(sphere @ frame)
 
-    def coarse_start(self, mirror: Double, angle: bool = False) -> NDArray[np.float64] | None:
+    def coarse_start(
+        self, mirror: Double, source: NDArray[np.float64] | None = None, angle: bool = False
+    ) -> NDArray[np.float64] | None:
         """Return a symmetric map without flips that was made from coarse to fine; None where there is none.
 
         Args:
             mirror: what the surface is the double of.
+            source: points to lay the map beside, symmetric, shape [V, 3]; those that transport starts from if left out.
             angle: whether angles count as much as areas in it, rather than areas more.
         """
-        assert self.source is not None
-        return symmetric_start(
-            mirror, self.surface, self.source, angle=angle, device=self.device, progress=self.progress
-        )
+        source = self.source if source is None else source
+        assert source is not None
+        return symmetric_start(mirror, self.surface, source, angle=angle, device=self.device, progress=self.progress)
 
     def angle_start(self, conformal: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return a symmetric map of a double of little angle distortion, beside its conformal map; None without one."""
         assert self.mirror is not None
         frame = mirror_frame(self.mirror, conformal, self.surface.vertex_areas)
-        self.source = symmetrised(self.mirror, conformal @ frame)
-        found = self.coarse_start(self.mirror, angle=True)
+        found = self.coarse_start(self.mirror, symmetrised(self.mirror, conformal @ frame), angle=True)
         return None if found is None else found @ frame.T
 
     def symmetric(self, sphere: NDArray[np.float64], repair: bool = False) -> NDArray[np.float64]:
@@ -693,7 +694,7 @@ class _Run:
 
     @property
     def counted_areas(self) -> NDArray[np.float64] | None:
-        """What triangles count in a shape term that hardly counts those of fillings; None where there are none."""
+        """Areas by which triangles count in a shape term that hardly counts fillings; None where there are none."""
         names = self.surface.names
         if names is None or not (names.faces < 0).any():
             return None

@@ -101,7 +101,7 @@ class LocalSteps:
         self._face_patch = self._patch[faces[:, 0]]
         self._faces = self._sent(faces, wp.vec3i)
         frames = self._sent(energy.shape.triangles.frames.numpy()[patches.triangles], wp.vec3d)
-        self._areas = surface.face_areas[patches.triangles]
+        self._areas = energy.shape.areas[patches.triangles]
         free_rows = [self._sent(offsets[: self._free + 1], wp.int32), self._rows[1]]
         areas = self._sent(self._areas, wp.float64)
         self._triangles = TriangleKernels(self._faces, frames, areas, free_rows, energy.shape.workspace)
