@@ -22,7 +22,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.flips.guard import hold_back
 from omtwarp.flips.rings import Examined, examine, is_bijective
-from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, turned_towards
+from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, turned_about_pole, turned_towards
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
@@ -30,12 +30,13 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.names import InputNames
 from omtwarp.mesh.quarter import quarter
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
 from omtwarp.moser import moser_map
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetric_start, symmetrised
+from omtwarp.open_surfaces.long_edges import SplitDouble, split_long_edges
 from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
 from omtwarp.optimal import GAIN, SHAPE_WEIGHT, OptimalMap, optimal_map
 from omtwarp.optimal.cells import LIGHT_PENALTIES, exact_map
@@ -160,18 +161,14 @@ CONTINUATION_OF_HALVES = (*CONTINUATION, (1e-5, 1e5, 300.0, 25))
 ONE_MORE_ABOVE, ONE_MORE_ROUND = 2.05, (1e-4, 1e5, 1000.0, 25)
 # Halves most of whose triangles are shrunken to points: shape comes first. From a start of even areas the limbs are
 # twisted, which heavy weights on areas keep: an octopus cut at a quarter and in the middle was at 2.045 and 2.046 after
-# the rounds above, at angle distortions of 66 and 50, as triangles of long sides cannot be small. From a start of less
-# angle distortion it ends at 2.020 and 2.004, at 51 and 34, areas around vertices off by 0.22 and 0.13 % (rms),
-# gaps of 0.27 and 2.8 %. After one turn the second is at 2.008. Turns: weights and steps of refinement, free of
-# areas around vertices and so undoes twists; then a round as above, which carries area from one end of a limb to the
-# other.
-# With 8 and 12 steps of refinement at the weight 100, 22 and 15 of the first two rounds, the first ends at 2.021; with
-# 20 of each second kind and a last weight of 1e4 at 2.019, areas off by 0.09 %, in 5 CPU seconds more than 65.
-SHAPE_FIRST = (
-    (((30.0, 10), (100.0, 10)), (1e-2, 1e3, 300.0, 25)),
-    (((100.0, 16),), (1e-2, 1e3, 300.0, 18)),
-    ((), (1e-3, 2e4, 300.0, 30)),
-)
+# the rounds above, at angle distortions of 66 and 50, as triangles of long sides cannot be small. Weights and steps of
+# a refinement, which is free of areas around vertices and so undoes twists; a round as above, which carries area from
+# one end of a limb to the other; then, with long edges split where area distortion is above LARGEST_AREA, rounds in
+# which cost counts more and more. The two end at 2.0026 and 2.0056, areas around vertices off by less than 0.03 %
+# (rms), at gaps of 0.1 and 0.9 %. Without splitting, and one round of the weight 1e-3, they ended at 2.019 and 2.004,
+# at gaps of 0.4 and 2.6 %.
+SHAPE_FIRST, ROUND_OF_SHAPE = ((30.0, 10), (100.0, 10)), (1e-2, 1e3, 300.0, 25)
+ROUNDS_OF_COST = ((1e-3, 2e4, 300.0, 12), (1e-4, 5e4, 300.0, 12), (1e-5, 1e5, 300.0, 12))
 # Of that refinement: it ends by its steps, far from its minimum.
 SHAPE_TOLERANCE = 1e-3
 # Where Moser's flow could not be repaired and the start is above this area distortion, as on plates of long triangles
@@ -185,18 +182,13 @@ ROUGH_ROUNDS = ((0.1, 300.0, 10.0, 15), (0.1, 400.0, 100.0, 30), (1.0, 400.0, 30
 # Of Moser's map of a hemisphere: above, one made from coarse to fine takes its place where that is better. A ball with
 # four limbs eight radii long, cut at a quarter, ends at 2.005 in place of 8.2.
 FAR_AREA = 3.0
-# Halves whose areas around vertices are off by more than this (rms) after that are made once more from a map refined at
-# growing weights, so many steps each, and the better in area of triangles is taken. In refinement and in the round
-# after it triangles of fillings count this share of their area in the shape term: of half of a box they are half the
-# area, in needles. It ends at 2.004 to 2.021, depending on rounding, areas around vertices off by 10 to 21 % (rms);
-# it was at 2.045 to 2.063, off by 7 to 11 %. With fillings counted in full it ended at 2.017 and 2.018. What is left
-# depends on where refinement begins. With 20 steps each and none at the last weight the second of three inputs that
-# differ by noise of 1e-12 is at 2.012 in place of 2.0085. Rounds of weights 1 and 10 leave areas around vertices off by
-# 2 %, at 2.008, but with that noise their steps fail, at 11 % and 2.016. Halves of a bracket are off by 1.6 to 3 %
-# before, and left alone.
-HOPELESS_RMS, HOPELESS_REFINED = 0.05, ((30.0, 30), (100.0, 30), (300.0, 30), (1000.0, 40))
-ROUNDS_OF_SHAPE = ((100.0, 1000.0, 3000.0, 30),)
-SHARE_OF_FILLINGS = 0.01
+# Rough halves begin with a map refined at growing weights, so many steps each, with long edges split. In refinement and
+# in the rounds after it triangles of fillings count this share of their area in the shape term: of half of a box they
+# are half the area, in needles. It ends at 2.002 to 2.004, depending on rounding, areas around vertices off by 1 to 2 %
+# (rms); with the rounds above at 2.05 to 2.09 and 3 to 15 %, where no edges are split at 2.009 to 2.021.
+REFINED_ROUGH = (((30.0, 30), (100.0, 30)), ((300.0, 30), (1000.0, 30)))
+ROUNDS_OF_ROUGH_HALVES = ((10.0, 1000.0, 3000.0, 30), (10.0, 1000.0, 3000.0, 30))
+SHARE_OF_FILLINGS = 0.03
 # A bound that is not improved by ascent makes gaps larger by a third, on scans with thin parts threefold. It is
 # improved before a gap counts as too large, by at most the first of these steps, or by up to the second on meshes of at
 # most so many vertices, where a step takes little time: the gap of a cortex falls from 0.13 to 0.0999 % in 20.
@@ -364,6 +356,7 @@ class _Run:
         self.repair_given_up = False  # after the work that it may take
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
         self.origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where the mesh was quartered
+        self.split_origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where long edges were split
         self.drawn_out = False  # whether the conformal map shrinks most triangles to points
         self.first: wp.array | None = None
         self.source: NDArray[np.float64] | None = None
@@ -474,8 +467,8 @@ class _Run:
             transported=transported,
             history=self.history,
             report=report,
-            vertex_origin=self.origins.get("vertex_origin"),
-            face_origin=self.origins.get("face_origin"),
+            vertex_origin=(self.origins or self.split_origins).get("vertex_origin"),
+            face_origin=(self.origins or self.split_origins).get("face_origin"),
             measure=surface.face_areas if surface.weighted else None,
             target=None if self.target is None else self.target.at(self.sphere),
         )
@@ -682,15 +675,42 @@ class _Run:
         return self.by_continuation(found.sphere, (ONE_MORE_ROUND,), found.multipliers, far=True)
 
     def by_shape_first(self, mirror: Double, sphere: NDArray[np.float64]) -> tuple[OptimalMap, float]:
-        """Return the map of a hemisphere by turns of refinement and rounds, from a start of little angle distortion."""
-        multipliers: NDArray[np.float64] | None = None
+        """Return the map of a hemisphere by refinement and then rounds, from a start of little angle distortion."""
         refiner = Refiner(self.surface, resolve_device(self.device))
-        for refinements, round_ in SHAPE_FIRST:
-            for weight, steps in refinements:
-                sphere = self.shaped(mirror, refiner, sphere, weight, steps)
-            found, last_weight = self.by_continuation(sphere, (round_,), multipliers, far=True)
-            sphere, multipliers = found.sphere, found.multipliers
-        return found, last_weight
+        for weight, steps in SHAPE_FIRST:
+            sphere = self.shaped(mirror, refiner, sphere, weight, steps)
+        found, _ = self.by_continuation(sphere, (ROUND_OF_SHAPE,), far=True)
+        sphere, multipliers = found.sphere, found.multipliers
+        if self.own_area(sphere) > LARGEST_AREA:
+            split = self.split_long_edges(mirror, sphere)
+            if split is not None:
+                sphere, multipliers = split.on_sphere(sphere), split.interpolated(multipliers)
+        return self.by_continuation(sphere, ROUNDS_OF_COST, multipliers, far=True)
+
+    def own_area(self, sphere: NDArray[np.float64]) -> float:
+        """Return the mean area distortion of the triangles that are not of fillings."""
+        own = slice(None) if self.surface.names is None else self.surface.names.faces >= 0
+        wanted = self.surface.face_areas[own]
+        ratio = triangle_areas(sphere, self.surface.faces[own]) / wanted
+        ratio *= wanted.sum() / float(ratio @ wanted)
+        with np.errstate(divide="ignore"):
+            return float(wanted @ (ratio + 1.0 / ratio) / wanted.sum())
+
+    def split_long_edges(self, mirror: Double, sphere: NDArray[np.float64]) -> SplitDouble | None:
+        """Split edges that a symmetric map makes long, and continue with that surface; None, and nothing done, if none.
+
+        With exact areas all edges are split in the end.
+        """
+        split = None if self.options.exact else split_long_edges(mirror, self.surface, sphere)
+        if split is None or not is_bijective(split.on_sphere(sphere), split.surface.faces):
+            return None
+        assert self.source is not None
+        self.surface, self.mirror = split.surface, split.double
+        self.source = split.on_sphere(self.source)
+        self.first = vectors(self.source, resolve_device(self.device))
+        self.maps = {name: split.on_sphere(points) for name, points in self.maps.items()}
+        self.split_origins = {"vertex_origin": split.vertex_origin, "face_origin": split.face_origin}
+        return split
 
     @property
     def counted_areas(self) -> NDArray[np.float64] | None:
@@ -731,24 +751,28 @@ class _Run:
 
     def by_rough_rounds(self, initial: NDArray[np.float64], smooth: NDArray[np.float64]) -> tuple[OptimalMap, float]:
         """Return the map of a drawn part from a smoothed one, or for a hemisphere from a symmetric one."""
-        sphere = smooth
-        if self.mirror is not None:
+        if self.mirror is None:
+            found, weight = self.by_continuation(smooth, ROUGH_ROUNDS)
+        else:
             sphere = self.symmetric(smooth, repair=True)
-            sphere = sphere if is_symmetric(self.mirror, sphere) else initial
-        found, weight = self.by_continuation(sphere, ROUGH_ROUNDS)
-        if self.mirror is not None and found.history[-1]["ring_rms"] > HOPELESS_RMS:
-            known, counted = len(self.history), self.counted_areas
-            refined, refiner = sphere, Refiner(self.surface, resolve_device(self.device), counted)
-            for refined_weight, steps in HOPELESS_REFINED:
-                refined = self.shaped(self.mirror, refiner, refined, refined_weight, steps)
-            other, lighter = self.by_continuation(refined, ROUNDS_OF_SHAPE, shape_areas=counted)
-            if other.history[-1]["area"] < found.history[-1]["area"]:
-                found, weight = other, lighter
-            else:
-                del self.history[known:]
+            sphere = self.refined_half(self.mirror, sphere if is_symmetric(self.mirror, sphere) else initial)
+            found, weight = self.by_continuation(sphere, ROUNDS_OF_ROUGH_HALVES, shape_areas=self.counted_areas)
         if self.options.optimality:  # far above any bound, which ascent would take long to improve
             self.measured = self.bounded(found.sphere, improve=False)
         return found, weight
+
+    def refined_half(self, mirror: Double, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a symmetric map refined at growing weights and turned to where points come from, long edges split."""
+        assert self.source is not None
+        for number, turn in enumerate(REFINED_ROUGH):
+            split = self.split_long_edges(mirror, sphere) if number else None
+            if split is not None:
+                mirror, sphere = split.double, split.on_sphere(sphere)
+            refiner = Refiner(self.surface, resolve_device(self.device), self.counted_areas)
+            for weight, steps in turn:
+                sphere = self.shaped(mirror, refiner, sphere, weight, steps)
+        turned = _normalised(turned_about_pole(sphere, self.source, self.surface.vertex_areas))
+        return turned if is_bijective(turned, self.surface.faces) else sphere
 
     def made_symmetric(self, sphere: NDArray[np.float64], weight: float) -> NDArray[np.float64]:
         """Return a symmetric map of a double near another one, if need be from the optimal map; others unchanged."""

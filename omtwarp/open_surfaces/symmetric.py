@@ -15,6 +15,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
+from omtwarp.mesh.patches import grow
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import CELL_GAIN, ITERATIONS, CellEnergy, minimise_cells
@@ -158,7 +159,6 @@ class _OnHalf(TransportEnergy):
 
     _double: Double
     _mirror: MirrorFactor
-    local_steps = False  # those would move one half alone
     first_curvature_share = 1.0  # without local steps the half of a doll then takes 10 steps in place of 40
 
     def saddle_factor(self) -> SaddlePointFactor:
@@ -201,6 +201,13 @@ class SymmetricEnergy(_OnHalf):
         super().__init__(surface, start, device, shape_weight, cost_weight, area_weight, softness, shape_areas)
         self._double = double
         self._mirror = MirrorFactor(double, surface, device)
+        # Local steps move vertices of one half, whose neighbours are off the boundary.
+        self.held = double.copied | grow(surface.faces, double.on_boundary, 1)
+
+    def completed(self, points: wp.array, multipliers: Floats) -> tuple[wp.array, Floats]:
+        """Return a symmetric map and multipliers: those of the copy follow from the surface's."""
+        original = np.where(self._double.copied, self._double.mirror, np.arange(len(multipliers)))
+        return vectors(folded(self._double, points.numpy()), self.device), multipliers[original]
 
 
 class SymmetricCellEnergy(_OnHalf, CellEnergy):

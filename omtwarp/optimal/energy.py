@@ -87,9 +87,11 @@ class TransportEnergy:
         start_points: x on the host, shape [V, 3].
         first_curvature_share: share of the curvature in the first matrix of a minimisation.
         local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps.
+        held: vertices that local steps leave where they are, shape [V]; None where they may move all.
     """
 
     local_steps = True
+    held: NDArray[np.bool_] | None = None
     first_curvature_share = MIN_CURVATURE_SHARE
     area_tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
     exact_tolerance = 1e-6
@@ -126,6 +128,10 @@ class TransportEnergy:
     def flip_free_steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along directions without flipping triangles."""
         return FlipFreeSteps(self.surface, self.device)
+
+    def completed(self, points: wp.array, multipliers: Numbers) -> tuple[wp.array, Numbers]:
+        """Return a map and its multipliers after local steps, with what follows from those that moved."""
+        return points, multipliers
 
     def terms(self, points: wp.array) -> MapTerms:
         """Return the areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""

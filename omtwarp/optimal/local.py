@@ -43,13 +43,18 @@ REGULARISATION = 1e-6  # added to the diagonal, relative to each entry, as the s
 LEAST_DAMPING = 1e-3  # least eigenvalue kept of the inverse map's derivative: see cost_metric
 
 
-def freed_vertices(faces: NDArray[np.int32], gains: Numbers) -> NDArray[np.bool_] | None:
+def freed_vertices(
+    faces: NDArray[np.int32], gains: Numbers, held: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_] | None:
     """Choose the vertices that local steps move, as a mask of shape [V], or None where they would be too many or none.
 
     Args:
         faces: of the surface, shape [F, 3].
         gains: the gain expected from moving each vertex alone, shape [V].
+        held: vertices that stay where they are, shape [V].
     """
+    if held is not None:
+        gains = np.where(held, 0.0, gains)
     order = np.argsort(-gains, kind="stable")
     total = np.cumsum(gains[order])
     count = min(int(np.searchsorted(total, GAIN_SHARE * total[-1])) + 1, int(MAX_CHOSEN_SHARE * len(gains)))
@@ -58,6 +63,8 @@ def freed_vertices(faces: NDArray[np.int32], gains: Numbers) -> NDArray[np.bool_
     chosen = np.zeros(len(gains), dtype=bool)
     chosen[order[:count]] = True
     freed = grow(faces, chosen, FREED_RINGS)
+    if held is not None:
+        freed &= ~held
     return None if freed.mean() > MAX_FREED_SHARE else freed
 
 

@@ -411,19 +411,21 @@ class _Newton:
         gradient = self._coordinates(energy.gradient(points, terms, self.multipliers))
         alone = gradient[:, 0] ** 2 * self.own[:, 1, 1] - 2.0 * gradient[:, 0] * gradient[:, 1] * self.own[:, 0, 1]
         alone = (alone + gradient[:, 1] ** 2 * self.own[:, 0, 0]) / np.linalg.det(self.own)
-        freed = freed_vertices(self.surface.faces, alone + self.stiffness * energy.missing(terms) ** 2)
+        freed = freed_vertices(self.surface.faces, alone + self.stiffness * energy.missing(terms) ** 2, energy.held)
         if freed is None:
             return points, terms, 0
         steps = LocalSteps(energy, freed, points, terms, self.multipliers, self.stiffness, self.constrained)
         most = self.local_steps
         if self.strictness == 1.0:
             most = min(most, max(int(MAX_LOCAL_WORK / float(freed.mean())), 1))
-        moved, vertices, multipliers = steps.run(LOCAL_GAIN_SHARE * self._enough(terms), most)
+        moved, vertices, of_patches = steps.run(LOCAL_GAIN_SHARE * self._enough(terms), most)
+        multipliers = self.multipliers.copy()
+        multipliers[vertices] = of_patches
+        moved, multipliers = energy.completed(moved, multipliers)
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0
-        self.multipliers = self.multipliers.copy()
-        self.multipliers[vertices] = multipliers
+        self.multipliers = multipliers
         return moved, after, int(freed.sum())
 
     def _enough(self, terms: MapTerms) -> float:

@@ -51,13 +51,29 @@ def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     keys = low * count + high
     chord = on_boundary[tail] & on_boundary[head] & ~np.isin(keys, edge_keys(half, count))
-    split, number = np.unique(keys[chord], return_inverse=True)
-    edges = np.stack([split // count, split % count], axis=1)
-    midpoint = np.full(len(keys), -1, dtype=np.int64)
-    midpoint[chord] = count + number
+    split = np.unique(keys[chord])
+    return split_at(vertices, triangles, np.stack([split // count, split % count], axis=1))
+
+
+def split_at(vertices: NDArray[np.float64], faces: NDArray, edges: NDArray) -> SplitSurface:
+    """Split edges at their midpoints.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: shape [F, 3].
+        edges: pairs of vertices, the lower first and in ascending order, shape [K, 2].
+    """
+    count = len(vertices)
+    triangles, ends = np.asarray(faces, dtype=np.int64), np.asarray(edges, dtype=np.int64)
+    split = edge_keys(ends, count)
+    keys = edge_keys(np.stack([triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()], axis=1), count)
+    number = np.searchsorted(split, keys)
+    number[number == len(split)] = 0
+    found = split[number] == keys if len(split) else np.zeros(len(keys), dtype=bool)
+    midpoint = np.where(found, count + number, -1)
     return SplitSurface(
-        np.concatenate([vertices, 0.5 * (vertices[edges[:, 0]] + vertices[edges[:, 1]])]),
-        *_subdivided(triangles, midpoint.reshape(-1, 3), edges),
+        np.concatenate([vertices, 0.5 * vertices[ends[:, 0]] + 0.5 * vertices[ends[:, 1]]]),
+        *_subdivided(triangles, midpoint.reshape(-1, 3), ends),
     )
 
 
@@ -160,4 +176,4 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
     )
 
 
-__all__ = ["Double", "SplitSurface", "double", "quartered_double", "split_chords"]
+__all__ = ["Double", "SplitSurface", "double", "quartered_double", "split_at", "split_chords"]
