@@ -663,7 +663,20 @@ class _Run:
         found, weight = self.lowering_shape_weight(self.optimal, sphere, weight)
         if symmetric and self.shrunken:
             found, weight = self.nearer_to_optimal(initial, found, weight)
-        return found, weight
+        return self.with_room(found, weight), weight
+
+    def with_room(self, found: OptimalMap, weight: float) -> OptimalMap:
+        """Return the map of a half with long edges split if its areas are not even without; any other unchanged."""
+        mirror, sphere = self.mirror, found.sphere
+        if mirror is None or not is_symmetric(mirror, sphere) or self.own_area(sphere) <= LARGEST_AREA:
+            return found
+        split = self.split_long_edges(mirror, sphere)
+        if split is None:
+            return found
+        found = self.optimal(split.on_sphere(sphere), weight, split.interpolated(found.multipliers))
+        self.keep_steps(found)
+        self.measured = self.bounded(found.sphere)
+        return found
 
     def from_afar(self, sphere: NDArray[np.float64]) -> tuple[OptimalMap, float]:
         """Return the optimal map by continuation from a map that is far from it, and its weight of the shape term."""
