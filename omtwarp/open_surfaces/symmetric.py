@@ -70,6 +70,7 @@ def symmetric_optimal_map(
     cost: str = Cost.SQUARED,
     far: bool = False,
     shape_areas: Floats | None = None,
+    local_steps: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -83,6 +84,9 @@ def symmetric_optimal_map(
         shape_weight, area_weight, area_penalty, multipliers: as of :func:`omtwarp.optimal_map`.
         iterations, gain, cost, far, device, progress: as of :func:`omtwarp.optimal_map`.
         shape_areas: what every triangle counts in the shape term, in any unit, shape [2F]; its measure where left out.
+        local_steps: whether the few vertices that hold a step back take steps of their own. They help where needles or
+            limbs of few vertices cut most steps short: a half of an octopus ends at an area distortion of 2.0146 in
+            place of 2.0161 after 135 steps. Elsewhere they hinder: half of a bust takes more than 40 steps.
 
     Returns:
         The map, symmetric to the last bit.
@@ -103,6 +107,7 @@ def symmetric_optimal_map(
         softness=soft,
         shape_areas=shape_areas,
     )
+    energy.local_steps = local_steps
     return minimise(
         energy,
         given,
@@ -159,6 +164,7 @@ class _OnHalf(TransportEnergy):
 
     _double: Double
     _mirror: MirrorFactor
+    local_steps = False
     first_curvature_share = 1.0  # without local steps the half of a doll then takes 10 steps in place of 40
 
     def saddle_factor(self) -> SaddlePointFactor:
