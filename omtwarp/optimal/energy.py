@@ -91,7 +91,6 @@ class TransportEnergy:
     """
 
     local_steps = True
-    held: NDArray[np.bool_] | None = None
     first_curvature_share = MIN_CURVATURE_SHARE
     area_tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
     exact_tolerance = 1e-6
@@ -107,6 +106,7 @@ class TransportEnergy:
         softness: float = 0.0,
         shape_areas: Numbers | None = None,
     ):
+        self.held: NDArray[np.bool_] | None = None
         self.softness = wp.float64(softness)
         self.surface, self.device, self.shape_weight, self.cost_weight = surface, device, shape_weight, cost_weight
         self.area_weight = area_weight
