@@ -943,11 +943,14 @@ class _Run:
             excess = found.history[-1]["area"] - 2.0
             if excess <= LARGEST_AREA - 2.0 or self.area_weight == MOST_AREA_WEIGHT:
                 break
-            self.keep_steps(found)
             heavier = self.area_weight * (AREA_MARGIN * excess / (LARGEST_AREA - 2.0)) ** AREA_POWER
             self.area_weight = min(heavier, MOST_AREA_WEIGHT)
             solve = partial(solve, area_weight=self.area_weight)
-            found = solve(found.sphere, multipliers=found.multipliers, iterations=HEAVY_STEPS)
+            weighed = solve(found.sphere, multipliers=found.multipliers, iterations=HEAVY_STEPS)
+            if np.array_equal(weighed.sphere, found.sphere):
+                break  # no step made it better: with still heavier areas none would
+            self.keep_steps(found)
+            found = weighed
         return found
 
     def by_continuation(

@@ -102,7 +102,7 @@ def test_invented_meshes_are_the_same_each_time():
 @pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
 def test_warnings_of_open_surfaces_name_what_the_input_has(domain):
     """Warnings about doubled and filled surfaces name vertices and faces of the input, not those that were added."""
-    vertices, faces = lognormal_sphere(1.6, 4)
+    vertices, faces = lognormal_sphere(2.0, 4)
     middles = shapes.icosphere(4).vertices[faces].mean(axis=1)
     used, rest = np.unique(faces[middles[:, 2] < 0.3], return_inverse=True)
     vertices, faces = vertices[used], rest.reshape(-1, 3)
