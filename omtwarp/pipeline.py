@@ -184,7 +184,7 @@ ROUGH_ROUNDS = ((0.1, 300.0, 10.0, 15), (0.1, 400.0, 100.0, 30), (1.0, 400.0, 30
 FAR_AREA = 3.0
 # Rough halves begin with a map refined at growing weights, so many steps each, with long edges split. In refinement and
 # in the rounds after it triangles of fillings count this share of their area in the shape term: of half of a box they
-# are half the area, in needles. It ends at 2.002 to 2.004, depending on rounding, areas around vertices off by 1 to 2 %
+# are half the area, in needles. It ends at 2.001 to 2.004, depending on rounding, areas around vertices off by 1 to 7 %
 # (rms); with the rounds above at 2.05 to 2.09 and 3 to 15 %, where no edges are split at 2.009 to 2.021.
 REFINED_ROUGH = (((30.0, 30), (100.0, 30)), ((300.0, 30), (1000.0, 30)))
 ROUNDS_OF_ROUGH_HALVES = ((10.0, 1000.0, 3000.0, 30), (10.0, 1000.0, 3000.0, 30))
