@@ -488,7 +488,7 @@ def _map_part(
     surface = _surface(opened, weights)
     surface.names = _names(part, opened, names)
     if domain == "sphere":
-        closed = map_to_sphere(surface, progress=progress, **options)
+        closed = map_to_sphere(surface, progress=progress, **(options | {"keep_edges": True}))
         if options.get("exact"):
             opened, closed = _quartered(opened, closed, surface)
         result = _restricted(part, opened, closed, closed.sphere, domain)

@@ -205,7 +205,8 @@ class MapResult(Shown):
         transported: the optimal map before refinement, shape [V, 3], where it was made.
         measure: the area that every triangle was to have, total 4π, where weights were given, shape [F].
         target: the density asked for at the images of the vertices, mean 1, where one was given, shape [V].
-        vertex_origin: after a repair, the index of every vertex in the mesh before it, -1 for new ones; int64 [V].
+        vertex_origin: after a repair, quartering or the splitting of long edges, the index of every vertex in the mesh
+            before it, -1 for new ones; int64 [V].
         face_origin: the same of the faces, int64 [F].
         vertex_of_file: the vertex that each vertex of the file was, where the file held copies along the seams of a
             texture and the command line joined them; int64, shape [N].

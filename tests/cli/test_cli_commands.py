@@ -80,6 +80,7 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
         "device": "cpu",
         "solver": "auto",
         "exact": False,
+        "keep_edges": False,
         "weights": None,
         "target": None,
         "any_surface": None,
