@@ -677,9 +677,9 @@ class _Run:
     def with_room(self, found: OptimalMap, weight: float) -> OptimalMap:
         """Return the map of a half with long edges split if its areas are not even without; any other unchanged."""
         mirror, sphere = self.mirror, found.sphere
-        if mirror is None or not is_symmetric(mirror, sphere) or self.own_area(sphere) <= LARGEST_AREA:
+        if mirror is None or not is_symmetric(mirror, sphere):
             return found
-        split = self.split_double(mirror, sphere)
+        split = self.split_uneven(mirror, sphere)
         if split is None:
             return found
         found = self.optimal(split.on_sphere(sphere), weight, split.interpolated(found.multipliers))
@@ -703,10 +703,9 @@ class _Run:
             sphere = self.shaped(mirror, refiner, sphere, weight, steps)
         found, _ = self.by_continuation(sphere, (ROUND_OF_SHAPE,), far=True)
         sphere, multipliers = found.sphere, found.multipliers
-        if self.own_area(sphere) > LARGEST_AREA:
-            split = self.split_double(mirror, sphere)
-            if split is not None:
-                sphere, multipliers = split.on_sphere(sphere), split.interpolated(multipliers)
+        split = self.split_uneven(mirror, sphere)
+        if split is not None:
+            sphere, multipliers = split.on_sphere(sphere), split.interpolated(multipliers)
         return self.by_continuation(sphere, ROUNDS_OF_COST, multipliers, far=True)
 
     def own_area(self, sphere: NDArray[np.float64]) -> float:
@@ -717,6 +716,10 @@ class _Run:
         ratio *= wanted.sum() / float(ratio @ wanted)
         with np.errstate(divide="ignore"):
             return float(wanted @ (ratio + 1.0 / ratio) / wanted.sum())
+
+    def split_uneven(self, mirror: Double, sphere: NDArray[np.float64]) -> SplitDouble | None:
+        """Do what :meth:`split_double` does where areas of triangles are not as even as they are to be."""
+        return self.split_double(mirror, sphere) if self.own_area(sphere) > LARGEST_AREA else None
 
     def split_double(self, mirror: Double, sphere: NDArray[np.float64]) -> SplitDouble | None:
         """Split edges of a double that a symmetric map makes long, as :meth:`continue_with` says."""
