@@ -77,7 +77,7 @@ def test_invented_meshes_give_a_bijection_or_one_line_and_what_is_warned_of_was_
         return
     assert time.process_time() - begun < LONGEST, name
     for stage, sphere in every_stage(result).items():
-        assert is_bijective(sphere, faces), (name, stage)
+        assert is_bijective(sphere, result.faces), (name, stage)  # long edges may be split
     said = [finding for finding in result.report["warnings"] if finding["kind"] != "not-converged"]
     assert foretold or not said, (name, said)
 
