@@ -1344,7 +1344,7 @@ def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -
     """Return the map of a surface, quartered or with edges split, from that of the surface in another order."""
     vertices, faces = ordered.vertices, ordered.faces
     arrays: dict[str, NDArray] = {"vertices": surface.vertices, "faces": surface.faces}
-    if result.face_origin is not None and result.report.get("exact"):
+    if result.report.get("exact"):
         quartered = quarter(surface)
         vertices, faces = ordered.of_parts(quartered)
         arrays = {"vertices": quartered.surface.vertices, "faces": quartered.surface.faces}
@@ -1374,12 +1374,10 @@ def _split_in_order_of(
     numbers = np.empty_like(along)
     numbers[along] = np.arange(len(along))
     faces, origin = vertices[result.faces[along]].astype(np.int32), origin[along]
-    whole = np.bincount(origin, minlength=surface.face_count)[origin] == 1
+    whole = np.bincount(origin)[origin] == 1
     faces[whole] = surface.faces[origin[whole]]  # which begin at the same corner as in the input
-    positions = result.vertices[np.argsort(vertices)]
     vertex_origin = np.where(np.arange(count) < surface.vertex_count, np.arange(count), -1)
-    arrays = {"vertices": positions, "faces": faces, "vertex_origin": vertex_origin, "face_origin": origin}
-    return vertices, numbers, arrays
+    return vertices, numbers, {"faces": faces, "vertex_origin": vertex_origin, "face_origin": origin}
 
 
 def versions() -> dict[str, str]:

@@ -9,8 +9,8 @@ from omtwarp.options import Domain
 
 # Degrees are whole numbers but for the round-off of a million solid angles, as in omtwarp.spheres.
 WHOLE_COVER = 1e-6
-# Above this gap the bound says little of the least cost: on a bracket, half of whose conformal map is flipped, it is
-# a ten-thousandth of the cost of the map.
+# Above this gap the bound says little of the least cost: on a bracket, two fifths of whose conformal map are flipped,
+# it is less than a ten-thousandth of the cost of the map.
 LOOSE_GAP = 1.0
 
 if TYPE_CHECKING:

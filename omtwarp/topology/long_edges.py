@@ -32,16 +32,19 @@ class SplitClosed:
     """A closed surface some of whose edges were split at their midpoints.
 
     Attributes:
-        surface: W' vertices, the new ones last.
+        surface: W' vertices and F' faces.
         ends: the vertices before that each vertex lies halfway between, twice the same for old ones, shape [W', 2].
-        vertex_origin: the vertex before that each vertex is, -1 for new ones, shape [W'].
         face_origin: the face before that each face is a part of, shape [F'].
     """
 
     surface: Surface
     ends: Places
-    vertex_origin: Places
     face_origin: Places
+
+    @property
+    def vertex_origin(self) -> Places:
+        """The vertex before that each vertex is, -1 for new ones, shape [W']."""
+        return _old_vertices(self.ends)
 
     def on_sphere(self, points: Floats) -> Floats:
         """Return a map of the surface before, shape [W, 3], with new vertices in the middle of great circles."""
@@ -79,7 +82,8 @@ def split_long_edges(surface: Surface, sphere: Floats) -> SplitClosed | None:
         return None
     split = split_at(surface.vertices, surface.faces, long)
     ends = np.concatenate([_themselves(surface.vertex_count), split.split_edges])
-    return SplitClosed(*_split(surface, split.vertices, split.faces, ends, split.face_origin))
+    finer = _finer(surface, split.vertices, split.faces, ends, split.face_origin)
+    return SplitClosed(finer, ends, split.face_origin)
 
 
 def split_long_edges_of_double(halves: Double, surface: Surface, sphere: Floats) -> SplitDouble | None:
@@ -100,7 +104,7 @@ def split_long_edges_of_double(halves: Double, surface: Surface, sphere: Floats)
     copied = np.flatnonzero(finer.copied)
     ends = np.concatenate([ends, halves.mirror[ends[finer.mirror[copied]]]])
     origin = np.concatenate([split.face_origin, own + split.face_origin])
-    return SplitDouble(*_split(surface, finer.vertices, finer.faces, ends, origin), finer)
+    return SplitDouble(_finer(surface, finer.vertices, finer.faces, ends, origin), ends, origin, finer)
 
 
 def _long(edges: NDArray[np.int32], sphere: Floats, face_count: int) -> NDArray[np.int32]:
@@ -115,21 +119,23 @@ def _themselves(count: int) -> Places:
     return np.repeat(np.arange(count)[:, None], 2, axis=1)
 
 
-def _split(
-    surface: Surface, vertices: Floats, faces: NDArray, ends: Places, origin: Places
-) -> tuple[Surface, Places, Places, Places]:
-    """Return the finer surface, with areas and names of its parts, then the ends and origins as given."""
+def _old_vertices(ends: Places) -> Places:
+    """Return the vertex that each vertex was before, by its ends, -1 for new ones, shape [V']."""
+    return np.where(ends[:, 0] == ends[:, 1], ends[:, 0], -1)
+
+
+def _finer(surface: Surface, vertices: Floats, faces: NDArray, ends: Places, origin: Places) -> Surface:
+    """Return the surface of parts, with the areas and names that they get from a surface's triangles and vertices."""
     areas = None
     if surface.weighted:
         parts = triangle_areas(vertices, faces)
         whole = np.bincount(origin, parts, surface.face_count)
         areas = surface.face_areas[origin] * parts / whole[origin]
-    known = np.where(ends[:, 0] == ends[:, 1], ends[:, 0], -1)
     found = Surface(vertices, faces, areas)
     found.checked = surface.checked
     if surface.names is not None:
-        found.names = surface.names.of(known, origin)
-    return found, ends, known, origin
+        found.names = surface.names.of(_old_vertices(ends), origin)
+    return found
 
 
 __all__ = ["SplitClosed", "SplitDouble", "split_long_edges", "split_long_edges_of_double"]

@@ -163,7 +163,7 @@ def test_halves_of_a_drawn_part_and_of_long_limbs(name, split, gap):
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """A smooth shape that is taken for a drawn part, with edges above the median length taken for long ones."""
+    """A smooth shape that is taken for a drawn part, with edges above 0.1 radians taken for long ones."""
     monkeypatch.setattr(pipeline._Run, "rough", property(lambda run: True))
     monkeypatch.setattr(pipeline, "ROUGH_LARGEST_AREA", 2.0)
     monkeypatch.setattr(long_edges, "LONG", 0.1)
