@@ -66,6 +66,21 @@ def half_angle(x: wp.float64, y: wp.float64) -> wp.vec2d:
     return wp.vec2d(HALF * y / (length * sine), sine)
 
 
+@wp.func
+def distortion_terms(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Return the angle distortion less 2, D, det[s0, s1, s2] and needle barrier of a triangle."""
+    c1 = first_column(frame, a, b)
+    c2 = second_column(frame, a, b, c)
+    d = wp.length(wp.cross(c1, c2))
+    # (s1 - s2)² / (s1 s2): no digits are lost where the map is nearly conformal.
+    square = wp.dot(c1, c1) - wp.dot(c2, c2)
+    shear = wp.dot(c1, c2)
+    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
+    angle = (square * square + wp.float64(4.0) * shear * shear) / (d * (fro + TWO * d))
+    solid = oriented_volume(a, b, c)
+    return angle, d, solid, needle(solid * frame[0] * frame[2] / d)
+
+
 @wp.kernel
 def triangle_terms(
     sphere: wp.array[wp.vec3d],
@@ -80,21 +95,48 @@ def triangle_terms(
     """Compute the angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
     t = wp.tid()
     face = faces[t]
-    a = sphere[face[0]]
-    b = sphere[face[1]]
-    c = sphere[face[2]]
-    c1 = first_column(frames[t], a, b)
-    c2 = second_column(frames[t], a, b, c)
-    d = wp.length(wp.cross(c1, c2))
-    # (s1 - s2)² / (s1 s2): no digits are lost where the map is nearly conformal.
-    square = wp.dot(c1, c1) - wp.dot(c2, c2)
-    shear = wp.dot(c1, c2)
-    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
-    angle_excess[t] = (square * square + wp.float64(4.0) * shear * shear) / (d * (fro + TWO * d))
+    angle, d, solid, steep = distortion_terms(frames[t], sphere[face[0]], sphere[face[1]], sphere[face[2]])
+    angle_excess[t] = angle
     ratio[t] = d
-    solid = oriented_volume(a, b, c)
     volume[t] = solid
-    steepness[t] = needle(solid * frames[t][0] * frames[t][2] / d)
+    steepness[t] = steep
+
+
+@wp.func
+def distortion_gradient(
+    frame: wp.vec3d,
+    area: wp.float64,
+    a: wp.vec3d,
+    b: wp.vec3d,
+    c: wp.vec3d,
+    linear: wp.float64,
+    inverse: wp.float64,
+    barrier: wp.float64,
+):
+    """Return the gradient of A [fro / D + linear D + inverse / D + barrier needle] by the corners, one per row."""
+    c1 = first_column(frame, a, b)
+    c2 = second_column(frame, a, b, c)
+    normal = wp.cross(c1, c2)
+    d = wp.length(normal)
+    normal = normal / d
+    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
+    by_fro = TWO * area / d
+    by_det = area * (linear - (fro + inverse) / (d * d))
+    scale = frame[0] * frame[2]
+    cosine = oriented_volume(a, b, c) * scale / d
+    upright = area * barrier * needle_slope(cosine) / d
+    # The cosine is the ratio of the volume to D: its derivative by D joins that of the energy.
+    by_det -= upright * cosine
+    g1 = by_fro * c1 + by_det * wp.cross(c2, normal)
+    g2 = by_fro * c2 + by_det * wp.cross(normal, c1)
+    first = first_weights(frame)
+    second = second_weights(frame)
+    upright *= scale
+    return wp.matrix_from_rows(
+        first[0] * g1 + second[0] * g2 + upright * wp.cross(b, c),
+        first[1] * g1 + second[1] * g2 + upright * wp.cross(c, a),
+        first[2] * g1 + second[2] * g2 + upright * wp.cross(a, b),
+    )
 
 
 @wp.kernel
@@ -112,31 +154,12 @@ def triangle_gradient(
     """Compute the gradient of A [fro / D + linear D + inverse / D + barrier needle] by the corners, shape [3F]."""
     t = wp.tid()
     face = faces[t]
-    frame = frames[t]
     a = sphere[face[0]]
     b = sphere[face[1]]
     c = sphere[face[2]]
-    c1 = first_column(frame, a, b)
-    c2 = second_column(frame, a, b, c)
-    normal = wp.cross(c1, c2)
-    d = wp.length(normal)
-    normal = normal / d
-    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
-    by_fro = TWO * areas[t] / d
-    by_det = areas[t] * (linear - (fro + inverse) / (d * d))
-    scale = frame[0] * frame[2]
-    cosine = oriented_volume(a, b, c) * scale / d
-    upright = areas[t] * barrier * needle_slope(cosine) / d
-    # The cosine is the ratio of the volume to D: its derivative by D joins that of the energy.
-    by_det -= upright * cosine
-    g1 = by_fro * c1 + by_det * wp.cross(c2, normal)
-    g2 = by_fro * c2 + by_det * wp.cross(normal, c1)
-    first = first_weights(frame)
-    second = second_weights(frame)
-    upright *= scale
-    corner_gradient[3 * t] = first[0] * g1 + second[0] * g2 + upright * wp.cross(b, c)
-    corner_gradient[3 * t + 1] = first[1] * g1 + second[1] * g2 + upright * wp.cross(c, a)
-    corner_gradient[3 * t + 2] = first[2] * g1 + second[2] * g2 + upright * wp.cross(a, b)
+    rows = distortion_gradient(frames[t], areas[t], a, b, c, linear, inverse, barrier)
+    for k in range(3):
+        corner_gradient[3 * t + k] = rows[k]
 
 
 @wp.kernel
@@ -159,36 +182,22 @@ def gather_tangent(
     gradient[i] = (total - wp.dot(total, y) * y) / divisor
 
 
-@wp.kernel
-def triangle_hessian(
-    sphere: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    frames: wp.array[wp.vec3d],
-    areas: wp.array[wp.float64],
+@wp.func
+def distortion_hessian(
+    t: int,
+    frame: wp.vec3d,
+    share: wp.float64,
+    a: wp.vec3d,
+    b: wp.vec3d,
+    c: wp.vec3d,
     linear: wp.float64,
     inverse: wp.float64,
     barrier: wp.float64,
     curvature_share: wp.float64,
-    divisor: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
-    """Compute the Hessian of A [fro / D + linear D + inverse / D + barrier needle] in tangent bases, divided, [F, 21].
-
-    The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
-    known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
-    flip and two scalings. Negative eigenvalues are cut off, which makes the matrix positive semidefinite.
-
-    ``curvature_share``, 0 to 1, is the share of the curvature of D that is kept; its factor is the pressure of the
-    triangle. Far from the minimum all of it is needed. Near the minimum the pressure varies smoothly, the curvatures of
-    neighbouring triangles cancel, and a matrix that drops only the negative ones would be too stiff.
-    """
-    t, _compiled_once = wp.tid()
-    face = faces[t]
-    frame = frames[t]
-    a = sphere[face[0]]
-    b = sphere[face[1]]
-    c = sphere[face[2]]
+    """Compute row t of the Hessian as :func:`triangle_hessian` describes it; ``share`` is area over divisor."""
     c1 = first_column(frame, a, b)
     c2 = second_column(frame, a, b, c)
     normal = wp.normalize(wp.cross(c1, c2))
@@ -230,7 +239,6 @@ def triangle_hessian(
     tilt = oriented_volume(a, b, c) * scale / d
     upright = wp.sqrt(barrier * needle_curvature(tilt)) / d
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
-    share = areas[t] / divisor
     modes = wp.matrix(dtype=wp.float64, shape=(6, 5))
     for i in range(3):
         yi = points[i]
@@ -260,6 +268,39 @@ def triangle_hessian(
 
 
 @wp.kernel
+def triangle_hessian(
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
+    linear: wp.float64,
+    inverse: wp.float64,
+    barrier: wp.float64,
+    curvature_share: wp.float64,
+    divisor: wp.float64,
+    # Data out:
+    hessian: wp.array2d[wp.float64],
+):
+    """Compute the Hessian of A [fro / D + linear D + inverse / D + barrier needle] in tangent bases, divided, [F, 21].
+
+    The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
+    known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
+    flip and two scalings. Negative eigenvalues are cut off, which makes the matrix positive semidefinite.
+
+    ``curvature_share``, 0 to 1, is the share of the curvature of D that is kept; its factor is the pressure of the
+    triangle. Far from the minimum all of it is needed. Near the minimum the pressure varies smoothly, the curvatures of
+    neighbouring triangles cancel, and a matrix that drops only the negative ones would be too stiff.
+    """
+    t, _compiled_once = wp.tid()
+    face = faces[t]
+    a = sphere[face[0]]
+    b = sphere[face[1]]
+    c = sphere[face[2]]
+    share = areas[t] / divisor
+    distortion_hessian(t, frames[t], share, a, b, c, linear, inverse, barrier, curvature_share, hessian)
+
+
+@wp.kernel
 def newton_decrements(
     sphere: wp.array[wp.vec3d],
     gradient: wp.array[wp.vec3d],
@@ -285,27 +326,3 @@ def newton_decrements(
     decrement[i] = ZERO
     if determinant > ZERO:
         decrement[i] = (c * x0 * x0 - TWO * b * x0 * x1 + a * x1 * x1) / determinant
-
-
-@wp.kernel
-def take_vectors(
-    vectors: wp.array[wp.vec3d],
-    places: wp.array[wp.int32],
-    # Data out:
-    taken: wp.array[wp.vec3d],
-):
-    """Gather the vectors at some indices."""
-    i = wp.tid()
-    taken[i] = vectors[places[i]]
-
-
-@wp.kernel
-def put_vectors(
-    places: wp.array[wp.int32],
-    vectors: wp.array[wp.vec3d],
-    # Data out:
-    whole: wp.array[wp.vec3d],
-):
-    """Scatter vectors to their indices, of which none occurs twice."""
-    i = wp.tid()
-    whole[places[i]] = vectors[i]

@@ -15,6 +15,12 @@ ROUND_OFF = wp.constant(wp.float64(1e-14))
 LEAST_SHARE = wp.constant(wp.float64(0.01))
 
 
+@wp.func
+def keeps_volume(after: wp.float64, before: wp.float64) -> bool:
+    """Return whether a triangle is not flipped and keeps some of its volume; a NaN does not."""
+    return after > MIN_VOLUME_SHARE * before and (after > ROUND_OFF or after >= before)
+
+
 @wp.kernel
 def retract_to_sphere(
     sphere: wp.array[wp.vec3d],
@@ -45,8 +51,7 @@ def triangle_trouble(
     t = wp.tid()
     face = faces[t]
     after = oriented_volume(moved[face[0]], moved[face[1]], moved[face[2]])
-    # Written so that a NaN counts as trouble.
-    if after > MIN_VOLUME_SHARE * volume[t] and (after > ROUND_OFF or after >= volume[t]):
+    if keeps_volume(after, volume[t]):
         trouble[t] = wp.int32(0)
     else:
         trouble[t] = wp.int32(1)

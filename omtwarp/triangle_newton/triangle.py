@@ -45,6 +45,13 @@ def first_tangent(y: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
+def in_tangent(y: wp.vec3d, x0: wp.float64, x1: wp.float64) -> wp.vec3d:
+    """Move a point by coordinates in its tangent basis, and project it to the sphere."""
+    t = first_tangent(y)
+    return wp.normalize(y + x0 * t + x1 * wp.cross(y, t))
+
+
+@wp.func
 def barrier(d: wp.float64, eps: wp.float64) -> wp.float64:
     """Return χ(D, ε) = (D + sqrt(D² + ε²)) / 2 of Garanzha et al. (2021).
 
@@ -74,6 +81,7 @@ __all__ = [
     "first_column",
     "first_tangent",
     "first_weights",
+    "in_tangent",
     "second_column",
     "second_weights",
 ]

@@ -22,6 +22,7 @@ from omtwarp.triangle_newton.triangle import (
     first_column,
     first_tangent,
     first_weights,
+    in_tangent,
     second_column,
     second_weights,
 )
@@ -42,6 +43,17 @@ def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
     return TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
 
 
+@wp.func
+def untangle_energy(
+    frame: wp.vec3d, area: wp.float64, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, eps: wp.float64, weight: wp.float64
+) -> wp.float64:
+    c1 = first_column(frame, a, b)
+    c2 = second_column(frame, a, b, c)
+    d = signed_ratio(frame, a, b, c)
+    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
+    return area * (fro + weight * (d * d + ONE)) / barrier(d, eps)
+
+
 @wp.kernel
 def untangle_value(
     sphere: wp.array[wp.vec3d],
@@ -60,11 +72,7 @@ def untangle_value(
     a = sphere[face[0]]
     b = sphere[face[1]]
     c = sphere[face[2]]
-    c1 = first_column(frames[t], a, b)
-    c2 = second_column(frames[t], a, b, c)
-    d = signed_ratio(frames[t], a, b, c)
-    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
-    value[t] = areas[t] * (fro + weight * (d * d + ONE)) / barrier(d, epsilon[t])
+    value[t] = untangle_energy(frames[t], areas[t], a, b, c, epsilon[t], weight)
     solid[t] = solid_angle(a, b, c)
 
 
@@ -82,31 +90,26 @@ def solid_angles(
 
 # Unlike in triangle_hessian of refinement, which is built from eigenvectors, the area ratio is signed and the barrier a
 # function of it: the two share only the columns of the Jacobian and the tangent bases.
-@wp.kernel
-def untangle_newton(
-    sphere: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    frames: wp.array[wp.vec3d],
-    areas: wp.array[wp.float64],
-    epsilon: wp.array[wp.float64],
+@wp.func
+def untangle_derivatives(
+    t: int,
+    frame: wp.vec3d,
+    area: wp.float64,
+    a: wp.vec3d,
+    b: wp.vec3d,
+    c: wp.vec3d,
+    eps: wp.float64,
     weight: wp.float64,
     # Data out:
     gradient: wp.array2d[wp.float64],
     hessian: wp.array2d[wp.float64],
 ):
-    """Compute gradient [F, 6] and Hessian [F, 21], see :func:`packed`, in the tangent bases of the three corners."""
-    t, _compiled_once = wp.tid()
-    face = faces[t]
-    frame = frames[t]
-    a = sphere[face[0]]
-    b = sphere[face[1]]
-    c = sphere[face[2]]
+    """Compute row t of the gradient and the Hessian, as :func:`untangle_newton` describes them."""
     c1 = first_column(frame, a, b)
     c2 = second_column(frame, a, b, c)
     scale = frame[0] * frame[2]
     d = oriented_volume(a, b, c) * scale
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
-    eps = epsilon[t]
     chi = barrier(d, eps)
     slope = barrier_slope(d, eps)
     curve = barrier_curvature(d, eps)
@@ -125,33 +128,54 @@ def untangle_newton(
     second = second_weights(frame)
     points = wp.matrix_from_rows(a, b, c)
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
+    bases = wp.matrix(dtype=wp.float64, shape=(6, 3))
+    by_columns = wp.matrix(dtype=wp.float64, shape=(6, 2))  # along bases: |J|² / 2, and D
     for i in range(3):
-        yi = wp.vec3d(points[i, 0], points[i, 1], points[i, 2])
-        ti = first_tangent(yi)
-        ni = wp.vec3d(normals[i, 0], normals[i, 1], normals[i, 2])
+        yi = points[i]
         pull = first[i] * c1 + second[i] * c2
+        basis = first_tangent(yi)
         for u in range(2):
-            bi = ti
             if u == 1:
-                bi = wp.cross(yi, ti)
-            fi = wp.dot(bi, pull)
-            di = wp.dot(bi, ni)
-            gradient[t, 2 * i + u] = areas[t] * (TWO * by_fro * fi + by_det * di)
-            for j in range(i, 3):
-                yj = wp.vec3d(points[j, 0], points[j, 1], points[j, 2])
-                tj = first_tangent(yj)
-                nj = wp.vec3d(normals[j, 0], normals[j, 1], normals[j, 2])
-                pull_j = first[j] * c1 + second[j] * c2
-                for v in range(2):
-                    bj = tj
-                    if v == 1:
-                        bj = wp.cross(yj, tj)
-                    fj = wp.dot(bj, pull_j)
-                    dj = wp.dot(bj, nj)
-                    entry = TWO * by_fro * (first[i] * first[j] + second[i] * second[j]) * wp.dot(bi, bj)
-                    entry += mixed * (fi * dj + di * fj) + by_det_twice * di * dj
-                    if 2 * i + u <= 2 * j + v:
-                        hessian[t, packed(2 * i + u, 2 * j + v)] = areas[t] * entry
+                basis = wp.cross(yi, basis)
+            k = 2 * i + u
+            bases[k, 0] = basis[0]
+            bases[k, 1] = basis[1]
+            bases[k, 2] = basis[2]
+            by_columns[k, 0] = wp.dot(basis, pull)
+            by_columns[k, 1] = wp.dot(basis, normals[i])
+            gradient[t, k] = area * (TWO * by_fro * by_columns[k, 0] + by_det * by_columns[k, 1])
+    for k in range(6):
+        i = k // 2
+        fi = by_columns[k, 0]
+        di = by_columns[k, 1]
+        for m in range(k, 6):
+            j = m // 2
+            fj = by_columns[m, 0]
+            dj = by_columns[m, 1]
+            entry = TWO * by_fro * (first[i] * first[j] + second[i] * second[j]) * wp.dot(bases[k], bases[m])
+            entry += mixed * (fi * dj + di * fj) + by_det_twice * di * dj
+            hessian[t, packed(k, m)] = area * entry
+
+
+@wp.kernel
+def untangle_newton(
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
+    epsilon: wp.array[wp.float64],
+    weight: wp.float64,
+    # Data out:
+    gradient: wp.array2d[wp.float64],
+    hessian: wp.array2d[wp.float64],
+):
+    """Compute gradient [F, 6] and Hessian [F, 21], see :func:`packed`, in the tangent bases of the three corners."""
+    t, _compiled_once = wp.tid()
+    face = faces[t]
+    a = sphere[face[0]]
+    b = sphere[face[1]]
+    c = sphere[face[2]]
+    untangle_derivatives(t, frames[t], areas[t], a, b, c, epsilon[t], weight, gradient, hessian)
 
 
 @wp.kernel
@@ -163,6 +187,4 @@ def move_in_tangent(
 ):
     """Move points by coordinates [V, 2] in their tangent bases, and project them to the sphere."""
     i = wp.tid()
-    y = sphere[i]
-    t = first_tangent(y)
-    moved[i] = wp.normalize(y + step[i, 0] * t + step[i, 1] * wp.cross(y, t))
+    moved[i] = in_tangent(sphere[i], step[i, 0], step[i, 1])

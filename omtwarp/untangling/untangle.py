@@ -31,7 +31,9 @@ from omtwarp.options import Progress
 from omtwarp.triangle_newton.frames import triangle_frames
 from omtwarp.triangle_newton.line_search import search_patches
 from omtwarp.triangle_newton.newton import NewtonMatrix
+from omtwarp.triangle_newton.small_patches import SmallPatches, shared
 from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
+from omtwarp.untangling.patch_kernels import Untangling, untangle_small_patches
 
 
 @dataclass(frozen=True)
@@ -270,7 +272,6 @@ class _Untangling:
             freed &= ~held
         self.whole = Patches.of_vertices(surface.faces, freed)
         self.frames = triangle_frames(surface, schedule.thinnest, self.whole.triangles)
-        self._take(self.whole)
         covered = self._covered(vectors(sphere[self.whole.vertices], device), self.whole)
         # The surroundings of a patch determine the area that it has to cover, up to whole spheres; the whole map covers
         # one.
@@ -312,6 +313,31 @@ class _Untangling:
 
     def solve(self, budget: RepairBudget) -> tuple[NDArray[np.float64], int]:
         """Lower ε to its smallest, or until no patch has a flip; return the map and the number of rounds."""
+        small = SmallPatches.of(self.whole)
+        rounds = self._solve_together(budget) if small is None else self._solve_alone(small, budget)
+        self._take_back()
+        return self.result, rounds
+
+    def _solve_alone(self, small: SmallPatches, budget: RepairBudget) -> int:
+        """Solve each patch by a thread of its own, and return the largest number of rounds."""
+        whole, schedule = self.whole, self.schedule
+        given = Untangling()
+        given.factor, given.largest, given.smallest = schedule.factor, schedule.largest, SMALLEST_EPSILON
+        given.weight, given.damping, given.settled_gain = schedule.weight, DAMPING, SETTLED_GAIN
+        given.steps, given.halvings = schedule.steps, MAX_HALVINGS
+        given.most = max(int(np.ceil((budget.granted - budget.spent) / (whole.free + STEP_WORK))), 1)
+        meshes = small.meshes(self.frames, self.surface.face_areas[whole.triangles])
+        steps, rounds = (np.empty(whole.count, dtype=np.int32) for _ in range(2))
+        inputs = [meshes, shared(self.share, wp.float64), given]
+        outputs = [small.scratch(), shared(steps, wp.int32), shared(rounds, wp.int32)]
+        points = small.launch(untangle_small_patches, self.sphere[whole.vertices], inputs, outputs)
+        self.result[whole.vertices[: whole.free]] = points
+        budget.spent += int(steps @ small.sizes) + STEP_WORK * int(steps.max())
+        return int(rounds.max())
+
+    def _solve_together(self, budget: RepairBudget) -> int:
+        """Solve all patches by steps with one sparse matrix, and return the number of rounds."""
+        self._take(self.whole)
         points = wp.array(self.sphere[self.patches.vertices], dtype=wp.vec3d, device=self.device)
         epsilon = np.full(self.whole.count, self.schedule.largest)
         active = np.ones(self.whole.count, dtype=bool)
@@ -334,8 +360,7 @@ class _Untangling:
                 points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
                 epsilon, active = epsilon[active], active[active]
         self._keep(points.numpy())
-        self._take_back()
-        return self.result, rounds
+        return rounds
 
     def _take_back(self) -> None:
         """Restore patches that ended with no fewer flips; the next attempt frees more around them.

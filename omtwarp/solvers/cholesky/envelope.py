@@ -1,0 +1,69 @@
+"""The order and storage of :mod:`omtwarp.solvers.cholesky.envelope_kernels` for many small matrices at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from omtwarp.device.start import wp
+
+
+@dataclass(frozen=True, eq=False)
+class Envelopes:
+    """Independent matrices whose patterns are the edges between vertices, two unknowns to a vertex.
+
+    Attributes:
+        order: the vertices in the order of elimination, those of each matrix together, shape [N].
+        starts: where each matrix begins in that order, and N, int32, shape [count + 1].
+        first: the first place in the order that is joined to each place, or the place itself, int32, shape [N].
+        rows: where the blocks of each place begin among all blocks, int64, shape [N].
+        size: number of blocks of all matrices.
+        operations: multiplications of a factorisation of each matrix, shape [count].
+    """
+
+    order: NDArray[np.intp]
+    starts: NDArray[np.int32]
+    first: NDArray[np.int32]
+    rows: NDArray[np.int64]
+    size: int
+    operations: NDArray[np.float64]
+
+    @classmethod
+    def of_edges(cls, edges: NDArray[np.integer], matrix: NDArray[np.integer], count: int) -> Envelopes:
+        """Order the vertices for a small bandwidth (Cuthill and McKee 1969, reversed).
+
+        Args:
+            edges: pairs of vertices in the same matrix, in any order and any number of times, shape [E, 2].
+            matrix: which matrix each vertex is in, 0 to count - 1, shape [N].
+            count: number of matrices.
+        """
+        vertices = len(matrix)
+        ends = np.concatenate([edges, edges[:, ::-1]]).T
+        graph = sparse.coo_matrix((np.ones(ends.shape[1], dtype=np.int8), ends), shape=(vertices, vertices)).tocsr()
+        order = reverse_cuthill_mckee(graph, symmetric_mode=True)
+        order = order[np.argsort(matrix[order], kind="stable")]
+        place = np.empty(vertices, dtype=np.int32)
+        place[order] = np.arange(vertices, dtype=np.int32)
+        low, high = np.sort(place[edges], axis=1).T
+        first = np.arange(vertices, dtype=np.int32)
+        np.minimum.at(first, high, low)
+        starts = np.zeros(count + 1, dtype=np.int32)
+        np.cumsum(np.bincount(matrix, minlength=count), out=starts[1:])
+        widths = np.arange(vertices) - first + 1
+        operations = np.bincount(matrix[order], 4.0 * widths**2, count).astype(np.float64, copy=False)
+        return cls(order, starts, first, np.cumsum(widths) - widths, int(widths.sum()), operations)
+
+    def upload(self) -> list[wp.array]:
+        """Return starts, first and rows as arrays that kernels on the host read."""
+        return [
+            wp.array(self.starts, dtype=wp.int32, device="cpu", copy=False),
+            wp.array(self.first, dtype=wp.int32, device="cpu", copy=False),
+            wp.array(self.rows, dtype=wp.int64, device="cpu", copy=False),
+        ]
+
+
+__all__ = ["Envelopes"]

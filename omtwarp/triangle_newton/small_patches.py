@@ -1,0 +1,134 @@
+"""Patches small enough that one thread takes all Newton steps of each, in one launch.
+
+Step by step, a patch of fifty vertices takes 2.5 milliseconds for every Newton step, nearly all of it for some twenty
+launches; in one launch it takes 0.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.start import wp
+from omtwarp.device.threads import core_count, load, run_all
+from omtwarp.mesh.patches import Patches
+from omtwarp.solvers.cholesky.envelope import Envelopes
+from omtwarp.triangle_newton.newton import DIAGONAL_SHIFTS
+from omtwarp.triangle_newton.patch_kernels import PatchMeshes, PatchScratch
+
+# Multiplications of the largest patch's factorisation: beyond some 1,500 vertices the multifrontal one takes less time.
+MAX_OPERATIONS = 2e7
+MIN_SHARED_TRIANGLES = 500  # with fewer a second thread costs more than it saves
+
+
+@dataclass(frozen=True, eq=False)
+class SmallPatches:
+    """Patches with their free vertices in the order of elimination, and their triangles patch by patch.
+
+    The host does the work, also where maps are on a CUDA device: there are few patches, of uneven sizes.
+
+    Attributes:
+        patches: as they were given.
+        envelopes: the order and the storage of their matrices.
+        triangles: indices of the patches' triangles sorted by patch, shape [T].
+        face_starts: where the triangles of each patch begin among these, and T, int32, shape [count + 1].
+    """
+
+    patches: Patches
+    envelopes: Envelopes
+    triangles: NDArray[np.intp]
+    face_starts: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, patches: Patches) -> SmallPatches | None:
+        """Order the free vertices and the triangles of patches; return None where one of the patches is too large."""
+        sides = np.concatenate([patches.faces[:, [0, 1]], patches.faces[:, [1, 2]], patches.faces[:, [2, 0]]])
+        sides = sides[(sides[:, 0] < patches.free) & (sides[:, 1] < patches.free)]
+        envelopes = Envelopes.of_edges(sides, patches.vertex_patch, patches.count)
+        if envelopes.operations.max() > MAX_OPERATIONS:
+            return None
+        face_starts = np.zeros(patches.count + 1, dtype=np.int32)
+        np.cumsum(np.bincount(patches.face_patch, minlength=patches.count), out=face_starts[1:])
+        return cls(patches, envelopes, np.argsort(patches.face_patch, kind="stable"), face_starts)
+
+    @property
+    def sizes(self) -> NDArray[np.int32]:
+        """Free vertices of each patch, shape [count]."""
+        return np.diff(self.envelopes.starts)
+
+    def meshes(self, frames: NDArray[np.float64], areas: NDArray[np.float64]) -> PatchMeshes:
+        """Return what kernels read of the patches.
+
+        Args:
+            frames: of their triangles, shape [T, 3]; see :mod:`omtwarp.triangle_newton.triangle`.
+            areas: of their triangles on the surface, shape [T].
+        """
+        order = self.envelopes.order
+        place = np.arange(len(self.patches.vertices), dtype=np.int32)
+        place[order] = np.arange(len(order), dtype=np.int32)
+        meshes = PatchMeshes()
+        meshes.starts, meshes.first, meshes.rows = self.envelopes.upload()
+        meshes.face_starts = shared(self.face_starts, wp.int32)
+        meshes.faces = shared(place[self.patches.faces[self.triangles]], wp.vec3i)
+        meshes.frames = shared(frames[self.triangles], wp.vec3d)
+        meshes.areas = shared(areas[self.triangles], wp.float64)
+        meshes.shifts = shared(np.array(DIAGONAL_SHIFTS), wp.float64)
+        return meshes
+
+    def scratch(self) -> PatchScratch:
+        """Return memory for one launch."""
+        triangles, free = len(self.triangles), self.patches.free
+        scratch = PatchScratch()
+        scratch.gradient = shared(np.empty((triangles, 6)), wp.float64)
+        scratch.blocks = shared(np.empty((triangles, 21)), wp.float64)
+        scratch.matrix = shared(np.empty((self.envelopes.size, 2, 2)), wp.mat22d)
+        scratch.slopes, scratch.direction = (shared(np.empty(2 * free), wp.float64) for _ in range(2))
+        return scratch
+
+    def launch(
+        self, kernel: wp.Kernel, points: NDArray[np.float64], inputs: list[object], outputs: list[object]
+    ) -> NDArray[np.float64]:
+        """Launch a kernel over all patches, on all cores, and return the free vertices' points, shape [free, 3].
+
+        Args:
+            kernel: takes a list of patches, the inputs, the patches' points and those of steps that are tried, both
+                with the map at the beginning, and the outputs. A thread works on one patch of the list.
+            points: of the patches' vertices, shape [P, 3].
+            inputs, outputs: further arguments.
+        """
+        order = self.envelopes.order
+        moved = points.copy()
+        moved[: len(order)] = points[order]
+        tried = moved.copy()
+        state = [shared(moved, wp.vec3d), shared(tried, wp.vec3d), *outputs]
+        load(kernel, "cpu")
+
+        def run(group: NDArray[np.int32]) -> None:
+            arguments = [shared(group, wp.int32), *inputs]
+            wp.launch(kernel, dim=len(group), inputs=arguments, outputs=state, device="cpu")
+
+        run_all(run, self._groups())
+        out = np.empty((len(order), 3))
+        out[order] = moved[: len(order)]
+        return out
+
+    def _groups(self) -> list[NDArray[np.int32]]:
+        """Divide the patches among the cores, so that each has about as many triangles."""
+        sizes = np.diff(self.face_starts)
+        count = 1 if sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
+        work = np.zeros(count)
+        group_of = np.zeros(len(sizes), dtype=np.intp)
+        for patch in np.argsort(-sizes, kind="stable"):
+            group_of[patch] = int(work.argmin())
+            work[group_of[patch]] += sizes[patch]
+        return [np.flatnonzero(group_of == k).astype(np.int32) for k in range(count)]
+
+
+def shared(values: NDArray[np.generic], dtype: type) -> wp.array:
+    """Return an array on the host that shares the memory of NumPy's."""
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
+
+
+__all__ = ["SmallPatches", "shared"]
