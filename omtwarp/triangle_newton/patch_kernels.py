@@ -90,8 +90,8 @@ def find_direction(p: int, patches: PatchMeshes, growth: wp.float64, scratch: Pa
         for m in range(3):
             i = patches.faces[t][m]
             if i < end:
-                scratch.slopes[2 * i] += scratch.gradient[t, 2 * m]
-                scratch.slopes[2 * i + 1] += scratch.gradient[t, 2 * m + 1]
+                scratch.slopes[2 * i] = scratch.slopes[2 * i] + scratch.gradient[t, 2 * m]
+                scratch.slopes[2 * i + 1] = scratch.slopes[2 * i + 1] + scratch.gradient[t, 2 * m + 1]
     definite = bool(False)
     for attempt in range(patches.shifts.shape[0]):
         if not definite:

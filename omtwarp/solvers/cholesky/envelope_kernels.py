@@ -3,7 +3,7 @@
 A matrix has two unknowns for every vertex. Row by row, all entries from the first that is not zero to the diagonal are
 kept, which are the ones that elimination can fill (George and Liu, "Computer Solution of Large Sparse Positive Definite
 Systems", 1981, chapter 4). The 2x2 blocks of vertex i with the vertices first[i] to i follow one another from rows[i]
-on.
+on. Sums are assigned, as Warp adds atomically to an array's element by `+=`.
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
@@ -120,8 +120,8 @@ def solve_envelope(
         x[2 * i + 1] = s1
         for j in range(first[i], i):
             block = factor[place_of(i, j, first, rows)]
-            x[2 * j] -= block[0, 0] * s0 + block[1, 0] * s1
-            x[2 * j + 1] -= block[0, 1] * s0 + block[1, 1] * s1
+            x[2 * j] = x[2 * j] - (block[0, 0] * s0 + block[1, 0] * s1)
+            x[2 * j + 1] = x[2 * j + 1] - (block[0, 1] * s0 + block[1, 1] * s1)
 
 
 __all__ = ["add_block", "diagonal_of", "factorise_envelope", "place_of", "solve_envelope"]
