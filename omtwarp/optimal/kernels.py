@@ -4,6 +4,7 @@ The map takes x_v on the conformal sphere to y_v; a_v is the solid angle of the 
 to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optimal.energy`.
 """
 
+# mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY, logarithm, oriented_volume
 from omtwarp.triangle_newton.triangle import first_tangent
@@ -13,6 +14,9 @@ wp.set_module_options(KERNEL_OPTIONS)
 # Added to the diagonal of the normal equations of a vertex's neighbours, per neighbour, so that they can be solved
 # where all neighbours lie on one line.
 LINE = wp.constant(wp.float64(1e-9))
+
+Fit = wp.types.vector(length=8, dtype=wp.float64)
+"""Sums over neighbours: a11, a12, a22, b11, b12, b21, b22 of the normal equations of dx = J dy; their number."""
 
 
 @wp.func
@@ -147,34 +151,49 @@ def turned_back(vector: wp.vec3d, y: wp.vec3d, x: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def raised_fit(
-    a11: wp.float64,
-    a12: wp.float64,
-    a22: wp.float64,
-    b11: wp.float64,
-    b12: wp.float64,
-    b21: wp.float64,
-    b22: wp.float64,
-    count: wp.float64,
-    least: wp.float64,
-):
-    """Solve J A = B for ``count`` neighbours, make J symmetric and raise its eigenvalues to ``least``.
+def weighted_fit(weight: wp.float64, d1: wp.float64, d2: wp.float64, e1: wp.float64, e2: wp.float64) -> Fit:
+    """Return what a neighbour with dy = d and dx = e adds to the normal equations."""
+    b1, b2 = weight * e1, weight * e2
+    return Fit(weight * d1 * d1, weight * d1 * d2, weight * d2 * d2, b1 * d1, b1 * d2, b2 * d1, b2 * d2, ONE)
 
-    Returns the mean of the eigenvalues, half their difference, and cosine and sine of twice the first one's angle.
+
+@wp.func
+def neighbour_fit(
+    y: wp.vec3d, x: wp.vec3d, softness: wp.float64, neighbour: wp.vec3d, neighbour_start: wp.vec3d
+) -> Fit:
+    """Return what a neighbour adds to the fit at y, which comes from x, weighted by one over its squared distance."""
+    t = first_tangent(y)
+    s = wp.cross(y, t)
+    pull, distance = logarithm(y, x)
+    pull = pull / wp.max(distance, TINY)
+    d = neighbour - y
+    e = turned_back(neighbour_start - x, y, x)
+    e = e + (along_share(distance, softness) - ONE) * wp.dot(e, pull) * pull
+    d1, d2 = wp.dot(d, t), wp.dot(d, s)
+    weight = ONE / wp.max(d1 * d1 + d2 * d2, TINY)
+    return weighted_fit(weight, d1, d2, wp.dot(e, t), wp.dot(e, s))
+
+
+@wp.func
+def raised_fit(fit: Fit, least: wp.float64) -> wp.vec3d:
+    """Solve J A = B for the neighbours, make J symmetric and raise its eigenvalues to ``least``.
+
+    Returns the entries of J: 11, 12 and 22.
     """
-    held11, held22 = a11 + LINE * count, a22 + LINE * count
-    det = held11 * held22 - a12 * a12
-    j11 = (b11 * held22 - b12 * a12) / det
-    j12 = (b12 * held11 - b11 * a12) / det
-    j21 = (b21 * held22 - b22 * a12) / det
-    j22 = (b22 * held11 - b21 * a12) / det
+    held11, held22 = fit[0] + LINE * fit[7], fit[2] + LINE * fit[7]
+    det = held11 * held22 - fit[1] * fit[1]
+    j11 = (fit[3] * held22 - fit[4] * fit[1]) / det
+    j12 = (fit[4] * held11 - fit[3] * fit[1]) / det
+    j21 = (fit[5] * held22 - fit[6] * fit[1]) / det
+    j22 = (fit[6] * held11 - fit[5] * fit[1]) / det
     mean, gap, off = HALF * (j11 + j22), HALF * (j11 - j22), HALF * (j12 + j21)
     radius = wp.sqrt(gap * gap + off * off)
     high, low = wp.max(mean + radius, least), wp.max(mean - radius, least)
     cosine, sine = wp.float64(1.0), wp.float64(0.0)
     if radius > TINY:
         cosine, sine = gap / radius, off / radius
-    return HALF * (high + low), HALF * (high - low), cosine, sine
+    centre, spread = HALF * (high + low), HALF * (high - low)
+    return wp.vec3d(centre + spread * cosine, spread * sine, centre - spread * cosine)
 
 
 @wp.kernel
@@ -201,35 +220,14 @@ def cost_metric(
     v, _compiled_once = wp.tid()
     v += first
     y, x = points[v], start[v]
-    t = first_tangent(y)
-    s = wp.cross(y, t)
-    pull, distance = logarithm(y, x)
-    pull = pull / wp.max(distance, TINY)
-    shortened = along_share(distance, softness) - ONE
-    # Normal equations of dx = J dy over the neighbours, each weighted by one over its squared distance.
-    a11, a12, a22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
-    b11, b12, b21, b22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
-    count = wp.float64(0.0)
+    fit = Fit()
     for k in range(offsets[v], offsets[v + 1]):
         corner = corners[k]
         w = faces[corner // 3][(corner + 1) % 3]
-        d = points[w] - y
-        e = turned_back(start[w] - x, y, x)
-        e = e + shortened * wp.dot(e, pull) * pull
-        d1, d2 = wp.dot(d, t), wp.dot(d, s)
-        weight = ONE / wp.max(d1 * d1 + d2 * d2, TINY)
-        e1, e2 = weight * wp.dot(e, t), weight * wp.dot(e, s)
-        a11 += weight * d1 * d1
-        a12 += weight * d1 * d2
-        a22 += weight * d2 * d2
-        b11 += e1 * d1
-        b12 += e1 * d2
-        b21 += e2 * d1
-        b22 += e2 * d2
-        count += ONE
-    centre, spread, cosine, sine = raised_fit(a11, a12, a22, b11, b12, b21, b22, count, least)
-    scale = factor * ring[v] * cost_slope(distance, softness)
-    metric[v, 0] = scale * (centre + spread * cosine)
-    metric[v, 1] = scale * spread * sine
-    metric[v, 2] = metric[v, 1]
-    metric[v, 3] = scale * (centre - spread * cosine)
+        fit += neighbour_fit(y, x, softness, points[w], start[w])
+    _pull, distance = logarithm(y, x)
+    entries = factor * ring[v] * cost_slope(distance, softness) * raised_fit(fit, least)
+    metric[v, 0] = entries[0]
+    metric[v, 1] = entries[1]
+    metric[v, 2] = entries[1]
+    metric[v, 3] = entries[2]

@@ -73,7 +73,7 @@ class LocalSteps:
 
     Args:
         energy: the energy that is minimised.
-        freed: which vertices may move, shape [V].
+        patches: what may move.
         points: the map, vec3d, shape [V], on the device.
         terms: the terms of the map.
         multipliers: p_v, shape [V].
@@ -84,7 +84,7 @@ class LocalSteps:
     def __init__(
         self,
         energy: TransportEnergy,
-        freed: NDArray[np.bool_],
+        patches: Patches,
         points: wp.array,
         terms: MapTerms,
         multipliers: Numbers,
@@ -93,7 +93,6 @@ class LocalSteps:
     ):
         surface, self._device = energy.surface, energy.device
         self._energy, self._constrained, self._whole = energy, constrained, points
-        patches = Patches.of_vertices(surface.faces, freed)
         self._free, self._vertices, faces = patches.free, patches.vertices, patches.faces
         count = len(self._vertices)
         self._points = points.numpy()[self._vertices]

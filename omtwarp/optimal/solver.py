@@ -30,9 +30,11 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
+from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import AREA_WEIGHT, MIN_CURVATURE_SHARE, MapTerms, TransportEnergy
 from omtwarp.optimal.local import LEAST_DAMPING, MAX_STEPS, LocalSteps, freed_vertices
+from omtwarp.optimal.small_local import SmallLocalSteps
 from omtwarp.options import Cost, Progress, Record, choose
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
@@ -414,7 +416,10 @@ class _Newton:
         freed = freed_vertices(self.surface.faces, alone + self.stiffness * energy.missing(terms) ** 2, energy.held)
         if freed is None:
             return points, terms, 0
-        steps = LocalSteps(energy, freed, points, terms, self.multipliers, self.stiffness, self.constrained)
+        patches = Patches.of_vertices(self.surface.faces, freed)
+        setting = energy, patches, points, terms, self.multipliers, self.stiffness, self.constrained
+        small = SmallLocalSteps(*setting)
+        steps = small if small.worthwhile else LocalSteps(*setting)
         most = self.local_steps
         if self.strictness == 1.0:
             most = min(most, max(int(MAX_LOCAL_WORK / float(freed.mean())), 1))

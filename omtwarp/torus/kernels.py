@@ -5,7 +5,7 @@ The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plan
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.mesh import arrays
-from omtwarp.optimal.kernels import raised_fit
+from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -229,9 +229,7 @@ def plane_cost_metric(
     It is made symmetric and its eigenvalues raised to ``least``: see :func:`omtwarp.optimal.kernels.cost_metric`.
     """
     v = wp.tid()
-    a11, a12, a22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
-    b11, b12, b21, b22 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
-    count = wp.float64(0.0)
+    fit = Fit()
     for k in range(offsets[v], offsets[v + 1]):
         f = corners[k] // 3
         own = corners[k] - 3 * f
@@ -241,17 +239,9 @@ def plane_cost_metric(
         d = points[w] - points[v] + apart
         e = start[w] - start[v] + apart
         weight = ONE / wp.max(wp.dot(d, d), SMALLEST)
-        a11 += weight * d[0] * d[0]
-        a12 += weight * d[0] * d[1]
-        a22 += weight * d[1] * d[1]
-        b11 += weight * e[0] * d[0]
-        b12 += weight * e[0] * d[1]
-        b21 += weight * e[1] * d[0]
-        b22 += weight * e[1] * d[1]
-        count += ONE
-    centre, spread, cosine, sine = raised_fit(a11, a12, a22, b11, b12, b21, b22, count, least)
-    centre, spread = scale[v] * centre, scale[v] * spread
-    metric[v, 0] = centre + spread * cosine
-    metric[v, 1] = spread * sine
-    metric[v, 2] = spread * sine
-    metric[v, 3] = centre - spread * cosine
+        fit += weighted_fit(weight, d[0], d[1], e[0], e[1])
+    entries = scale[v] * raised_fit(fit, least)
+    metric[v, 0] = entries[0]
+    metric[v, 1] = entries[1]
+    metric[v, 2] = entries[1]
+    metric[v, 3] = entries[2]

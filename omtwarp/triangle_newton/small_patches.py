@@ -103,27 +103,33 @@ class SmallPatches:
         moved[: len(order)] = points[order]
         tried = moved.copy()
         state = [shared(moved, wp.vec3d), shared(tried, wp.vec3d), *outputs]
-        load(kernel, "cpu")
-
-        def run(group: NDArray[np.int32]) -> None:
-            arguments = [shared(group, wp.int32), *inputs]
-            wp.launch(kernel, dim=len(group), inputs=arguments, outputs=state, device="cpu")
-
-        run_all(run, self._groups())
+        launch_patches(kernel, np.diff(self.face_starts), inputs, state)
         out = np.empty((len(order), 3))
         out[order] = moved[: len(order)]
         return out
 
-    def _groups(self) -> list[NDArray[np.int32]]:
-        """Divide the patches among the cores, so that each has about as many triangles."""
-        sizes = np.diff(self.face_starts)
-        count = 1 if sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
-        work = np.zeros(count)
-        group_of = np.zeros(len(sizes), dtype=np.intp)
-        for patch in np.argsort(-sizes, kind="stable"):
-            group_of[patch] = int(work.argmin())
-            work[group_of[patch]] += sizes[patch]
-        return [np.flatnonzero(group_of == k).astype(np.int32) for k in range(count)]
+
+def launch_patches(kernel: wp.Kernel, sizes: NDArray[np.int32], inputs: list[object], outputs: list[object]) -> None:
+    """Launch a kernel over all patches, on all cores.
+
+    Args:
+        kernel: takes a list of patches, the inputs and the outputs; a thread works on one patch of the list.
+        sizes: triangles of each patch, shape [count]: every core gets about as many.
+        inputs, outputs: further arguments.
+    """
+    cores = 1 if sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
+    work = np.zeros(cores)
+    core_of = np.zeros(len(sizes), dtype=np.intp)
+    for patch in np.argsort(-sizes, kind="stable"):
+        core_of[patch] = int(work.argmin())
+        work[core_of[patch]] += sizes[patch]
+    load(kernel, "cpu")
+
+    def run(group: NDArray[np.int32]) -> None:
+        arguments = [shared(group, wp.int32), *inputs]
+        wp.launch(kernel, dim=len(group), inputs=arguments, outputs=outputs, device="cpu")
+
+    run_all(run, [np.flatnonzero(core_of == k).astype(np.int32) for k in range(cores)])
 
 
 def shared(values: NDArray[np.generic], dtype: type) -> wp.array:
@@ -131,4 +137,4 @@ def shared(values: NDArray[np.generic], dtype: type) -> wp.array:
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
 
-__all__ = ["SmallPatches", "shared"]
+__all__ = ["SmallPatches", "launch_patches", "shared"]

@@ -6,10 +6,11 @@ import pytest
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.flips.rings import is_bijective
-from omtwarp.mesh.patches import grow
-from omtwarp.mesh.shapes import demo_shape
+from omtwarp.mesh.patches import Patches, grow
+from omtwarp.mesh.shapes import blob, demo_shape, icosphere
 from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.local import FREED_RINGS, MAX_CHOSEN_SHARE, LocalSteps, freed_vertices
+from omtwarp.optimal.small_local import SmallLocalSteps
 from omtwarp.optimal.solver import PENALTY, minimise
 from omtwarp.pipeline import map_to_sphere
 
@@ -32,7 +33,8 @@ def worth(energy, terms, stiffness):
     return energy.lagrangian(terms, np.zeros(len(missing))) + 0.5 * float(stiffness @ missing**2)
 
 
-def test_steps_gain_and_touch_nothing_else(moser):
+@pytest.mark.parametrize("kind", [LocalSteps, SmallLocalSteps])
+def test_steps_gain_and_touch_nothing_else(moser, kind):
     surface, result = moser
     energy = energy_of(surface, result)
     points = vectors(result.sphere, CPU)
@@ -41,7 +43,8 @@ def test_steps_gain_and_touch_nothing_else(moser):
     seed = np.zeros(surface.vertex_count, dtype=bool)
     seed[np.argsort(-np.abs(energy.missing(before) / energy.wanted))[:20]] = True
     freed = grow(surface.faces, seed, 2)
-    steps = LocalSteps(energy, freed, points, before, np.zeros(len(freed)), stiffness, constrained=True)
+    patches = Patches.of_vertices(surface.faces, freed)
+    steps = kind(energy, patches, points, before, np.zeros(len(freed)), stiffness, constrained=True)
     moved, vertices, multipliers = steps.run(0.0)
     after = energy.terms(moved)
     assert worth(energy, after, stiffness) < worth(energy, before, stiffness)
@@ -51,6 +54,36 @@ def test_steps_gain_and_touch_nothing_else(moser):
     # Patches cover what they covered, and their multipliers have no constant part.
     assert after.ring[vertices].sum() == pytest.approx(before.ring[vertices].sum(), rel=1e-9)
     assert float(energy.wanted[vertices] @ multipliers) == pytest.approx(0.0, abs=1e-9 * np.abs(multipliers).max())
+
+
+@pytest.mark.parametrize("constrained", [True, False])
+@pytest.mark.parametrize("cost", [0.0, 0.2])
+def test_one_thread_a_patch_takes_the_same_steps(moser, constrained, cost):
+    """Of a single patch, to rounding, under constraints and penalties, with both costs."""
+    surface, result = moser
+    energy = TransportEnergy(surface, vectors(moser[1].conformal, CPU), CPU, shape_weight=0.01, softness=cost)
+    points = vectors(result.sphere, CPU)
+    terms = energy.terms(points)
+    stiffness = PENALTY / energy.wanted.sum() / energy.wanted
+    seed = np.zeros(surface.vertex_count, dtype=bool)
+    seed[7] = True
+    patches = Patches.of_vertices(surface.faces, grow(surface.faces, seed, 4))
+    assert patches.count == 1
+    setting = energy, patches, points, terms, energy.potential(terms, np.zeros(len(seed))), stiffness, constrained
+    (one, here, p), (other, there, q) = (kind(*setting).run(1e-12, 5) for kind in (LocalSteps, SmallLocalSteps))
+    assert np.abs(one.numpy() - result.sphere).max() > 1e-4
+    np.testing.assert_allclose(other.numpy(), one.numpy(), atol=1e-9)
+    np.testing.assert_allclose(q[np.argsort(there)], p[np.argsort(here)], atol=1e-8 * np.abs(p).max())
+
+
+def test_large_patches_are_left_to_the_sparse_matrix():
+    surface = blob(1, amplitude=0.2, sphere=icosphere(40))
+    energy = TransportEnergy(surface, vectors(icosphere(40).vertices, CPU), CPU, shape_weight=0.01)
+    points = vectors(icosphere(40).vertices, CPU)
+    setting = points, energy.terms(points), np.zeros(surface.vertex_count), np.ones(surface.vertex_count), True
+    for height, small in ((-0.5, False), (0.95, True)):
+        patches = Patches.of_vertices(surface.faces, icosphere(40).vertices[:, 2] > height)
+        assert SmallLocalSteps(energy, patches, *setting).worthwhile == small
 
 
 def test_the_same_optimum_in_fewer_factorisations(moser):

@@ -1,0 +1,129 @@
+"""Local steps of small patches, all steps of each patch in one thread.
+
+Step by step, :class:`omtwarp.optimal.local.LocalSteps` takes 30 to 60 milliseconds for patches of fifty vertices, most
+of them for some forty launches a step; here they take 5.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from omtwarp.device.arrays import vectors
+from omtwarp.device.start import wp
+from omtwarp.mesh.patches import Patches
+from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.optimal.energy import MapTerms, TransportEnergy
+from omtwarp.optimal.kernels import Fit
+from omtwarp.optimal.local import LEAST_DAMPING, MAX_HALVINGS, MAX_STEPS, REGULARISATION
+from omtwarp.optimal.patch_kernels import LocalEnergy, LocalScratch, SaddlePatches, settle_small_patches
+from omtwarp.solvers.cholesky.envelope import Envelopes
+from omtwarp.solvers.cholesky.saddle import UNKNOWNS
+from omtwarp.triangle_newton.small_patches import launch_patches, shared
+
+Numbers = NDArray[np.float64]
+
+# Multiplications of the largest patch's factorisation: beyond some 1,000 vertices the multifrontal one takes less time.
+MAX_OPERATIONS = 6e7
+
+
+class SmallLocalSteps:
+    """Moves small patches of a surface's map, without flipping a triangle; on the host, wherever the map is.
+
+    Args:
+        energy, patches, points, terms, multipliers, stiffness, constrained: as of
+            :class:`omtwarp.optimal.local.LocalSteps`.
+    """
+
+    def __init__(
+        self,
+        energy: TransportEnergy,
+        patches: Patches,
+        points: wp.array,
+        terms: MapTerms,
+        multipliers: Numbers,
+        stiffness: Numbers,
+        constrained: bool,
+    ):
+        self._energy, self._whole, self._constrained, self._shape = energy, points, constrained, terms.shape
+        sides = np.concatenate([patches.faces[:, [0, 1]], patches.faces[:, [1, 2]], patches.faces[:, [2, 0]]])
+        sides = sides[(sides[:, 0] < patches.free) | (sides[:, 1] < patches.free)]
+        count = len(patches.vertices)
+        graph = sparse.coo_matrix((np.ones(len(sides), dtype=np.int8), sides.T), shape=(count, count))
+        # Patches that share a fixed neighbour change the area around it together: they are one.
+        self._count, patch = connected_components(graph, directed=False)
+        self._envelopes = Envelopes.of_edges(sides, patch, self._count)
+        order = self._envelopes.order
+        place = np.empty(count, dtype=np.int32)
+        place[order] = np.arange(count, dtype=np.int32)
+        patch_of_face = patch[patches.faces[:, 0]]
+        by_patch = np.argsort(patch_of_face, kind="stable")
+        self._sizes = np.bincount(patch_of_face, minlength=self._count).astype(np.int32)
+        self._faces, self._triangles = place[patches.faces[by_patch]], patches.triangles[by_patch]
+        self._vertices, self._free = patches.vertices[order], order < patches.free
+        self.multipliers, self._stiffness = multipliers[self._vertices], stiffness[self._vertices]
+        self._ring = terms.ring[self._vertices]
+
+    @property
+    def worthwhile(self) -> bool:
+        """Whether no patch is too large for one thread."""
+        # Operations are counted for blocks of two unknowns.
+        return float(self._envelopes.operations.max()) * (UNKNOWNS / 2.0) ** 3 <= MAX_OPERATIONS
+
+    def run(self, enough: float, most: int = MAX_STEPS) -> tuple[wp.array, NDArray[np.intp], Numbers]:
+        """Take Newton steps of every patch until its expected gain is small.
+
+        Args:
+            enough: end where the steps are expected to gain less than this, all together.
+            most: largest number of steps.
+
+        Returns:
+            As :meth:`omtwarp.optimal.local.LocalSteps.run`.
+        """
+        energy = self._energy
+        given = LocalEnergy()
+        # Patches are a small part of the map's area, so that its scale is taken as constant.
+        given.linear, given.inverse, given.barrier = energy.shape.pressures(self._shape, energy.area_weight)
+        given.shape_weight, given.softness = energy.shape_weight, energy.softness
+        given.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
+        given.least, given.regularisation, given.enough = LEAST_DAMPING, REGULARISATION, enough / self._count
+        given.steps, given.halvings, given.constrained = most, MAX_HALVINGS, self._constrained
+        whole = self._whole.numpy().copy()
+        moved, tried = whole[self._vertices], whole[self._vertices]
+        state = [shared(moved, wp.vec3d), shared(tried, wp.vec3d), shared(self.multipliers, wp.float64)]
+        launch_patches(settle_small_patches, self._sizes, [self._patches(), given], [*state, self._scratch()])
+        whole[self._vertices[self._free]] = moved[self._free]
+        return vectors(whole, energy.device), self._vertices, self.multipliers
+
+    def _patches(self) -> SaddlePatches:
+        """Return what the kernel reads of the patches."""
+        energy, vertices, triangles = self._energy, self._vertices, self._triangles
+        face_starts = np.zeros(self._count + 1, dtype=np.int32)
+        np.cumsum(self._sizes, out=face_starts[1:])
+        patches = SaddlePatches()
+        patches.starts, patches.first, patches.rows = self._envelopes.upload()
+        patches.face_starts, patches.faces = shared(face_starts, wp.int32), shared(self._faces, wp.vec3i)
+        patches.frames = shared(energy.shape.triangles.frames.numpy()[triangles], wp.vec3d)
+        patches.areas = shared(energy.shape.areas[triangles], wp.float64)
+        patches.free = shared(self._free, wp.bool)
+        patches.start = shared(energy.start_points[vertices], wp.vec3d)
+        patches.wanted = shared(energy.wanted[vertices], wp.float64)
+        patches.whole = shared(self._ring, wp.float64)
+        patches.stiffness = shared(self._stiffness, wp.float64)
+        return patches
+
+    def _scratch(self) -> LocalScratch:
+        """Return memory for one launch."""
+        triangles, count = len(self._triangles), len(self._vertices)
+        scratch = LocalScratch()
+        scratch.blocks, scratch.bends = (shared(np.empty((triangles, n)), wp.float64) for n in (21, 6))
+        scratch.outside, scratch.ring, scratch.cost = (shared(np.empty(count), wp.float64) for _ in range(3))
+        scratch.fits = shared(np.empty((count, 8)), Fit)
+        scratch.pull, scratch.right, scratch.step = (shared(np.empty((count, 3)), wp.vec3d) for _ in range(3))
+        scratch.matrix = shared(np.empty((self._envelopes.size, UNKNOWNS, UNKNOWNS)), wp.mat33d)
+        return scratch
+
+
+__all__ = ["SmallLocalSteps"]
