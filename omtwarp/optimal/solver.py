@@ -17,6 +17,7 @@ and Wright, section 15.6). What is still in the way then are a few vertices, whi
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -518,34 +519,35 @@ class _Newton:
         correctable = SECOND_ORDER if self.energy.ring_errors(terms)[0] <= MAX_SECOND_ORDER_RMS else 0
         for attempt in range(halvings + 1):
             enough = before - SUFFICIENT_DECREASE * length * decrement
-            tried = self._moved(points, terms, direction, q, length, attempt < UNTANGLED)
-            step = next((step for step in tried if step.merit <= enough), None)
-            if step is None and tried and attempt < correctable:
-                step = self._second_order(min(tried, key=_merit_of), points, terms, direction, q, enough)
-            if step is not None:
-                return step
+            best, reached = _first_of(self._moved(points, terms, direction, q, length, attempt < UNTANGLED), enough)
+            if best is not None and not reached and attempt < correctable:
+                best = self._second_order(best, points, terms, direction, q, enough)
+                reached = best is not None
+            if reached:
+                return best
             length *= 0.5
         return None
 
     def _moved(
         self, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, length: float, untangling: bool
-    ) -> list[_Step]:
-        """Return the flip-free maps at a share of the direction: with untangling, with vertices held back, or both."""
-        volume, moved = terms.shape.d_volume, []
+    ) -> Iterator[_Step]:
+        """Yield the flip-free maps at a share of the direction: with untangling, with vertices held back, or both."""
+        volume = terms.shape.d_volume
+        multipliers = self.multipliers + length * q if self.constrained else self.multipliers
+
+        def step_to(there: wp.array, corrected: int) -> _Step:
+            after = self.energy.terms(there)
+            return _Step(there, after, length, corrected, self._merit(after), multipliers)
+
         if untangling:
             found = self.steps.untangled(points, direction, volume, length, self.energy.area_weight)
             if found is not None:
-                moved.append(found)
-        if not moved or moved[0][1] > 0:
-            held = self.steps.held_back(points, direction, volume, length)
-            if held is not None:
-                moved.append((held[0], int((held[1].numpy() < 1.0).sum())))
-        multipliers = self.multipliers + length * q if self.constrained else self.multipliers
-        steps = []
-        for there, corrected in moved:
-            after = self.energy.terms(there)
-            steps.append(_Step(there, after, length, corrected, self._merit(after), multipliers))
-        return steps
+                yield step_to(*found)
+                if found[1] == 0:
+                    return
+        held = self.steps.held_back(points, direction, volume, length)
+        if held is not None:
+            yield step_to(held[0], int((held[1].numpy() < 1.0).sum()))
 
     def _second_order(
         self, step: _Step, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, enough: float
@@ -564,11 +566,8 @@ class _Newton:
         u, _ = self.factor.solve(np.zeros((len(points), 2)), expected - self.energy.missing(step.terms))
         longer = direction.numpy() + self._tangent(points, u) / step.length
         there = wp.array(longer, dtype=wp.vec3d, device=self.device)
-        tried = self._moved(points, terms, there, q, step.length, True)
-        if not tried:
-            return None
-        best = min(tried, key=_merit_of)
-        if best.merit <= enough:
+        best, reached = _first_of(self._moved(points, terms, there, q, step.length, True), enough)
+        if best is None or reached:
             return best
         before, self.multipliers = self.multipliers, best.multipliers
         moved, after, settled = self._settled(best.points, best.terms)
@@ -598,8 +597,15 @@ class _Newton:
         }
 
 
-def _merit_of(step: _Step) -> float:
-    return step.merit
+def _first_of(steps: Iterator[_Step], enough: float) -> tuple[_Step | None, bool]:
+    """Return the first step whose merit is low enough, and True; or the one with the lowest, if any, and False."""
+    best = None
+    for step in steps:
+        if step.merit <= enough:
+            return step, True
+        if best is None or step.merit < best.merit:
+            best = step
+    return best, False
 
 
 def _stalled(history: list[Record]) -> bool:
