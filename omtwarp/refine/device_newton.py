@@ -12,7 +12,7 @@ from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.step_kernels import add_to_diagonal, block_traces, gather_rows, rotation_blocks
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.solvers.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
-from omtwarp.triangle_newton.newton import REGULARISATION, factorise_stiffened
+from omtwarp.triangle_newton.newton import GROWTH, REGULARISATION, factorise_stiffened
 
 # Relative, in the energy's norm. Refinement ends where a step gains a thousandth; with this tolerance its steps do not
 # change.
@@ -58,7 +58,7 @@ class DeviceNewtonMatrix:
         trace = wp.empty(count, dtype=wp.float64, device=device)
         wp.launch(block_traces, dim=count, inputs=[own, values], outputs=[trace], device=device)
         self._sum.total(trace, self._trace)
-        inputs = [own, self._trace, wp.float64(REGULARISATION)]
+        inputs = [own, self._trace, wp.float64(REGULARISATION), wp.float64(GROWTH)]
         wp.launch(add_to_diagonal, dim=count, inputs=inputs, outputs=[values], device=device)
         self._factor = None
 

@@ -14,7 +14,7 @@ from omtwarp.device.start import wp
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation_kernels import Relaxing, relax_small_patches
-from omtwarp.triangle_newton.newton import PATCH_REGULARISATION
+from omtwarp.triangle_newton.newton import GROWTH
 from omtwarp.triangle_newton.small_patches import SmallPatches
 
 # A vertex is relaxed if it alone gains this many times what a step of all vertices gains on average for each.
@@ -77,7 +77,7 @@ def relax(
     given = Relaxing()
     # Patches are a small part of the map's area: its scale is taken as constant.
     given.linear, given.inverse, given.barrier = energy.pressures(terms, weight)
-    given.curvature_share, given.growth = curvature_share, PATCH_REGULARISATION
+    given.curvature_share, given.growth = curvature_share, GROWTH
     given.steps, given.halvings = MAX_STEPS, MAX_HALVINGS
     meshes = small.meshes(energy.triangles.frames.numpy()[patches.triangles], energy.areas[patches.triangles])
     sphere = points.numpy().copy()

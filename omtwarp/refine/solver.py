@@ -146,7 +146,9 @@ class Refiner:
         self.device = device
         self.energy = DistortionEnergy(surface, device, areas)
         self._steps = steps_for(self.energy)
-        self._flip_free = FlipFreeSteps(surface, device)
+        # Half untangled patches made noise of 3e-9 in a bunny's map one of 4e-4. The optimal map of an octopus needs
+        # them: without, its area distortion is 2.096 in place of 2.032.
+        self._flip_free = FlipFreeSteps(surface, device, partial=False)
 
     @property
     def budget(self) -> RepairBudget:

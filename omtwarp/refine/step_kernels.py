@@ -1,6 +1,6 @@
 """Kernels of Newton steps whose vectors and inner products stay on the device."""
 
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, wp
 from omtwarp.mesh import surface
 from omtwarp.triangle_newton.newton_kernels import edge_block, vertex_block
 from omtwarp.triangle_newton.triangle import first_tangent
@@ -162,11 +162,14 @@ def add_to_diagonal(
     diagonal: wp.array[wp.int32],
     trace: wp.array[wp.float64],
     shift: wp.float64,
+    growth: wp.float64,
     # Data in and out:
     values: wp.array[wp.float64],
 ):
-    """Add a part of the mean of all entries on the diagonal of a matrix, whose sum is its trace."""
+    """Add to the diagonal parts of its mean, from the sum of its entries, and of its mean at each vertex."""
     i = wp.tid()
+    first = 4 * diagonal[i]
     more = shift * trace[0] / wp.float64(2 * diagonal.shape[0])
-    values[4 * diagonal[i]] = values[4 * diagonal[i]] + more
-    values[4 * diagonal[i] + 3] = values[4 * diagonal[i] + 3] + more
+    more += growth * HALF * (values[first] + values[first + 3])
+    values[first] = values[first] + more
+    values[first + 3] = values[first + 3] + more

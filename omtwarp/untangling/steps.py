@@ -37,12 +37,13 @@ class FlipFreeSteps:
     Args:
         surface: the surface, V vertices and F faces.
         device: a Warp device.
+        partial: as of :class:`omtwarp.untangling.untangle.Schedule`.
     """
 
     _independent = True  # whether every vertex moves by its own share alone
 
-    def __init__(self, surface: Surface, device: wp.Device):
-        self._surface, self._device = surface, device
+    def __init__(self, surface: Surface, device: wp.Device, partial: bool = True):
+        self._surface, self._device, self._partial = surface, device, partial
         mesh = surface.on(device)
         self._faces, self._rows = mesh.faces, mesh.vertex_corners
         self.budget = RepairBudget(surface, STEPS_SHARE)
@@ -79,7 +80,7 @@ class FlipFreeSteps:
                 return None
             if seeds.mean() > MOST_TROUBLE:
                 return None
-            schedule = replace(schedule, weight=weight)
+            schedule = replace(schedule, weight=weight, partial=self._partial)
             # Of scans and made shapes none that succeeds takes more.
             budget = RepairBudget(self._surface)
             budget.granted = min(self._chance - taken, self.budget.granted - self.budget.spent)

@@ -48,6 +48,8 @@ class Schedule:
         weight: λ, how much area counts against angle.
         largest: the first ε; the larger, the freer are triangles to pass through one another.
         most: flipped triangles of a patch, at most; patches with more are left to later attempts.
+        partial: whether patches that end with fewer flips, but some, are left so. They may have taken many steps, each
+            of which makes rounding larger.
     """
 
     rings: int
@@ -57,6 +59,7 @@ class Schedule:
     weight: float = 5.0
     largest: float = 1.0
     most: float = np.inf
+    partial: bool = True
 
 
 # Attempts from cheap to thorough: each frees more rings and lowers ε more slowly; the last one frees the whole sphere.
@@ -363,7 +366,7 @@ class _Untangling:
         return rounds
 
     def _take_back(self) -> None:
-        """Restore patches that ended with no fewer flips; the next attempt frees more around them.
+        """Restore patches that ended with no fewer flips, or with any; the next attempt frees more around them.
 
         A patch too small for its triangles can end with more flips than it began with. Patches that cover their part of
         the sphere more than once are restored too: the next attempt finds tangled patches by their flipped triangles,
@@ -377,7 +380,8 @@ class _Untangling:
         )
         covered = self._covered(vectors(self.result[whole.vertices], self.device), whole)
         twice = np.rint(covered - self.whole_share) != 0
-        back = whole.vertices[: whole.free][(((after > 0) & (after >= before)) | twice)[whole.vertex_patch]]
+        unsolved = (after > 0) & ((after >= before) | (not self.schedule.partial))
+        back = whole.vertices[: whole.free][(unsolved | twice)[whole.vertex_patch]]
         self.result[back] = self.sphere[back]
 
     def _newton_step(self, points, epsilon, active) -> tuple[wp.array, bool]:
