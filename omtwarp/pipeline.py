@@ -82,10 +82,11 @@ MOST_FLIPPED, MANY_FLIPS = 0.05, 300
 # Slivers are removed from Moser's map before transport is optimised, by minimising angle distortion and area distortion
 # with this weight to this tolerance, which saves several larger factorisations. Untangling after the first steps turns
 # a change of 1e-9 into one of 1e-3 beside slivers, and the last steps undo that: noise of 1e-12 then moves vertices of
-# five scans of 5,000 to 70,000 triangles by 0.009 at most, as with 5e-6; with 1e-3 one moved by 0.09, with 0.05 another
-# by 0.08. Maps that nothing had to repair have no slivers: without any smoothing a blob of 100,000 triangles takes 9.0
-# CPU seconds, with this tolerance 7.3, with that for others 9.5.
-SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, UNREPAIRED_TOLERANCE, SMOOTHING_STEPS = 30.0, 2e-5, 0.05, 20
+# five scans of 5,000 to 70,000 triangles by 7e-7 at most, and a rotation of the mesh one of them by 0.008; with 2e-5
+# noise moves one by 0.009, with 1e-3 by 0.09, with 0.05 another by 0.08. Maps that nothing had to repair have no
+# slivers: without any smoothing a blob of 100,000 triangles takes 9.0 CPU seconds, with this tolerance 7.3, with that
+# for others 9.5.
+SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, UNREPAIRED_TOLERANCE, SMOOTHING_STEPS = 30.0, 5e-6, 0.05, 20
 # A map from a substitute start may be twisted in regions that the conformal map shrinks: by 11 degrees in two of a
 # skull. Under a heavy weight on areas these are minima of their own, under this weight they are not: to this tolerance
 # first, the map differs from the one on the conformal road by 0.016 radians (rms) in place of 0.033, that of a bunny by

@@ -103,7 +103,8 @@ def test_given_features_are_those_of_the_surface(filled):
     heights = filled.vertices[:, 2] - filled.vertices[:, 0] ** 2
     turned = turned_map(filled, replace(align(filled), rotation=TURN))
     found = align(turned, filled, features={"height": heights}, to_features={"height": heights})
-    assert np.abs(found.rotation @ TURN - np.eye(3)).max() < 1e-9
+    # Within an angle of 1e-8 of its maximum the score is the same to rounding.
+    assert np.abs(found.rotation @ TURN - np.eye(3)).max() < 3e-8
     with pytest.raises(OmtwarpError, match="feature 'height'"):
         align(turned, filled, features={"height": heights[1:]}, to_features={"height": heights})
 
