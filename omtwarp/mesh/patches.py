@@ -28,6 +28,11 @@ def touching(faces: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.
     return first | second | third
 
 
+def sides_of(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the pairs of corners along the sides of triangles [T, 3], shape [3 T, 2]."""
+    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+
 @dataclass(frozen=True, eq=False)
 class Patches:
     """The freed vertices of a surface, in pieces that share no edge, and the triangles around them.
@@ -69,7 +74,7 @@ class Patches:
         local[vertices] = np.arange(len(vertices), dtype=np.int32)
         own = np.ascontiguousarray(local[corners])
         free = len(inside)
-        pairs = np.concatenate([own[:, [0, 1]], own[:, [1, 2]], own[:, [2, 0]]])
+        pairs = sides_of(own)
         pairs = pairs[(pairs[:, 0] < free) & (pairs[:, 1] < free)]
         graph = sparse.coo_matrix((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(free, free))
         count, label = connected_components(graph, directed=False)
@@ -118,4 +123,4 @@ class Patches:
         ), places
 
 
-__all__ = ["Patches", "grow", "touching"]
+__all__ = ["Patches", "grow", "sides_of", "touching"]

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.start import wp
-from omtwarp.mesh.patches import Patches
+from omtwarp.mesh.patches import Patches, sides_of
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import Fit
@@ -48,7 +48,7 @@ class SmallLocalSteps:
         constrained: bool,
     ):
         self._energy, self._whole, self._constrained, self._shape = energy, points, constrained, terms.shape
-        sides = np.concatenate([patches.faces[:, [0, 1]], patches.faces[:, [1, 2]], patches.faces[:, [2, 0]]])
+        sides = sides_of(patches.faces)
         sides = sides[(sides[:, 0] < patches.free) | (sides[:, 1] < patches.free)]
         count = len(patches.vertices)
         graph = sparse.coo_matrix((np.ones(len(sides), dtype=np.int8), sides.T), shape=(count, count))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, load, run_all
-from omtwarp.mesh.patches import Patches
+from omtwarp.mesh.patches import Patches, sides_of
 from omtwarp.solvers.cholesky.envelope import Envelopes
 from omtwarp.triangle_newton.newton import DIAGONAL_SHIFTS
 from omtwarp.triangle_newton.patch_kernels import PatchMeshes, PatchScratch
@@ -44,7 +44,7 @@ class SmallPatches:
     @classmethod
     def of(cls, patches: Patches) -> SmallPatches | None:
         """Order the free vertices and the triangles of patches; return None where one of the patches is too large."""
-        sides = np.concatenate([patches.faces[:, [0, 1]], patches.faces[:, [1, 2]], patches.faces[:, [2, 0]]])
+        sides = sides_of(patches.faces)
         sides = sides[(sides[:, 0] < patches.free) & (sides[:, 1] < patches.free)]
         envelopes = Envelopes.of_edges(sides, patches.vertex_patch, patches.count)
         if envelopes.operations.max() > MAX_OPERATIONS:
