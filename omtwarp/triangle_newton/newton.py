@@ -64,19 +64,12 @@ class NewtonMatrix:
         return cls(*arrays, surface_factor(surface, 2, workspace or Workspace()))
 
     @classmethod
-    def of_patches(
-        cls,
-        patches: Patches,
-        surface: Surface,
-        workspace: Workspace | None = None,
-        growth: float = GROWTH,
-    ) -> NewtonMatrix:
+    def of_patches(cls, patches: Patches, surface: Surface, growth: float) -> NewtonMatrix:
         """Return the matrix over the freed vertices of patches.
 
         Args:
             patches: what may move.
             surface: the surface that they are part of.
-            workspace: memory for the fronts; the blocks of triangles may be in it until the factorisation.
             growth: what is added to the diagonal, relative to its mean at each vertex.
         """
         count = patches.free
@@ -98,7 +91,7 @@ class NewtonMatrix:
         sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
         rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
         factor = mesh_factor(
-            count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, workspace or Workspace()
+            count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, Workspace()
         )
         return cls(*sides, rows, factor, 0.0, growth)
 

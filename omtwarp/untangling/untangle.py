@@ -285,7 +285,7 @@ class _Untangling:
     def _take(self, patches: Patches) -> None:
         """Create the matrix, the gradient's index and the arrays on the device for these patches."""
         self.patches = patches
-        self.matrix = NewtonMatrix.of_patches(patches, self.surface, growth=DAMPING)
+        self.matrix = NewtonMatrix.of_patches(patches, self.surface, DAMPING)
         corner = np.repeat(patches.faces, 2, axis=1)
         index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
         self.gradient_kept = np.flatnonzero(index >= 0)
