@@ -80,13 +80,9 @@ REPEATED_REPAIR = 0.1
 # box with triangles of 0.001 degrees with 26 %, where repair fails after all the work that it may take.
 MOST_FLIPPED, MANY_FLIPS = 0.05, 300
 # Slivers are removed from Moser's map before transport is optimised, by minimising angle distortion and area distortion
-# with this weight to this tolerance, which saves several larger factorisations. Untangling after the first steps turns
-# a change of 1e-9 into one of 1e-3 beside slivers, and the last steps undo that: noise of 1e-12 then moves vertices of
-# five scans of 5,000 to 70,000 triangles by 7e-7 at most, and a rotation of the mesh one of them by 0.008; with 2e-5
-# noise moves one by 0.009, with 1e-3 by 0.09, with 0.05 another by 0.08. Maps that nothing had to repair have no
-# slivers: without any smoothing a blob of 100,000 triangles takes 9.0 CPU seconds, with this tolerance 7.3, with that
-# for others 9.5.
-SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, UNREPAIRED_TOLERANCE, SMOOTHING_STEPS = 30.0, 5e-6, 0.05, 20
+# with this weight to this tolerance, which saves several larger factorisations. With tolerances down to 5e-6 it takes
+# up to 19 steps in place of 5, and as many of transport follow.
+SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 20
 # A map from a substitute start may be twisted in regions that the conformal map shrinks: by 11 degrees in two of a
 # skull. Under a heavy weight on areas these are minima of their own, under this weight they are not: to this tolerance
 # first, the map differs from the one on the conformal road by 0.016 radians (rms) in place of 0.033, that of a bunny by
@@ -781,8 +777,7 @@ class _Run:
         """Return Moser's map smoothed, after twists of a substitute start were undone."""
         if self.origin["route"] == "hierarchical" and not self.shrunken and not self.rough:
             sphere = self.smoothed(sphere, UNTWISTING_WEIGHT, UNTWISTING_TOLERANCE, UNTWISTING_STEPS)
-        repaired = self.origin["route"] != "conformal" or any(record.details.get("repaired") for record in self.records)
-        return self.smoothed(sphere, tolerance=SMOOTHING_TOLERANCE if repaired else UNREPAIRED_TOLERANCE)
+        return self.smoothed(sphere)
 
     def by_rough_rounds(self, initial: NDArray[np.float64], smooth: NDArray[np.float64]) -> tuple[OptimalMap, float]:
         """Return the map of a drawn part from a smoothed one, or for a hemisphere from a symmetric one."""

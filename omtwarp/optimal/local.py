@@ -35,6 +35,11 @@ Numbers = NDArray[np.float64]
 # 35,000 vertices take 17, 16, 14 and 17 factorisations of the whole map. Without local steps where more would be
 # chosen, one of them takes 8, or 4, depending on whether the first step leaves a little more or less than that share.
 GAIN_SHARE = 0.95
+# No vertex counts for more than this share of what the last step of the whole map was expected to gain. Beside a
+# triangle that was flipped a moment ago the gain expected from moving one vertex alone is 1e9 times too large: without
+# a limit a scan with 230 such triangles takes steps around one of them alone and 5 to 8 factorisations in place of 4,
+# and noise of 1e-12 moves its vertices by up to 0.2 radians in place of 2e-6.
+MAX_GAIN_SHARE = 0.1
 MAX_CHOSEN_SHARE, MAX_FREED_SHARE = 0.08, 0.5
 FREED_RINGS = 3
 MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map
@@ -44,15 +49,17 @@ LEAST_DAMPING = 1e-3  # least eigenvalue kept of the inverse map's derivative: s
 
 
 def freed_vertices(
-    faces: NDArray[np.int32], gains: Numbers, held: NDArray[np.bool_] | None = None
+    faces: NDArray[np.int32], gains: Numbers, expected: float, held: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_] | None:
     """Choose the vertices that local steps move, as a mask of shape [V], or None where they would be too many or none.
 
     Args:
         faces: of the surface, shape [F, 3].
         gains: the gain expected from moving each vertex alone, shape [V].
+        expected: the gain that was expected from the last step of the whole map.
         held: vertices that stay where they are, shape [V].
     """
+    gains = np.minimum(gains, MAX_GAIN_SHARE * expected)
     if held is not None:
         gains = np.where(held, 0.0, gains)
     order = np.argsort(-gains, kind="stable")

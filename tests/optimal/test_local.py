@@ -107,19 +107,30 @@ def test_too_many_vertices_are_left_to_whole_steps():
     count = surface.vertex_count
     everywhere = np.zeros(count)
     everywhere[:: int(1.0 / MAX_CHOSEN_SHARE)] = 1.0  # with their rings they are nearly all vertices
-    assert freed_vertices(surface.faces, everywhere) is None
-    assert freed_vertices(surface.faces, np.zeros(count)) is None
+    assert freed_vertices(surface.faces, everywhere, np.inf) is None
+    assert freed_vertices(surface.faces, np.zeros(count), np.inf) is None
     gains = np.full(count, 1e-6)
     gains[7] = 1.0
-    freed = freed_vertices(surface.faces, gains)
+    freed = freed_vertices(surface.faces, gains, np.inf)
     assert freed is not None and freed[7]
     assert 0 < freed.sum() < MAX_CHOSEN_SHARE * count
+
+
+def test_one_vertex_with_a_gain_beyond_what_is_expected_does_not_hide_the_others():
+    surface = demo_shape(3000)
+    gains = np.zeros(surface.vertex_count)
+    gains[[7, 700, 1400]] = 1e10, 0.5, 0.2
+    alone, beside = (freed_vertices(surface.faces, gains, expected) for expected in (np.inf, 1.0))
+    assert alone is not None and beside is not None
+    np.testing.assert_array_equal(alone[[7, 700, 1400]], [True, False, False])
+    assert beside[[7, 700, 1400]].all()
+    assert freed_vertices(surface.faces, gains, 0.0) is None
 
 
 def test_no_more_than_a_share_of_the_vertices_is_chosen():
     surface = demo_shape(3000)
     gains = np.arange(surface.vertex_count, 0.0, -1.0)  # the largest come first
-    freed = freed_vertices(surface.faces, gains)
+    freed = freed_vertices(surface.faces, gains, np.inf)
     chosen = np.zeros(surface.vertex_count, dtype=bool)
     chosen[: int(MAX_CHOSEN_SHARE * surface.vertex_count)] = True
     np.testing.assert_array_equal(freed, grow(surface.faces, chosen, FREED_RINGS))
