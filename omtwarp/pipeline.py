@@ -33,7 +33,7 @@ from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure
-from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
+from omtwarp.metrics.optimality import Curl, Optimality, map_curl, optimality, relative_curl
 from omtwarp.moser import moser_map
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetric_start, symmetrised
 from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
@@ -1054,12 +1054,12 @@ class _Run:
         """Return the larger of gap and curl over their limits for the shape term: at most 1 if both are within."""
         assert self.source is not None
         self.measured = None
-        curl = relative_curl(self.surface, sphere, start=self.source, device=self.device)
-        curled = (curl / MAX_CURL) ** 2
+        curl = map_curl(self.surface, sphere, start=self.source, device=self.device)
+        curled = (curl.relative / MAX_CURL) ** 2
         small = self.surface.vertex_count <= GAP_ASCENT_VERTICES
         if curled > 1.0 and not small:  # the weight is lowered whatever the gap, which takes long to bound
             return float(curled)
-        self.measured = self.bounded(sphere)
+        self.measured = self.bounded(sphere, curl=curl)
         return float(max(self.measured.gap / self.largest_gap, curled))
 
     @property
@@ -1083,8 +1083,11 @@ class _Run:
             return MAX_GAP_SHRUNKEN
         return MAX_GAP
 
-    def bounded(self, sphere: NDArray[np.float64], improve: bool = True) -> Optimality:
-        """Measure how far a map is from optimal, and improve the bound where the gap is too large."""
+    def bounded(self, sphere: NDArray[np.float64], improve: bool = True, curl: Curl | None = None) -> Optimality:
+        """Measure how far a map is from optimal, and improve the bound where the gap is too large.
+
+        ``curl`` is that of the map, if it is known.
+        """
         assert self.source is not None
         first, most = GAP_ASCENT_STEPS
         # Of exact maps the bound is improved as far on shrunken limbs, although their gap may be larger.
@@ -1095,6 +1098,7 @@ class _Run:
             sphere,
             start=self.source,
             enough=enough,
+            curl=curl,
             device=self.device,
             progress=self.progress,
         )
@@ -1293,9 +1297,9 @@ class _Run:
             self.give_up(f"{flips} flipped triangles were held back towards the map before: too many to repair")
             return hold_back(self.surface, before, after, device=self.device), flips
         budget = RepairBudget(self.surface, REPEATED_REPAIR if self.repair_given_up else 1.0)
-        repaired = untangle(self.goal(before), after, budget=budget, device=self.device).sphere
-        if self.examine(repaired).bijective:
-            return repaired, flips
+        repaired = untangle(self.goal(before), after, budget=budget, device=self.device)
+        if repaired.bijective:
+            return repaired.sphere, flips
         self.repair_given_up |= budget.exhausted
         why = "what repair may take was spent" if budget.exhausted else "repair failed"
         self.give_up(f"{flips} flipped triangles were held back towards the map before: {why}")

@@ -9,6 +9,7 @@ exactly where every ring turns once. A count of flipped triangles alone does not
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,12 +78,19 @@ class Examined:
     """Orientations and turns that decide whether a map is one to one.
 
     Attributes:
+        sphere, faces, device: as given to :func:`examine`.
         signs: of the triangles, as of :func:`omtwarp.flips.predicates.orientation_signs`, int8, shape [F].
-        turns: of the rings around vertices, as of :func:`ring_turns`, int32, shape [V].
+        turns: of the rings around vertices, as of :func:`ring_turns`, int32, shape [V]; computed when first read.
     """
 
+    sphere: ArrayLike | wp.array
+    faces: ArrayLike | wp.array
+    device: str | wp.Device | None
     signs: NDArray[np.int8]
-    turns: NDArray[np.int32]
+
+    @cached_property
+    def turns(self) -> NDArray[np.int32]:
+        return ring_turns(self.sphere, self.faces, signs=self.signs, device=self.device)
 
     @property
     def flips(self) -> int:
@@ -99,8 +107,7 @@ def examine(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> Examined:
     """Decide the orientation of all triangles and the turns of all rings; arguments as of :func:`tangled_faces`."""
-    signs = orientation_signs(sphere, faces, device=device)
-    return Examined(signs, ring_turns(sphere, faces, signs=signs, device=device))
+    return Examined(sphere, faces, device, orientation_signs(sphere, faces, device=device))
 
 
 def tangled_faces(

@@ -86,6 +86,19 @@ class SphereMaps(Protocol):
 
 
 @dataclass(frozen=True)
+class Curl:
+    """The part of a map's displacement that is no gradient.
+
+    Attributes:
+        relative: its norm over that of the displacement.
+        stream: its stream function H at the y_i, float64, shape [V].
+    """
+
+    relative: float
+    stream: Array
+
+
+@dataclass(frozen=True)
 class Optimality:
     """How far a map is from optimal.
 
@@ -138,6 +151,7 @@ def optimality(
     potential: ArrayLike | None = None,
     ascent_steps: int = ASCENT_STEPS,
     enough: float = GOOD_ENOUGH,
+    curl: Curl | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Optimality:
@@ -155,6 +169,7 @@ def optimality(
         ascent_steps: at most this many improvements of the potential; of up to three, three times as many while each
             takes away a quarter of what is left.
         enough: the gap at which the improvements end.
+        curl: what :func:`map_curl` returned for this map and the squared cost, if that is known.
         device: where kernels run.
         progress: called as ``progress("optimality", step, most steps, {"gap": gap})``.
 
@@ -174,7 +189,7 @@ def optimality(
     x, y = _points(start, surface, "start"), _points(sphere, surface, "map")
     mass = _masses(surface.vertex_areas if masses is None else masses, surface.vertex_count)
     enough = real_number(enough, "enough", least=0.0)
-    return _measure(surface, x, y, mass, potential, ascent_steps, device, progress, enough)
+    return _measure(surface, x, y, mass, potential, ascent_steps, device, progress, enough, curl)
 
 
 def map_optimality(
@@ -238,6 +253,7 @@ def _measure(
     device: str | None,
     progress: Progress | None,
     enough: float = GOOD_ENOUGH,
+    curl: Curl | None = None,
 ) -> Optimality:
     ascent_steps = whole_number(ascent_steps, "ascent_steps")
 
@@ -249,7 +265,7 @@ def _measure(
 
     notify(0, {})
     dual = TransportDual(surface, x, y, mass, device)
-    curl, stream = _curl_part(surface, y, dual.log, device)
+    curl = curl or _curl_part(surface, y, dual.log, device)
     notify(1, {})
     fitted, swapped = dual.initial_potential()
     notify(2, {})
@@ -281,7 +297,7 @@ def _measure(
     uniform *= 2.0
     notify(total, {"gap": _excess(cost, lower)})
     return Optimality(
-        relative_curl=curl,
+        relative_curl=curl.relative,
         cost=cost,
         lower_bound=lower,
         gap=_excess(cost, lower),
@@ -292,7 +308,7 @@ def _measure(
         ascent_steps=steps,
         potential=at_images if far else best.potential,
         vertex_gap=vertex_gap,
-        stream=stream,
+        stream=curl.stream,
     )
 
 
@@ -361,12 +377,24 @@ def relative_curl(
     Raises:
         OmtwarpError: the mesh, a map or the cost cannot be used.
     """
+    return map_curl(surface, sphere, start=start, cost=cost, device=device).relative
+
+
+def map_curl(
+    surface: MeshLike,
+    sphere: ArrayLike | wp.array,
+    *,
+    start: ArrayLike | wp.array,
+    cost: str = Cost.SQUARED,
+    device: str | None = "auto",
+) -> Curl:
+    """Compute the part of the displacement that is no gradient; arguments and errors as of :func:`relative_curl`."""
     surface, cost = as_surface(surface), choose(Cost, cost)
     x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
     log = _log_maps(y, x, device)
     if cost == Cost.GEODESIC:
         log /= np.maximum(np.linalg.norm(log, axis=1, keepdims=True), TINY)
-    return _curl_part(surface, y, log, device)[0]
+    return _curl_part(surface, y, log, device)
 
 
 def exact_transport(
@@ -407,8 +435,8 @@ def exact_transport(
     return SPHERE_AREA * float((plan * squared).sum()), SPHERE_AREA * float(a @ angle**2)
 
 
-def _curl_part(surface: Surface, y: Array, log: Array, device: str | None) -> tuple[float, Array]:
-    """Return the relative curl of the displacement on the image mesh, and its stream function H, shape [V]."""
+def _curl_part(surface: Surface, y: Array, log: Array, device: str | None) -> Curl:
+    """Compute the curl of the displacement on the image mesh."""
     where = resolve_device(device)
     images, faces = vectors(y, where), surface.on(where).faces
     field = wp.empty(surface.face_count, dtype=wp.vec3d, device=where)
@@ -416,12 +444,12 @@ def _curl_part(surface: Surface, y: Array, log: Array, device: str | None) -> tu
     wp.launch(kernels.face_displacement, dim=len(field), inputs=inputs, outputs=[field], device=where)
     norm = float(triangle_areas(y, surface.faces) @ (field.numpy() ** 2).sum(axis=1))
     if norm == 0.0:
-        return 0.0, np.zeros(surface.vertex_count)
+        return Curl(0.0, np.zeros(surface.vertex_count))
     operators = DifferentialOperators(y, surface.faces, device=str(where))
     # Weakly, <J∇φ, field> = div(J field) tested with φ, since J is antisymmetric and div = -grad'.
     vorticity = operators.divergence(operators.rotate(field)).numpy()
     stream = SurfaceLaplacianSolver(surface, images, device=where).solve(vorticity)
-    return float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream
+    return Curl(float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream)
 
 
 def _log_maps(base: Array, target: Array, device: str | None) -> Array:
