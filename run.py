@@ -72,7 +72,7 @@ def test(options: list[str], environment: dict[str, str]) -> int:
         "dead code": ["-m", "vulture"],
         # Each test process would compile every kernel for itself: compile them once before.
         "kernels": ["-m", "omtwarp.device.prewarm"],
-        "tests": ["-m", "pytest", "-n", "2", *options],
+        "tests": ["-m", "pytest", "-n", "2", "--dist", "loadgroup", *options],
     }
     failed = {}
     for name, step in steps.items():
