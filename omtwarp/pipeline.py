@@ -81,8 +81,10 @@ REPEATED_REPAIR = 0.1
 MOST_FLIPPED, MANY_FLIPS = 0.05, 300
 # Slivers are removed from Moser's map before transport is optimised, by minimising angle distortion and area distortion
 # with this weight to this tolerance, which saves several larger factorisations. With tolerances down to 5e-6 it takes
-# up to 19 steps in place of 5, and as many of transport follow.
-SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 20
+# up to 19 steps in place of 5, and as many of transport follow. Of doubles whose map was repaired it ends at the third
+# number: a double of 286 triangles, the cap of a tube with seven holes, has several minima, and ends at an area
+# distortion of 2.17 with tolerances from 5e-6 to 1e-4, of 2.2 to 3.2 with larger ones.
+SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, DOUBLE_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.05, 5e-6, 20
 # A map from a substitute start may be twisted in regions that the conformal map shrinks: by 11 degrees in two of a
 # skull. Under a heavy weight on areas these are minima of their own, under this weight they are not: to this tolerance
 # first, the map differs from the one on the conformal road by 0.016 radians (rms) in place of 0.033, that of a bunny by
@@ -777,7 +779,9 @@ class _Run:
         """Return Moser's map smoothed, after twists of a substitute start were undone."""
         if self.origin["route"] == "hierarchical" and not self.shrunken and not self.rough:
             sphere = self.smoothed(sphere, UNTWISTING_WEIGHT, UNTWISTING_TOLERANCE, UNTWISTING_STEPS)
-        return self.smoothed(sphere)
+        repaired = self.origin["route"] != "conformal" or any(record.details.get("repaired") for record in self.records)
+        fine = self.mirror is not None and repaired
+        return self.smoothed(sphere, tolerance=DOUBLE_TOLERANCE if fine else SMOOTHING_TOLERANCE)
 
     def by_rough_rounds(self, initial: NDArray[np.float64], smooth: NDArray[np.float64]) -> tuple[OptimalMap, float]:
         """Return the map of a drawn part from a smoothed one, or for a hemisphere from a symmetric one."""
