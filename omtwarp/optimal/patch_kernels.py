@@ -9,7 +9,12 @@ from omtwarp.geometry.spherical import logarithm, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms
-from omtwarp.solvers.cholesky.envelope_kernels import factorise_saddle_envelope, place_of, solve_saddle_envelope
+from omtwarp.solvers.cholesky.envelope_kernels import (
+    add_saddle_block,
+    clear_envelope,
+    factorise_saddle_envelope,
+    solve_saddle_envelope,
+)
 from omtwarp.triangle_newton.motion_kernels import keeps_volume
 from omtwarp.triangle_newton.newton_kernels import packed
 from omtwarp.triangle_newton.patch_kernels import SUFFICIENT_DECREASE
@@ -70,7 +75,8 @@ class LocalScratch:
     pull: wp.array[wp.vec3d]  # gradient of the energy by every vertex, and its multiplier's right-hand side
     right: wp.array[wp.vec3d]
     step: wp.array[wp.vec3d]
-    matrix: wp.array[wp.mat33d]
+    diagonal: wp.array[wp.mat33d]  # of the matrix, as of omtwarp.solvers.cholesky.envelope_kernels, [P]
+    left: wp.array[wp.float64]
 
 
 @wp.func
@@ -173,23 +179,13 @@ def differentiate(
 
 
 @wp.func
-def add_saddle_block(i: int, j: int, block: wp.mat33d, patches: SaddlePatches, matrix: wp.array[wp.mat33d]):
-    """Add a block with rows of vertex i and columns of vertex j, on whichever side of the diagonal is kept."""
-    if i >= j:
-        at = place_of(i, j, patches.first, patches.rows)
-        matrix[at] = matrix[at] + block
-    else:
-        at = place_of(j, i, patches.first, patches.rows)
-        matrix[at] = matrix[at] + wp.transpose(block)
-
-
-@wp.func
 def assemble(p: int, patches: SaddlePatches, given: LocalEnergy, points: wp.array[wp.vec3d], scratch: LocalScratch):
     """Sum the saddle-point matrix and the right-hand side."""
     begin = patches.starts[p]
     end = patches.starts[p + 1]
-    for k in range(int(patches.rows[begin]), place_of(end - 1, end - 1, patches.first, patches.rows) + 1):
-        scratch.matrix[k] = wp.mat33d()
+    clear_envelope(begin, end, 3, patches.first, patches.rows, scratch.left)
+    for i in range(begin, end):
+        scratch.diagonal[i] = wp.mat33d()
     for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
         face = patches.faces[t]
         for m in range(3):
@@ -214,10 +210,14 @@ def assemble(p: int, patches: SaddlePatches, given: LocalEnergy, points: wp.arra
                         block[2, 0] = scratch.bends[t, 2 * n]
                         block[2, 1] = scratch.bends[t, 2 * n + 1]
                 if patches.free[i] or patches.free[j]:
-                    add_saddle_block(i, j, block, patches, scratch.matrix)
+                    if m == n:
+                        scratch.diagonal[i] = scratch.diagonal[i] + block
+                    elif i < j:
+                        add_saddle_block(j, i, wp.transpose(block), patches.first, patches.rows, scratch.left)
+                    else:
+                        add_saddle_block(i, j, block, patches.first, patches.rows, scratch.left)
     for i in range(begin, end):
-        own = place_of(i, i, patches.first, patches.rows)
-        block = scratch.matrix[own]
+        block = scratch.diagonal[i]
         right = wp.vec3d(ZERO, ZERO, patches.wanted[i] - scratch.ring[i])
         if patches.free[i]:
             y = points[i]
@@ -235,7 +235,7 @@ def assemble(p: int, patches: SaddlePatches, given: LocalEnergy, points: wp.arra
             block[0, 0] = ONE
             block[1, 1] = ONE
         block[2, 2] = -ONE / patches.stiffness[i]
-        scratch.matrix[own] = block
+        scratch.diagonal[i] = block
         scratch.right[i] = right
         scratch.step[i] = right
 
@@ -265,8 +265,8 @@ def settle_small_patches(
         assemble(p, patches, given, points, scratch)
         length = ZERO
         expected = ZERO
-        if factorise_saddle_envelope(begin, end, patches.first, patches.rows, scratch.matrix):
-            solve_saddle_envelope(begin, end, patches.first, patches.rows, scratch.matrix, scratch.step)
+        if factorise_saddle_envelope(begin, end, patches.first, patches.rows, scratch.diagonal, scratch.left):
+            solve_saddle_envelope(begin, end, patches.first, patches.rows, scratch.diagonal, scratch.left, scratch.step)
             reach = ZERO
             for i in range(begin, end):
                 u = scratch.step[i]

@@ -25,8 +25,8 @@ from omtwarp.triangle_newton.small_patches import launch_patches, shared
 
 Numbers = NDArray[np.float64]
 
-# Multiplications of the largest patch's factorisation: beyond some 1,000 vertices the multifrontal one takes less time.
-MAX_OPERATIONS = 6e7
+# Multiplications of the largest patch's factorisation: beyond some 1,800 vertices the multifrontal one takes less time.
+MAX_OPERATIONS = 2e8
 
 
 class SmallLocalSteps:
@@ -122,7 +122,8 @@ class SmallLocalSteps:
         scratch.outside, scratch.ring, scratch.cost = (shared(np.empty(count), wp.float64) for _ in range(3))
         scratch.fits = shared(np.empty((count, 8)), Fit)
         scratch.pull, scratch.right, scratch.step = (shared(np.empty((count, 3)), wp.vec3d) for _ in range(3))
-        scratch.matrix = shared(np.empty((self._envelopes.size, UNKNOWNS, UNKNOWNS)), wp.mat33d)
+        diagonal, left = self._envelopes.storage(UNKNOWNS)
+        scratch.diagonal, scratch.left = shared(diagonal, wp.mat33d), shared(left, wp.float64)
         return scratch
 
 

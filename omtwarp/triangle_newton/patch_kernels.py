@@ -3,9 +3,8 @@
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
 from omtwarp.solvers.cholesky.envelope_kernels import (
     add_block,
-    diagonal_of,
+    clear_envelope,
     factorise_envelope,
-    place_of,
     solve_envelope,
 )
 from omtwarp.triangle_newton import line_search
@@ -39,7 +38,8 @@ class PatchScratch:
 
     gradient: wp.array2d[wp.float64]  # of every triangle by the tangent coordinates of its corners, [T, 6]
     blocks: wp.array2d[wp.float64]  # Hessian of every triangle, [T, 21]
-    matrix: wp.array[wp.mat22d]
+    diagonal: wp.array[wp.mat22d]  # of the matrix, as of omtwarp.solvers.cholesky.envelope_kernels, [free]
+    left: wp.array[wp.float64]
     slopes: wp.array[wp.float64]  # gradient by the free vertices, two numbers each
     direction: wp.array[wp.float64]
 
@@ -49,8 +49,9 @@ def assemble(p: int, patches: PatchMeshes, growth: wp.float64, scratch: PatchScr
     """Sum the Hessians of the triangles, and let the diagonal grow by a share of its mean at each vertex."""
     begin = patches.starts[p]
     end = patches.starts[p + 1]
-    for k in range(int(patches.rows[begin]), place_of(end - 1, end - 1, patches.first, patches.rows) + 1):
-        scratch.matrix[k] = wp.mat22d(ZERO, ZERO, ZERO, ZERO)
+    clear_envelope(begin, end, 2, patches.first, patches.rows, scratch.left)
+    for i in range(begin, end):
+        scratch.diagonal[i] = wp.mat22d(ZERO, ZERO, ZERO, ZERO)
     for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
         face = patches.faces[t]
         for m in range(3):
@@ -64,16 +65,17 @@ def assemble(p: int, patches: PatchMeshes, growth: wp.float64, scratch: PatchScr
                     left = right
                     if m < n:
                         left = scratch.blocks[t, lower - 1]
-                    if i < j:
-                        block = wp.mat22d(scratch.blocks[t, upper], left, right, scratch.blocks[t, lower])
-                        add_block(j, i, block, patches.first, patches.rows, scratch.matrix)
+                    block = wp.mat22d(scratch.blocks[t, upper], right, left, scratch.blocks[t, lower])
+                    if m == n:
+                        scratch.diagonal[i] = scratch.diagonal[i] + block
+                    elif i < j:
+                        add_block(j, i, wp.transpose(block), patches.first, patches.rows, scratch.left)
                     else:
-                        block = wp.mat22d(scratch.blocks[t, upper], right, left, scratch.blocks[t, lower])
-                        add_block(i, j, block, patches.first, patches.rows, scratch.matrix)
+                        add_block(i, j, block, patches.first, patches.rows, scratch.left)
     for i in range(begin, end):
-        own = diagonal_of(i, patches.first, patches.rows, scratch.matrix)
-        more = growth * HALF * (own[0] + own[1])
-        add_block(i, i, wp.mat22d(more, ZERO, ZERO, more), patches.first, patches.rows, scratch.matrix)
+        own = scratch.diagonal[i]
+        more = growth * HALF * (own[0, 0] + own[1, 1])
+        scratch.diagonal[i] = own + wp.mat22d(more, ZERO, ZERO, more)
 
 
 @wp.func
@@ -96,12 +98,12 @@ def find_direction(p: int, patches: PatchMeshes, growth: wp.float64, scratch: Pa
     for attempt in range(patches.shifts.shape[0]):
         if not definite:
             assemble(p, patches, growth + patches.shifts[attempt], scratch)
-            definite = factorise_envelope(begin, end, patches.first, patches.rows, scratch.matrix)
+            definite = factorise_envelope(begin, end, patches.first, patches.rows, scratch.diagonal, scratch.left)
     if not definite:
         return wp.float64(wp.NAN)
     for k in range(2 * begin, 2 * end):
         scratch.direction[k] = -scratch.slopes[k]
-    solve_envelope(begin, end, patches.first, patches.rows, scratch.matrix, scratch.direction)
+    solve_envelope(begin, end, patches.first, patches.rows, scratch.diagonal, scratch.left, scratch.direction)
     slope = ZERO
     for k in range(2 * begin, 2 * end):
         slope += scratch.direction[k] * scratch.slopes[k]
@@ -114,10 +116,10 @@ def find_descent(p: int, patches: PatchMeshes, scratch: PatchScratch) -> wp.floa
     assemble(p, patches, ZERO, scratch)
     slope = ZERO
     for i in range(patches.starts[p], patches.starts[p + 1]):
-        own = diagonal_of(i, patches.first, patches.rows, scratch.matrix)
+        own = scratch.diagonal[i]
         for u in range(2):
             k = 2 * i + u
-            scratch.direction[k] = -scratch.slopes[k] / own[u]
+            scratch.direction[k] = -scratch.slopes[k] / own[u, u]
             if not wp.isfinite(scratch.direction[k]):
                 scratch.direction[k] = ZERO
             slope += scratch.direction[k] * scratch.slopes[k]

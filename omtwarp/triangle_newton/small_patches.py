@@ -18,8 +18,8 @@ from omtwarp.solvers.cholesky.envelope import Envelopes
 from omtwarp.triangle_newton.newton import DIAGONAL_SHIFTS
 from omtwarp.triangle_newton.patch_kernels import PatchMeshes, PatchScratch
 
-# Multiplications of the largest patch's factorisation: beyond some 1,500 vertices the multifrontal one takes less time.
-MAX_OPERATIONS = 2e7
+# Multiplications of the largest patch's factorisation: beyond some 2,600 vertices the multifrontal one takes less time.
+MAX_OPERATIONS = 6e7
 MIN_SHARED_TRIANGLES = 500  # with fewer a second thread costs more than it saves
 
 
@@ -83,7 +83,8 @@ class SmallPatches:
         scratch = PatchScratch()
         scratch.gradient = shared(np.empty((triangles, 6)), wp.float64)
         scratch.blocks = shared(np.empty((triangles, 21)), wp.float64)
-        scratch.matrix = shared(np.empty((self.envelopes.size, 2, 2)), wp.mat22d)
+        diagonal, left = self.envelopes.storage(2)
+        scratch.diagonal, scratch.left = shared(diagonal, wp.mat22d), shared(left, wp.float64)
         scratch.slopes, scratch.direction = (shared(np.empty(2 * free), wp.float64) for _ in range(2))
         return scratch
 

@@ -11,18 +11,20 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from omtwarp.device.start import wp
 
+COLUMNS = 4  # vertices whose blocks a row stores entry by entry, as a group
+
 
 @dataclass(frozen=True, eq=False)
 class Envelopes:
-    """Independent matrices whose patterns are the edges between vertices, two unknowns to a vertex.
+    """Independent matrices whose patterns are the edges between vertices, some unknowns to a vertex.
 
     Attributes:
         order: the vertices in the order of elimination, those of each matrix together, shape [N].
         starts: where each matrix begins in that order, and N, int32, shape [count + 1].
         first: the first place in the order that is joined to each place, or the place itself, int32, shape [N].
-        rows: where the blocks of each place begin among all blocks, int64, shape [N].
-        size: number of blocks of all matrices.
-        operations: multiplications of a factorisation of each matrix, shape [count].
+        rows: where the groups of blocks of each place begin among all groups, int64, shape [N].
+        size: number of groups of all matrices.
+        operations: multiplications of a factorisation of each matrix with two unknowns to a vertex, shape [count].
     """
 
     order: NDArray[np.intp]
@@ -53,9 +55,16 @@ class Envelopes:
         np.minimum.at(first, high, low)
         starts = np.zeros(count + 1, dtype=np.int32)
         np.cumsum(np.bincount(matrix, minlength=count), out=starts[1:])
-        widths = np.arange(vertices) - first + 1
+        places = np.arange(vertices)
+        widths = places - first + 1
         operations = np.bincount(matrix[order], 4.0 * widths**2, count).astype(np.float64, copy=False)
-        return cls(order, starts, first, np.cumsum(widths) - widths, int(widths.sum()), operations)
+        groups = (places + COLUMNS - 1) // COLUMNS - first // COLUMNS
+        return cls(order, starts, first, np.cumsum(groups) - groups, int(groups.sum()), operations)
+
+    def storage(self, unknowns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return memory for all matrices with so many unknowns to a vertex: for diagonals, and what is left of them."""
+        count = len(self.order)
+        return np.empty((count, unknowns, unknowns)), np.empty(self.size * COLUMNS * unknowns**2)
 
     def upload(self) -> list[wp.array]:
         """Return starts, first and rows as arrays that kernels on the host read."""

@@ -9,8 +9,13 @@ from hypothesis import strategies as st
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.mesh.shapes import blob, icosphere
-from omtwarp.solvers.cholesky.envelope import Envelopes
-from omtwarp.solvers.cholesky.envelope_kernels import factorise_envelope, solve_envelope
+from omtwarp.solvers.cholesky.envelope import COLUMNS, Envelopes
+from omtwarp.solvers.cholesky.envelope_kernels import (
+    factorise_envelope,
+    factorise_saddle_envelope,
+    solve_envelope,
+    solve_saddle_envelope,
+)
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -21,33 +26,60 @@ def solve_each(
     first: wp.array[wp.int32],
     rows: wp.array[wp.int64],
     # Data in and out:
-    matrix: wp.array[wp.mat22d],
+    diagonal: wp.array[wp.mat22d],
+    left: wp.array[wp.float64],
     x: wp.array[wp.float64],
     # Data out:
     definite: wp.array[wp.int32],
 ):
     p, _compiled_once = wp.tid()
     definite[p] = wp.int32(0)
-    if factorise_envelope(starts[p], starts[p + 1], first, rows, matrix):
+    if factorise_envelope(starts[p], starts[p + 1], first, rows, diagonal, left):
         definite[p] = wp.int32(1)
-        solve_envelope(starts[p], starts[p + 1], first, rows, matrix, x)
+        solve_envelope(starts[p], starts[p + 1], first, rows, diagonal, left, x)
 
 
-def solved(edges, matrix, count, dense, right):
-    """Solve with the 2x2 blocks of dense matrices; return the solution and whether each matrix is definite."""
+@wp.kernel
+def solve_each_saddle(
+    starts: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    rows: wp.array[wp.int64],
+    # Data in and out:
+    diagonal: wp.array[wp.mat33d],
+    left: wp.array[wp.float64],
+    x: wp.array[wp.vec3d],
+    # Data out:
+    definite: wp.array[wp.int32],
+):
+    p, _compiled_once = wp.tid()
+    definite[p] = wp.int32(0)
+    if factorise_saddle_envelope(starts[p], starts[p + 1], first, rows, diagonal, left):
+        definite[p] = wp.int32(1)
+        solve_saddle_envelope(starts[p], starts[p + 1], first, rows, diagonal, left, x)
+
+
+def solved(edges, matrix, count, dense, right, unknowns=2):
+    """Solve with the blocks of dense matrices; return the solution and whether each matrix has the right signs."""
     envelopes = Envelopes.of_edges(edges, matrix, count)
-    blocks = np.zeros((envelopes.size, 2, 2))
+    diagonal, left = envelopes.storage(unknowns)
+    groups = left.reshape(envelopes.size, unknowns, unknowns, COLUMNS)
+    groups[:] = 0.0
+    blocks = dense.reshape(len(matrix), unknowns, len(matrix), unknowns).swapaxes(1, 2)
     for i, own in enumerate(envelopes.order):
-        for j in range(envelopes.first[i], i + 1):
-            other = envelopes.order[j]
-            blocks[envelopes.rows[i] + j - envelopes.first[i]] = dense[2 * own : 2 * own + 2, 2 * other : 2 * other + 2]
-    x = np.ascontiguousarray(right.reshape(-1, 2)[envelopes.order].ravel())
+        diagonal[i] = blocks[own, own]
+        for j in range(envelopes.first[i], i):
+            group = envelopes.rows[i] + j // COLUMNS - envelopes.first[i] // COLUMNS
+            groups[group, :, :, j % COLUMNS] = blocks[own, envelopes.order[j]]
+    x = np.ascontiguousarray(right.reshape(-1, unknowns)[envelopes.order])
     definite = np.zeros(count, dtype=np.int32)
-    arrays = [(blocks, wp.mat22d), (x, wp.float64), (definite, wp.int32)]
+    kernel, block, numbers = solve_each, wp.mat22d, wp.float64
+    if unknowns == 3:
+        kernel, block, numbers = solve_each_saddle, wp.mat33d, wp.vec3d
+    arrays = [(diagonal, block), (left, wp.float64), (x if unknowns == 3 else x.ravel(), numbers), (definite, wp.int32)]
     outputs = [wp.array(values, dtype=kind, device="cpu", copy=False) for values, kind in arrays]
-    wp.launch(solve_each, dim=count, inputs=envelopes.upload(), outputs=outputs, device="cpu")
-    out = np.empty((len(matrix), 2))
-    out[envelopes.order] = x.reshape(-1, 2)
+    wp.launch(kernel, dim=count, inputs=envelopes.upload(), outputs=outputs, device="cpu")
+    out = np.empty((len(matrix), unknowns))
+    out[envelopes.order] = x
     return out.ravel(), definite.astype(bool)
 
 
@@ -63,11 +95,8 @@ def random_matrix(edges, vertices, rng):
     return scale[:, None] * dense * scale
 
 
-@settings(max_examples=20)
-@given(seed=st.integers(0, 10**6), sizes=st.lists(st.integers(1, 25), min_size=1, max_size=4))
-def test_solutions_are_those_of_dense_matrices(seed, sizes):
-    """Of several graphs at once, single vertices among them, numbered in any order, edges given once or twice."""
-    rng = np.random.default_rng(seed)
+def random_graphs(sizes, rng):
+    """Edges of several graphs, some given twice, the vertices numbered in any order, and the graph of each vertex."""
     vertices = sum(sizes)
     of_matrix = np.repeat(np.arange(len(sizes)), sizes)
     edges = []
@@ -75,11 +104,44 @@ def test_solutions_are_those_of_dense_matrices(seed, sizes):
         own = np.flatnonzero(of_matrix == k)
         edges += [(own[n], own[rng.integers(n)]) for n in range(1, len(own)) for _ in range(2)]
     numbers = rng.permutation(vertices)
-    edges = numbers[np.array(edges, dtype=np.int64).reshape(-1, 2)]
     matrix = np.empty(vertices, dtype=np.int64)
     matrix[numbers] = of_matrix
+    return numbers[np.array(edges, dtype=np.int64).reshape(-1, 2)], matrix
+
+
+graphs = given(seed=st.integers(0, 10**6), sizes=st.lists(st.integers(1, 25), min_size=1, max_size=4))
+
+
+@settings(max_examples=20)
+@graphs
+def test_solutions_are_those_of_dense_matrices(seed, sizes):
+    """Of several graphs at once, single vertices among them, numbered in any order, edges given once or twice."""
+    rng = np.random.default_rng(seed)
+    edges, matrix = random_graphs(sizes, rng)
+    vertices = len(matrix)
     dense, right = random_matrix(edges, vertices, rng), rng.normal(size=2 * vertices)
     x, definite = solved(edges, matrix, len(sizes), dense, right)
+    assert definite.all()
+    expected = np.linalg.solve(dense, right)
+    assert np.abs(dense @ x - right).max() < 1e-9 * np.abs(dense).max() * np.abs(expected).max() + 1e-12
+
+
+@settings(max_examples=20)
+@graphs
+def test_solutions_of_saddle_points_are_those_of_dense_matrices(seed, sizes):
+    """Each vertex has two unknowns of a definite matrix and a multiplier, coupled along edges."""
+    rng = np.random.default_rng(seed)
+    edges, matrix = random_graphs(sizes, rng)
+    vertices = len(matrix)
+    dense = np.zeros((vertices, 3, vertices, 3))
+    dense[:, :2, :, :2] = random_matrix(edges, vertices, rng).reshape(vertices, 2, vertices, 2)
+    ends = np.concatenate([edges, edges[:, ::-1], np.arange(vertices)[:, None].repeat(2, axis=1)])
+    for i, j in ends:
+        dense[i, 2, j, :2] = rng.normal(size=2)
+        dense[j, :2, i, 2] = dense[i, 2, j, :2]
+    dense[np.arange(vertices), 2, np.arange(vertices), 2] = -rng.uniform(0.1, 2.0, vertices)
+    dense, right = dense.reshape(3 * vertices, 3 * vertices), rng.normal(size=3 * vertices)
+    x, definite = solved(edges, matrix, len(sizes), dense, right, unknowns=3)
     assert definite.all()
     expected = np.linalg.solve(dense, right)
     assert np.abs(dense @ x - right).max() < 1e-9 * np.abs(dense).max() * np.abs(expected).max() + 1e-12
