@@ -372,6 +372,7 @@ class _Run:
         self.area_weight: float | None = None  # of the shape term; None before it is first used
         self.uploaded: tuple[NDArray[np.float64], wp.array] | None = None
         self.known: tuple[NDArray[np.float64], Examined] | None = None
+        self.counted: tuple[NDArray[np.float64], int] | None = None  # triangles shrunken at the source
         self.begun = self.stage_begun = time.perf_counter()
 
     @property
@@ -1078,7 +1079,9 @@ class _Run:
     def shrunken(self) -> int:
         """Number of triangles that the conformal map shrinks to points, as it does on long limbs."""
         assert self.source is not None
-        return shrunken_triangles(self.surface, self.source)
+        if self.counted is None or self.counted[0] is not self.source:
+            self.counted = self.source, shrunken_triangles(self.surface, self.source)
+        return self.counted[1]
 
     @property
     def largest_gap(self) -> float:

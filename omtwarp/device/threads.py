@@ -84,13 +84,17 @@ def launch_parts(
         inputs, outputs = arguments(part)
         wp.launch(kernel, dim=part.stop - part.start, inputs=inputs, outputs=outputs, device=device)
 
+    parts = parts_of(count, device, least)
+    if len(parts) > 1:
+        load(kernel, device)
+    run_all(launch, parts)
+
+
+def parts_of(count: int, device: wp.Device, least: int = SMALLEST_SHARED_LAUNCH) -> list[slice]:
+    """Return the parts of a launch with so many threads, one for every core of a CPU; see :func:`launch_parts`."""
     parts = launch_parts_of(wp.get_device(device), count, core_count(), least)
-    if parts == 1:
-        launch(slice(0, count))
-        return
-    load(kernel, device)
     bounds = [count * k // parts for k in range(parts + 1)]
-    run_all(launch, [slice(a, b) for a, b in pairwise(bounds)])
+    return [slice(a, b) for a, b in pairwise(bounds)]
 
 
 def cut(array: wp.array, part: slice) -> wp.array:
@@ -117,4 +121,4 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-__all__ = ["Arguments", "blas_threads", "core_count", "cut", "launch_parts", "load", "pool", "run_all"]
+__all__ = ["Arguments", "blas_threads", "core_count", "cut", "launch_parts", "load", "parts_of", "pool", "run_all"]

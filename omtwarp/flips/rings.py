@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.device.threads import cut, load, parts_of, run_all
 from omtwarp.flips.predicates import exact_signs, orientation_signs
 from omtwarp.flips.ring_kernels import SCALE, add_turning_angles
 
@@ -60,12 +61,18 @@ def ring_turns(
     corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
     if signs is None:
         signs = orientation_signs(points, corners, device=where)
-    angles, errors = (wp.zeros(len(points), dtype=wp.int64, device=where) for _ in range(2))
     sent = wp.array(np.ascontiguousarray(signs, dtype=np.int8), dtype=wp.int8, device=where, copy=False)
     bounds = [wp.float64(_DIRECTION_ERROR), wp.float64(_ANGLE_ERROR)]
-    inputs = [points, corners, sent, *bounds]
-    wp.launch(add_turning_angles, dim=len(corners), inputs=inputs, outputs=[angles, errors], device=where)
-    total, error = angles.numpy() / (2.0 * np.pi * float(SCALE)), errors.numpy() / float(SCALE)
+
+    def added(part: slice) -> NDArray[np.int64]:
+        sums = wp.zeros((2, len(points)), dtype=wp.int64, device=where)
+        inputs, count = [points, cut(corners, part), cut(sent, part), *bounds], part.stop - part.start
+        wp.launch(add_turning_angles, dim=count, inputs=inputs, outputs=[sums[0], sums[1]], device=where)
+        return sums.numpy()
+
+    load(add_turning_angles, where)
+    angles, errors = np.sum(run_all(added, parts_of(len(corners), where)), axis=0)
+    total, error = angles / (2.0 * np.pi * float(SCALE)), errors / float(SCALE)
     certain = error < _CERTAIN
     turns: NDArray[np.int32] = np.rint(np.where(certain, total, 0.0)).astype(np.int32)
     if not certain.all():
@@ -91,6 +98,17 @@ class Examined:
     @cached_property
     def turns(self) -> NDArray[np.int32]:
         return ring_turns(self.sphere, self.faces, signs=self.signs, device=self.device)
+
+    @property
+    def tangled(self) -> NDArray[np.bool_]:
+        """The triangles that keep the map from being one to one, as of :func:`tangled_faces`, bool, shape [F]."""
+        faces = self.faces.numpy() if isinstance(self.faces, wp.array) else np.asarray(self.faces).reshape(-1, 3)
+        tangled: NDArray[np.bool_] = self.signs <= 0
+        wound = self.turns != 1
+        if wound.any():
+            wound[faces[tangled]] = False
+            tangled |= wound[faces].any(axis=1)
+        return tangled
 
     @property
     def flips(self) -> int:
@@ -125,14 +143,7 @@ def tangled_faces(
     Returns:
         bool, shape [F]. None is True exactly where the map of a closed connected surface of genus 0 is a bijection.
     """
-    found = examine(sphere, faces, device=device)
-    corners = faces.numpy() if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3)
-    tangled: NDArray[np.bool_] = found.signs <= 0
-    wound = found.turns != 1
-    if wound.any():
-        wound[corners[tangled]] = False
-        tangled |= wound[corners].any(axis=1)
-    return tangled
+    return examine(sphere, faces, device=device).tangled
 
 
 def is_bijective(
@@ -182,4 +193,4 @@ def _turn_exactly(
     np.add.at(turns, centre, crossing)
 
 
-__all__ = ["is_bijective", "ring_turns", "tangled_faces"]
+__all__ = ["Examined", "examine", "is_bijective", "ring_turns", "tangled_faces"]

@@ -24,8 +24,9 @@ def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArr
 
 def touching(faces: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask, shape [F], of the triangles with a corner among the chosen vertices."""
-    first, second, third = (chosen[faces[:, k]] for k in range(3))  # NumPy reduces rows of three slowly
-    return first | second | third
+    corners = chosen.take(faces)
+    touched: NDArray[np.bool_] = corners[:, 0] | corners[:, 1] | corners[:, 2]  # NumPy reduces rows of three slowly
+    return touched
 
 
 def sides_of(faces: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -80,7 +81,9 @@ class Patches:
         count, label = connected_components(graph, directed=False)
         of_corner = np.full(len(vertices), -1, dtype=np.intp)
         of_corner[:free] = label
-        return cls(vertices, free, triangles, own, of_corner[:free], of_corner[own].max(axis=1), int(count))
+        first, second, third = (of_corner[own[:, k]] for k in range(3))
+        face_patch = np.maximum(np.maximum(first, second), third)
+        return cls(vertices, free, triangles, own, of_corner[:free], face_patch, int(count))
 
     def sum_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum values at the freed vertices, shape [free], over every piece; returns shape [count]."""

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from omtwarp.conformal import ConformalMap, conformal_map
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.rings import examine, is_bijective
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.options import Progress
@@ -99,9 +98,10 @@ def bijective_start(
     except OmtwarpError as error:
         reason = str(error)
     if conformal is not None and not reason:
-        if is_bijective(conformal.sphere, mesh.faces, device=device):
+        examined = examine(conformal.sphere, mesh.faces, device=device)
+        if examined.bijective:
             return Start(conformal.sphere, "conformal", "", conformal, 0)
-        flips = count_flips(conformal.sphere, mesh.faces, device=device)
+        flips = examined.flips
         many = flips if flips > REPAIRABLE * surface.face_count else 0
         reason = f"the conformal map flips {flips} of {surface.face_count} triangles"
         if not many:

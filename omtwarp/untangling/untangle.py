@@ -22,8 +22,8 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips, flipped_faces
-from omtwarp.flips.rings import tangled_faces
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.rings import examine
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -181,8 +181,8 @@ def untangle(
     start = np.array(as_sphere(sphere, surface))
     budget = RepairBudget(surface) if budget is None else budget
     points, faces = start.copy(), surface.faces
-    tangled = tangled_faces(points, faces)
-    before = count_flips(points, faces)
+    found = examine(points, faces)
+    before, tangled = found.flips, found.tangled
     rounds = 0
     history: list[dict[str, int]] = []
     for attempt, schedule in enumerate(schedules):
@@ -195,7 +195,8 @@ def untangle(
             progress("untangle", attempt, len(schedules), {"tangled": int(tangled.sum())})
         untangling = _Untangling(surface, points, seeds, schedule, where)
         points, done = untangling.solve(budget)
-        tangled = tangled_faces(points, faces)
+        found = examine(points, faces)
+        tangled = found.tangled
         rounds += done
         history.append(
             {
@@ -203,11 +204,11 @@ def untangle(
                 "vertices": untangling.whole.free,
                 "patches": untangling.whole.count,
                 "rounds": done,
-                "flips": count_flips(points, faces),
+                "flips": found.flips,
             }
         )
     moved = int(np.any(points != start, axis=1).sum())
-    return UntangleResult(points, before, count_flips(points, faces), not tangled.any(), rounds, moved, history)
+    return UntangleResult(points, before, found.flips, not tangled.any(), rounds, moved, history)
 
 
 def untangle_patches(
