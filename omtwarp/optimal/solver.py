@@ -424,8 +424,8 @@ class _Newton:
         if not energy.local_steps:
             return points, terms, 0
         gradient = self._coordinates(energy.gradient(points, terms, self.multipliers))
-        alone = gradient[:, 0] ** 2 * self.own[:, 1, 1] - 2.0 * gradient[:, 0] * gradient[:, 1] * self.own[:, 0, 1]
-        alone = (alone + gradient[:, 1] ** 2 * self.own[:, 0, 0]) / np.linalg.det(self.own)
+        (g0, g1), (h00, h01, h11) = gradient.T, self.own.reshape(-1, 4)[:, [0, 1, 3]].T
+        alone = (g0**2 * h11 - 2.0 * g0 * g1 * h01 + g1**2 * h00) / (h00 * h11 - h01**2)
         gains = alone + self.stiffness * energy.missing(terms) ** 2
         freed = freed_vertices(self.surface.faces, gains, self.expected, energy.held, self.gain_share)
         if freed is None:
