@@ -62,7 +62,7 @@ def freed_vertices(
     Args:
         faces: of the surface, shape [F, 3].
         gains: the gain expected from moving each vertex alone, shape [V].
-        expected: the gain that was expected from the last step of the whole map.
+        expected: the gain that was expected from the last step of the whole map, which limits those of single vertices.
         held: vertices that stay where they are, shape [V].
         share: of all gains, that of the vertices chosen.
     """
