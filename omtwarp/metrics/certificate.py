@@ -36,7 +36,7 @@ class Certificate:
         ray_degree: signed number of triangles that a ray from the centre crosses, the same for all rays cast; None if
             rays disagree, which a closed surface cannot.
         rays: how many rays were cast.
-        smallest_area: area of the smallest image triangle, with all of them scaled to 4π.
+        smallest_area: area of the smallest image triangle, with all of them scaled to 4π, to twelve digits.
         smallest_face: its index.
     """
 
@@ -126,6 +126,7 @@ def certify_triangles(
     triple = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c))) * signs
     dots = 1.0 + sum(np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
     degree = float((2.0 * np.arctan2(triple, dots)).sum() / SPHERE_AREA)
+    least = areas[smallest] * SPHERE_AREA / max(areas.sum(), np.finfo(float).tiny)
     return Certificate(
         flips=len(bad),
         first_flip=int(bad[0]) if len(bad) else -1,
@@ -134,7 +135,7 @@ def certify_triangles(
         degree=round(degree) if np.isfinite(degree) else 0,
         ray_degree=_ray_degree(faces, sphere, device),
         rays=RAYS,
-        smallest_area=float(areas[smallest] * SPHERE_AREA / max(areas.sum(), np.finfo(float).tiny)),
+        smallest_area=float(f"{least:.12g}"),  # further digits depend on the order of faces and corners
         smallest_face=smallest,
     )
 
