@@ -210,12 +210,7 @@ def assemble(p: int, patches: SaddlePatches, given: LocalEnergy, points: wp.arra
                         block[2, 0] = scratch.bends[t, 2 * n]
                         block[2, 1] = scratch.bends[t, 2 * n + 1]
                 if patches.free[i] or patches.free[j]:
-                    if m == n:
-                        scratch.diagonal[i] = scratch.diagonal[i] + block
-                    elif i < j:
-                        add_saddle_block(j, i, wp.transpose(block), patches.first, patches.rows, scratch.left)
-                    else:
-                        add_saddle_block(i, j, block, patches.first, patches.rows, scratch.left)
+                    add_saddle_block(i, j, block, patches.first, patches.rows, scratch.diagonal, scratch.left)
     for i in range(begin, end):
         block = scratch.diagonal[i]
         right = wp.vec3d(ZERO, ZERO, patches.wanted[i] - scratch.ring[i])

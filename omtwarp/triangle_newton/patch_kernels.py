@@ -66,12 +66,7 @@ def assemble(p: int, patches: PatchMeshes, growth: wp.float64, scratch: PatchScr
                     if m < n:
                         left = scratch.blocks[t, lower - 1]
                     block = wp.mat22d(scratch.blocks[t, upper], right, left, scratch.blocks[t, lower])
-                    if m == n:
-                        scratch.diagonal[i] = scratch.diagonal[i] + block
-                    elif i < j:
-                        add_block(j, i, wp.transpose(block), patches.first, patches.rows, scratch.left)
-                    else:
-                        add_block(i, j, block, patches.first, patches.rows, scratch.left)
+                    add_block(i, j, block, patches.first, patches.rows, scratch.diagonal, scratch.left)
     for i in range(begin, end):
         own = scratch.diagonal[i]
         more = growth * HALF * (own[0, 0] + own[1, 1])

@@ -143,13 +143,21 @@ def add_block(
     first: wp.array[wp.int32],
     rows: wp.array[wp.int64],
     # Data in and out:
+    diagonal: wp.array[wp.mat22d],
     left: wp.array[wp.float64],
 ):
-    """Add a block with rows of vertex i and columns of vertex j < i."""
-    at = 4 * COLUMNS * group_of(i, j, first, rows) + j % COLUMNS
+    """Add a block with rows of vertex i and columns of vertex j, on whichever side of the diagonal is kept."""
+    if i == j:
+        diagonal[i] = diagonal[i] + block
+        return
+    kept = block
+    if i < j:
+        kept = wp.transpose(block)
+    column = wp.min(i, j)
+    at = 4 * COLUMNS * group_of(wp.max(i, j), column, first, rows) + column % COLUMNS
     for a in range(2):
         for b in range(2):
-            left[at] = left[at] + block[a, b]
+            left[at] = left[at] + kept[a, b]
             at += COLUMNS
 
 
@@ -161,13 +169,21 @@ def add_saddle_block(
     first: wp.array[wp.int32],
     rows: wp.array[wp.int64],
     # Data in and out:
+    diagonal: wp.array[wp.mat33d],
     left: wp.array[wp.float64],
 ):
-    """Add a block with rows of vertex i and columns of vertex j < i."""
-    at = 9 * COLUMNS * group_of(i, j, first, rows) + j % COLUMNS
+    """Add a block with rows of vertex i and columns of vertex j, on whichever side of the diagonal is kept."""
+    if i == j:
+        diagonal[i] = diagonal[i] + block
+        return
+    kept = block
+    if i < j:
+        kept = wp.transpose(block)
+    column = wp.min(i, j)
+    at = 9 * COLUMNS * group_of(wp.max(i, j), column, first, rows) + column % COLUMNS
     for a in range(3):
         for b in range(3):
-            left[at] = left[at] + block[a, b]
+            left[at] = left[at] + kept[a, b]
             at += COLUMNS
 
 
