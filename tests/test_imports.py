@@ -42,6 +42,7 @@ HEAVY_ROOMS = {
         "omtwarp.transport.flow",
         "omtwarp.transport.paper",
         "omtwarp.transport.polish",
+        "omtwarp.transport.twist",
     },
     "omtwarp.refine": {"omtwarp.refine.device_newton"},
     "omtwarp.solvers": {"omtwarp.solvers.multigrid"},

@@ -12,7 +12,14 @@ from omtwarp.start import choice
 
 MADE = {"blob": lambda: blob(seed=3, amplitude=0.3, degree=5, sphere=2000), "creature": lambda: demo_shape(4000)}
 # Radians, root mean square: next to limbs of few triangles the shape term leaves more than one minimum.
-LIMITS = {"blob": 0.002, "creature": 0.04, "gargoyle_20k": 0.02, "spot_6k": 0.02}
+LIMITS = {
+    "blob": 0.002,
+    "creature": 0.03,
+    "gargoyle_20k": 0.02,
+    "spot_6k": 0.02,
+    "skull_40k": 0.02,
+    "bunny_70k": 0.02,
+}
 
 
 @pytest.mark.parametrize("name", list(LIMITS))
