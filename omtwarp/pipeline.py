@@ -122,7 +122,7 @@ MIN_GAIN_POWER = 0.14
 # few vertices around them the shape term can hold it, as the part of an octopus above three quarters of its height, at
 # a gap of 1150 % and a curl of .50. Maps of scans are below 1 % and .05. Where points hardly move, both are the mesh's
 # error: the sphere of 80 triangles moves them by 0.075 radians (rms), at a gap of 73 % and a curl of .54.
-FAR_GAP, FAR_CURL, FAR_COST = 0.05, 0.25, 0.02
+FAR_GAP, FAR_CURL, FAR_COST = 0.05, 0.1, 0.02
 # What area distortion counts in the shape term where the conformal map shrinks limbs to points: cost hardly determines
 # triangles there. With the usual 10 their mean area distortion is 2.055 and 2.071 on two scans of that kind, with 20 it
 # is 2.039 and 2.040, with 40 it is 2.031 and 2.022 at 3 % more angle distortion and a gap of up to 0.6 %.

@@ -44,6 +44,7 @@ HEAVY_ROOMS = {
         "omtwarp.transport.polish",
         "omtwarp.transport.twist",
     },
+    "omtwarp.conformal": {"omtwarp.geometry.intrinsic"},
     "omtwarp.refine": {"omtwarp.refine.device_newton"},
     "omtwarp.solvers": {"omtwarp.solvers.multigrid"},
     "omtwarp.spheres": {"omtwarp.wavelets"},

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.kernels import project_to_sphere
@@ -22,7 +23,7 @@ from omtwarp.geometry.axes import OBLIQUE, principal_axes
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress, Record
-from omtwarp.solvers.poisson import SurfaceLaplacianSolver
+from omtwarp.solvers.poisson import LaplacianSolver, PoissonSolver, SurfaceLaplacianSolver, solve_arrays
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
 PARTS = 4  # of the work in progress reports: half is the factorisation
@@ -36,8 +37,8 @@ class ConformalMap:
         sphere: unit vectors, float64, shape [V, 3].
         removed_face: the triangle around the north pole before centring.
         centring_steps: Newton steps of the Möbius centring.
-        solver: the factorised cotangent matrix D of the surface, ready for more right-hand sides; on a conformal image
-            the matrix is the same.
+        solver: the factorised cotangent matrix D, ready for more right-hand sides; on a conformal image the matrix is
+            the same.
         history: empty: two linear systems make the map.
         converged: True, for the same reason; centring that fails is an error.
     """
@@ -45,13 +46,15 @@ class ConformalMap:
     sphere: NDArray[np.float64]
     removed_face: int
     centring_steps: int
-    solver: SurfaceLaplacianSolver
+    solver: PoissonSolver
     history: tuple[Record, ...] = ()
     converged: bool = True
 
 
 @blas_threads(1)
-def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: Progress | None = None) -> ConformalMap:
+def conformal_map(
+    surface: MeshLike, *, intrinsic: bool = False, device: str | None = "auto", progress: Progress | None = None
+) -> ConformalMap:
     """Map a closed genus-0 surface to the sphere conformally, centred (section 4.1).
 
     The triangle removed is the one nearest to equilateral: the paper leaves the choice open, and a thin one would spoil
@@ -60,6 +63,9 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
+        intrinsic: assemble D from the triangles of the intrinsic Delaunay triangulation (Bobenko and Springborn 2007),
+            whose weights are never negative: on meshes of long triangles far fewer are flipped, and vertices lie nearer
+            to where the conformal map of the surface takes them.
         device: where the per-vertex kernels run.
         progress: called as ``progress("conformal", done, 4, details)`` before, with the matrix factorised, with both
             systems solved, and after.
@@ -84,13 +90,18 @@ def conformal_map(surface: MeshLike, *, device: str | None = "auto", progress: P
         progress("conformal", 0, PARTS, {})
     points = surface.scaled_vertices
     face = most_regular_face(points @ principal_axes(surface).frame.T, surface.faces)
-    solver = SurfaceLaplacianSolver(surface, points, pinned=int(surface.faces[face, 0]), device=device)
+    pinned = int(surface.faces[face, 0])
+    solver: PoissonSolver
+    if intrinsic:
+        solver = _intrinsic_solver(surface, pinned)
+    else:
+        solver = SurfaceLaplacianSolver(surface, points, pinned=pinned, device=device)
     if progress is not None:
         progress("conformal", 2, PARTS, {})
     where = resolve_device(device)
     dipole = _dipole(points, surface.faces[face])
     rights = [wp.array(np.ascontiguousarray(part), dtype=wp.float64, device=where) for part in dipole.T]
-    plane = solver.solve_arrays(rights)
+    plane = solve_arrays(solver, rights)
     if progress is not None:
         progress("conformal", 3, PARTS, {})
     sphere, steps = centre_points(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
@@ -127,6 +138,18 @@ def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> 
     regularity = triangle_areas(points, faces) / squares
     best = np.flatnonzero(regularity >= (1.0 - EQUAL_REGULARITY) * regularity.max())
     return int(best[np.argmax((p0 + p1 + p2)[best] @ OBLIQUE)])
+
+
+def _intrinsic_solver(surface: Surface, pinned: int) -> LaplacianSolver:
+    """Factorise the cotangent Laplacian of the intrinsic Delaunay triangulation."""
+    from omtwarp.geometry.intrinsic import delaunay_edges  # its kernels are read for few surfaces
+
+    edges = delaunay_edges(surface)
+    (i, j), weights = edges.ends.T, edges.weights  # an edge from a vertex to itself adds its weight and takes it away
+    rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+    values = np.concatenate([weights, weights, -weights, -weights])
+    shape = (surface.vertex_count, surface.vertex_count)
+    return LaplacianSolver(sparse.coo_matrix((values, (rows, columns)), shape=shape), pinned)
 
 
 def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -21,13 +21,13 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.intrinsic import WeightedEdges, delaunay_edges
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.arrays import ROUND_OFF, TINY, edge_keys
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
 from omtwarp.topology.handles import cut_handles
-from omtwarp.torus.intrinsic import WeightedEdges, delaunay_edges
 
 Floats = NDArray[np.float64]
 

@@ -14,11 +14,11 @@ from scipy import ndimage
 from texture_truths import jumps_across_edges
 
 import omtwarp
+from omtwarp.geometry.intrinsic import delaunay_edges
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
-from omtwarp.torus.intrinsic import delaunay_edges
 from omtwarp.torus.mapping import map_to_torus
 from omtwarp.torus.optimality import torus_optimality
 from omtwarp.torus.pictures import ring_torus as on_ring_torus

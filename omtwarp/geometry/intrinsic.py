@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
+from omtwarp.geometry.intrinsic_kernels import flip_to_delaunay
 from omtwarp.mesh.surface import Surface
-from omtwarp.torus.intrinsic_kernels import flip_to_delaunay
 
 LEAST, MOST = 1e-9, 1e6  # of cotangents; those of triangles without area are not finite
 FLIPS_PER_EDGE = 50  # most flips; scans need 0.1 to 1 an edge
@@ -40,13 +40,15 @@ class WeightedEdges:
     flips: int
 
 
-def delaunay_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
+def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> WeightedEdges:
     """Return the edges of the intrinsic Delaunay triangulation.
 
     Args:
         surface: closed; F faces.
-        jumps: whole numbers at corners, shape [F, 3, 2]; their differences along an edge agree on both of its sides.
+        jumps: of coordinates that are no functions on the surface, whole numbers at corners, shape [F, 3, 2]; their
+            differences along an edge agree on both of its sides. Zero if left out.
     """
+    jumps = np.zeros((surface.face_count, 3, 2), dtype=np.int64) if jumps is None else jumps
     faces, count = surface.faces, 3 * surface.face_count
     opposite = surface.edge_corners.astype(np.int64)
     # The half-edge that starts at a corner is the side opposite to the corner before.
