@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -95,32 +95,21 @@ def bijective_start(
         OmtwarpError: no start was found; even the coarse-to-fine embedding failed.
     """
     mesh = surface.on(device)
-    conformal: ConformalMap | None = None
     uneven = is_uneven(surface)
     budget = RepairBudget(surface, UNEVEN_REPAIR if uneven else 1.0)
-    many, folded = False, 0
-    try:
-        conformal = conformal_map(surface, device=device, progress=progress)
-        examined = examine(conformal.sphere, mesh.faces, device=device)
-        many = examined.flips > REPAIRABLE * surface.face_count
-        if many and not uneven:
-            folded = _folded(surface, conformal.sphere, examined)
-        if folded:
-            conformal = conformal_map(surface, intrinsic=True, device=device, progress=progress)
-        reason = _defect(surface, conformal.sphere)
-    except OmtwarpError as error:
-        reason = str(error)
+    found = _positions(surface, uneven, device, progress)
+    conformal, examined, reason = found.conformal, found.examined, found.defect
     usable = None if reason else conformal
-    if folded:
+    if found.folded:
         reason = (
-            f"the conformal map flips {folded} of {surface.face_count} triangles; "
+            f"the conformal map flips {found.folded} of {surface.face_count} triangles; "
             "points come from that of the intrinsic Delaunay triangulation"
         )
-    elif usable is not None:
+    elif usable is not None and examined is not None:
         if examined.bijective:
             return Start(usable.sphere, "conformal", "", usable, 0)
         reason = f"the conformal map flips {examined.flips} of {surface.face_count} triangles"
-        if not many:
+        if not found.many:
             repaired = untangle(surface, usable.sphere, budget=budget, device=device)
             if repaired.bijective:
                 return Start(repaired.sphere, "conformal, repaired", "", usable, examined.flips)
@@ -133,15 +122,50 @@ def bijective_start(
     if is_bijective(sphere, mesh.faces, device=device) and area(sphere) < TUBE_AREA:
         return Start(sphere, "tube", reason, conformal, 0, budget.exhausted)
     drawn_out = conformal is not None and mostly_shrunken(surface, conformal.sphere)
-    found = _made_from(conformal, drawn_out_map) if drawn_out else None
-    if found is not None:
-        return Start(found, "hierarchical", reason, conformal, 0, budget.exhausted)
+    made = _made_from(conformal, drawn_out_map) if drawn_out else None
+    if made is not None:
+        return Start(made, "hierarchical", reason, conformal, 0, budget.exhausted)
     sphere, coarse_area = _coarse_to_fine(surface, uneven, drawn_out, area, device, progress)
-    if usable is not None and many and coarse_area > COARSE_AREA:
+    if usable is not None and found.many and coarse_area > COARSE_AREA:
         repaired = untangle(surface, usable.sphere, device=device)
         if repaired.bijective and area(repaired.sphere) < coarse_area:
             return Start(repaired.sphere, "conformal, repaired", "", usable, repaired.flips_before)
     return Start(sphere, "hierarchical", reason, conformal, 0, budget.exhausted)
+
+
+@dataclass(frozen=True)
+class _Positions:
+    """Where a conformal map takes the vertices.
+
+    Attributes:
+        conformal: the map; None if it could not be computed.
+        examined: that of the mesh's own triangles, examined; None without one.
+        many: whether that flips more triangles than are repaired.
+        folded: triangles flipped by that where ``conformal`` is of the intrinsic Delaunay triangulation; otherwise 0.
+        defect: why ``conformal`` is no start even if its flips are repaired; empty where it may be one.
+    """
+
+    conformal: ConformalMap | None = None
+    examined: Examined | None = None
+    many: bool = False
+    folded: int = 0
+    defect: str = ""
+
+
+def _positions(surface: Surface, uneven: bool, device: str | None, progress: Progress | None) -> _Positions:
+    """Compute the conformal map, or that of the intrinsic Delaunay triangulation where the mesh's own is folded."""
+    found = _Positions()
+    try:
+        conformal = conformal_map(surface, device=device, progress=progress)
+        examined = examine(conformal.sphere, surface.on(device).faces, device=device)
+        many = examined.flips > REPAIRABLE * surface.face_count
+        folded = _folded(surface, conformal.sphere, examined) if many and not uneven else 0
+        found = _Positions(conformal, examined, many)
+        if folded:
+            conformal = conformal_map(surface, intrinsic=True, device=device, progress=progress)
+        return _Positions(conformal, examined, many, folded, _defect(surface, conformal.sphere))
+    except OmtwarpError as error:
+        return replace(found, defect=str(error))
 
 
 def _made_from(
