@@ -800,9 +800,8 @@ class _Run:
             moved, _ = self.untangle(sphere, turned_back(self.surface, self.points(sphere), found))
             moved, before = self.smoothed(moved), found.rms
             found = turns(self.surface, self.points(moved), self.start)
-            if found.rms > before:
-                break
-            sphere = moved
+            if found.rms <= before:
+                sphere = moved
             if found.rms > (1.0 - LEAST_UNTWISTED) * before:
                 break
         return sphere

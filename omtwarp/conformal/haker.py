@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.kernels import project_to_sphere
@@ -23,7 +22,7 @@ from omtwarp.geometry.axes import OBLIQUE, principal_axes
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress, Record
-from omtwarp.solvers.poisson import LaplacianSolver, PoissonSolver, SurfaceLaplacianSolver, solve_arrays
+from omtwarp.solvers.poisson import LaplacianSolver, PoissonSolver, SurfaceLaplacianSolver, edge_laplacian, solve_arrays
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
 PARTS = 4  # of the work in progress reports: half is the factorisation
@@ -141,15 +140,11 @@ def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> 
 
 
 def _intrinsic_solver(surface: Surface, pinned: int) -> LaplacianSolver:
-    """Factorise the cotangent Laplacian of the intrinsic Delaunay triangulation."""
+    """Factorise the cotangent Laplacian of the intrinsic Delaunay triangulation of a surface."""
     from omtwarp.geometry.intrinsic import delaunay_edges  # its kernels are read for few surfaces
 
     edges = delaunay_edges(surface)
-    (i, j), weights = edges.ends.T, edges.weights  # an edge from a vertex to itself adds its weight and takes it away
-    rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
-    values = np.concatenate([weights, weights, -weights, -weights])
-    shape = (surface.vertex_count, surface.vertex_count)
-    return LaplacianSolver(sparse.coo_matrix((values, (rows, columns)), shape=shape), pinned)
+    return LaplacianSolver(edge_laplacian(edges.ends, edges.weights, surface.vertex_count), pinned)
 
 
 def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """Geometry of the sphere and of triangles for kernels: distances, directions, products, each in one place."""
 
 # mypy: ignore-errors
-from omtwarp.device.start import KERNEL_OPTIONS, wp
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.mesh import arrays
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -28,6 +28,17 @@ def logarithm(y: wp.vec3d, x: wp.vec3d):
 def tangential(v: wp.vec3d, x: wp.vec3d) -> wp.vec3d:
     """Return the part of v that is tangent to the unit sphere at x."""
     return v - wp.dot(v, x) * x
+
+
+@wp.func
+def first_tangent(y: wp.vec3d) -> wp.vec3d:
+    """Return a unit vector orthogonal to y, from the axis least aligned with it."""
+    axis = wp.vec3d(ONE, ZERO, ZERO)
+    if wp.abs(y[1]) < wp.abs(y[0]) and wp.abs(y[1]) <= wp.abs(y[2]):
+        axis = wp.vec3d(ZERO, ONE, ZERO)
+    elif wp.abs(y[2]) < wp.abs(y[0]):
+        axis = wp.vec3d(ZERO, ZERO, ONE)
+    return wp.normalize(wp.cross(y, axis))
 
 
 @wp.func

@@ -64,6 +64,20 @@ class Factorization:
         return out
 
 
+def edge_laplacian(edges: NDArray[np.integer], weights: NDArray[np.float64], count: int) -> sparse.csr_matrix:
+    """Return the matrix L with (L u)_i the sum of w_ij (u_i - u_j) over the edges (i, j) at vertex i, shape [V, V].
+
+    Args:
+        edges: shape [E, 2]; several may join the same vertices, and one that joins a vertex to itself does not count.
+        weights: of the edges, shape [E].
+        count: number of vertices V.
+    """
+    i, j = edges.T
+    diagonal = np.bincount(i, weights, count) + np.bincount(j, weights, count)
+    off = sparse.coo_matrix((np.r_[weights, weights], (np.r_[i, j], np.r_[j, i])), shape=(count, count))
+    return sparse.diags(diagonal) - off.tocsr()
+
+
 class LaplacianSolver:
     """Solves L u = b for a Laplacian whose null space is the constants.
 
@@ -201,9 +215,7 @@ class EdgeLaplacianSolver:
                 np.where(np.arange(count) == pinned, typical, diagonal), np.where(joined, -weights, 0.0)
             )
         except NotPositiveDefinite:  # to round-off, on very thin triangles: without square roots it goes on
-            i, j = edges[:, 0], edges[:, 1]
-            off = sparse.coo_matrix((np.r_[weights, weights], (np.r_[i, j], np.r_[j, i])), shape=(count, count))
-            self._fallback = LaplacianSolver(sparse.diags(diagonal) - off.tocsr(), pinned)
+            self._fallback = LaplacianSolver(edge_laplacian(edges, weights, count), pinned)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for one right-hand side, shape [V], or several, shape [V, K]."""

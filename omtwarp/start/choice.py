@@ -162,7 +162,7 @@ def _positions(surface: Surface, uneven: bool, device: str | None, progress: Pro
         folded = _folded(surface, conformal.sphere, examined) if many and not uneven else 0
         found = _Positions(conformal, examined, many)
         if folded:
-            conformal = conformal_map(surface, intrinsic=True, device=device, progress=progress)
+            conformal = conformal_map(surface, intrinsic=True, device=device)  # progress is at its end
         return _Positions(conformal, examined, many, folded, _defect(surface, conformal.sphere))
     except OmtwarpError as error:
         return replace(found, defect=str(error))

@@ -71,6 +71,7 @@ def turned_back(surface: Surface, points: wp.array, found: Turns) -> NDArray[np.
     inputs = [points, mesh.faces, found.angles, *rows]
     wp.launch(turns_at_vertices, dim=count, inputs=inputs, outputs=[source], device=device)
     (stream,) = SurfaceLaplacianSolver(surface, points, device=device).solve_arrays([source])
+    # A full step along the stream function, and none along a potential of areas: the second stands in for it.
     inputs = [points, mesh.faces, stream, stream, *rows, wp.float64(1.0), wp.float64(0.0), 0]
     wp.launch(move_by_potentials, dim=count, inputs=inputs, outputs=[moved], device=device)
     return moved.numpy()

@@ -1,22 +1,13 @@
 """Kernels that measure by how much a map turns triangles against the optimal map."""
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.geometry.spherical import tangential
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.geometry.spherical import first_tangent
+from omtwarp.transport.polish_kernels import THIRD
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-THIRD = wp.constant(wp.float64(1.0 / 3.0))
 # Radians: triangles that moved by less have no direction of their own, and need none, as d / sin d is 1.
 SHORTEST = wp.constant(wp.float64(1e-8))
-
-
-@wp.func
-def perpendicular(x: wp.vec3d) -> wp.vec3d:
-    """Return a unit vector perpendicular to a unit vector."""
-    axis = wp.vec3d(ONE, ZERO, ZERO)
-    if wp.abs(x[0]) > wp.abs(x[1]):
-        axis = wp.vec3d(ZERO, ONE, ZERO)
-    return wp.normalize(tangential(axis, x))
 
 
 @wp.func
@@ -30,7 +21,7 @@ def turn_of(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, y0: wp.vec3d, y1: wp.vec3d
     x, y = wp.normalize(x0 + x1 + x2), wp.normalize(y0 + y1 + y2)
     normal = wp.cross(x, y)
     sine = wp.length(normal)
-    across = perpendicular(x)
+    across = first_tangent(x)
     stretch = ONE
     if sine > SHORTEST:
         across = normal / sine
@@ -75,6 +66,6 @@ def turns_at_vertices(
     for k in range(offsets[v], offsets[v + 1]):
         f = corners[k] // 3
         p0 = points[faces[f][0]]
-        area = HALF * wp.length(wp.cross(points[faces[f][1]] - p0, points[faces[f][2]] - p0))
-        total += THIRD * wp.float64(2.0) * turn[f] * area
+        double_area = wp.length(wp.cross(points[faces[f][1]] - p0, points[faces[f][2]] - p0))
+        total += THIRD * turn[f] * double_area
     source[v] = total

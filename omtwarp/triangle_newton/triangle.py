@@ -6,7 +6,8 @@ squares when squared, so that slivers lose no digits to cancelling cotangents. T
 the triangle's frame.
 """
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
+from omtwarp.geometry.spherical import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -31,17 +32,6 @@ def first_weights(frame: wp.vec3d) -> wp.vec3d:
 def second_weights(frame: wp.vec3d) -> wp.vec3d:
     """Return the derivative of the second column by the three corners."""
     return wp.vec3d(-frame[1] - frame[2], frame[1], frame[2])
-
-
-@wp.func
-def first_tangent(y: wp.vec3d) -> wp.vec3d:
-    """Return a unit vector orthogonal to y, from the axis least aligned with it."""
-    axis = wp.vec3d(ONE, ZERO, ZERO)
-    if wp.abs(y[1]) < wp.abs(y[0]) and wp.abs(y[1]) <= wp.abs(y[2]):
-        axis = wp.vec3d(ZERO, ONE, ZERO)
-    elif wp.abs(y[2]) < wp.abs(y[0]):
-        axis = wp.vec3d(ZERO, ZERO, ONE)
-    return wp.normalize(wp.cross(y, axis))
 
 
 @wp.func
