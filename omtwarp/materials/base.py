@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.srgb import to_linear
 
 Floats = NDArray[np.float64]
@@ -78,6 +79,15 @@ class Material:
         return self.color[3] >= 1.0 and not transparent
 
 
+def corners_of(faces: ArrayLike, count: int) -> Ints:
+    """Return the corners of triangles as int32, shape [F, 3].
+
+    Raises:
+        OmtwarpError: numbers that are not whole, or not among so many vertices.
+    """
+    return whole_numbers(faces, "faces", (None, 3), below=count).astype(np.int32)
+
+
 @dataclass(frozen=True, eq=False)
 class PaintedArrays:
     """A triangle mesh with its texture coordinates and materials.
@@ -111,12 +121,12 @@ class PaintedArrays:
     def __post_init__(self) -> None:
         put = object.__setattr__
         put(self, "vertices", np.ascontiguousarray(self.vertices, dtype=np.float64))
-        put(self, "faces", np.ascontiguousarray(self.faces, dtype=np.int32))
-        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or self.faces.ndim != 2 or self.faces.shape[1] != 3:
+        shape = np.shape(self.faces)
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(shape) != 2 or shape[1] != 3:
             raise OmtwarpError(
-                f"vertices of shape {list(self.vertices.shape)}, faces of shape {list(self.faces.shape)}: "
-                "give [V, 3] and [F, 3]"
+                f"vertices of shape {list(self.vertices.shape)}, faces of shape {list(shape)}: give [V, 3] and [F, 3]"
             )
+        put(self, "faces", corners_of(self.faces, len(self.vertices)))
         count = len(self.faces)
         if self.uv is not None:
             uv = np.asarray(self.uv, dtype=np.float64)
@@ -239,4 +249,4 @@ class PaintedArrays:
         return origin
 
 
-__all__ = ["Material", "PaintedArrays", "linear"]
+__all__ = ["Material", "PaintedArrays", "corners_of", "linear"]

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.materials.base import Bytes, Floats, Ints, Material
+from omtwarp.materials.base import Bytes, Floats, Ints, Material, corners_of
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.materials.wavefront import read_mtl, read_obj
+from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
-from omtwarp.mesh.read import fans, read_mesh, utf8
+from omtwarp.mesh.polygons import fans
+from omtwarp.mesh.read import read_mesh, utf8
 from omtwarp.mesh.scenes import gltf_header, load_scene, scene_formats
 from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.srgb import to_linear, to_srgb
@@ -63,13 +65,14 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
     """
     file = Path(path)
     suffix = file.suffix.lower().lstrip(".")
-    if suffix not in ("obj", "ply") and (suffix not in scene_formats() or suffix in ("stl", "off")):
-        mesh = read_mesh(file, triangulate=triangulate)
-        return PaintedMesh(mesh.vertices, mesh.faces.astype(np.int32), notes=mesh.notes, source_files=(file,))
-    data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
+    plain = suffix not in ("obj", "ply") and (suffix not in scene_formats() or suffix in ("stl", "off"))
+    data = b"" if plain else read_bytes(file, LARGEST_MESH_FILE, "mesh file")
     try:
         with warnings.catch_warnings(action="ignore"):  # of what parsers guess
-            if suffix == "obj":
+            if plain:
+                mesh = read_mesh(file, triangulate=triangulate)
+                found = PaintedMesh(mesh.vertices, corners_of(mesh.faces, len(mesh.vertices)), notes=mesh.notes)
+            elif suffix == "obj":
                 found = _from_obj(data, file, triangulate)
             elif suffix == "ply":
                 found = _from_ply(data, file, triangulate)
@@ -85,9 +88,6 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
         raise OmtwarpError(f"{file}: cannot be read as {suffix}: {detail}") from None
     if len(found.faces) > MOST_FACES:
         raise OmtwarpError(f"{file}: {len(found.faces):,} triangles, and {MOST_FACES:,} is the most")
-    outside = len(found.faces) and (found.faces.min() < 0 or found.faces.max() >= len(found.vertices))
-    if outside:
-        raise OmtwarpError(f"{file}: a face refers to vertex {found.faces.max()} of {len(found.vertices)}")
     return replace(found, source_files=(file, *found.source_files))
 
 
@@ -130,8 +130,8 @@ def _from_obj(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
         scaled = found.colors * (255.0 if found.colors.max(initial=0.0) <= 1.0 else 1.0)
         colors = _opaque(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
     return PaintedMesh(
-        found.vertices, found.faces, found.uv, materials, found.face_material, colors, tuple(notes),
-        source_files=tuple(named),
+        found.vertices, corners_of(found.faces, len(found.vertices)), found.uv, materials, found.face_material, colors,
+        tuple(notes), source_files=tuple(named),
     )  # fmt: skip
 
 
@@ -140,13 +140,14 @@ def _from_ply(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
     points, corners, sizes = polygons_of(columns)
     rows, notes = fans(np.arange(len(corners)), sizes, triangulate)
     face = np.repeat(np.arange(len(sizes)), sizes)[rows[:, 0]]
-    faces = corners[rows].astype(np.int32)
+    faces = corners_of(corners[rows], len(points))
     vertex, sides = columns["vertex"], columns["face"]
     pictures, named, missing = _ply_pictures(data, file)
     uv, doubled = _ply_coordinates(vertex, sides, sizes, rows, faces)
     number = np.zeros(len(faces), dtype=np.int32)
     if len(pictures) > 1 and "texnumber" in sides:
-        number = np.clip(_numbers(sides["texnumber"])[face], 0, len(pictures) - 1).astype(np.int32)
+        named_picture = whole_numbers(_numbers(sides["texnumber"])[face], "'texnumber'", (None,))
+        number = np.clip(named_picture, 0, len(pictures) - 1).astype(np.int32)
     materials = tuple(Material(f"material-{k}", picture=one) for k, one in enumerate(pictures)) or (Material(),)
     mesh = PaintedMesh(
         points, faces, uv, materials, number, _ply_colors(vertex), (*notes, *missing), source_files=tuple(named)
@@ -234,7 +235,7 @@ def _from_scene(scene: trimesh.Scene, factors: Factors | None) -> PaintedMesh:
     for mesh, matrix in found:
         points = np.asarray(mesh.vertices, dtype=np.float64)
         moved = points if np.array_equal(matrix, np.eye(4)) else points @ matrix[:3, :3].T + matrix[:3, 3]
-        triangles = np.asarray(mesh.faces, dtype=np.int32)
+        triangles = np.asarray(mesh.faces)
         if np.linalg.det(matrix[:3, :3]) < 0:
             triangles = triangles[:, ::-1]
         material, uv, color = _appearance(mesh, factors)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Bytes, Floats, Ints, Material
-from omtwarp.mesh.read import fans
+from omtwarp.mesh.polygons import fans
 
 _STATEMENT = re.compile(rb"^[ \t]*(vt|v|f|usemtl|mtllib)[ \t]+([^\n#]*)|^[ \t]*(usemtl)[ \t]*$", flags=re.MULTILINE)
 
@@ -28,7 +28,7 @@ class Wavefront:
 
     Attributes:
         vertices: float64, shape [V, 3].
-        faces: int32, shape [F, 3].
+        faces: int64, shape [F, 3].
         uv: shape [F, 3, 2], NaN where a triangle has none; None where none has any.
         face_material: number in ``names`` for every triangle, shape [F].
         names: of the materials used, in the order of their first use; the empty one for triangles without.
@@ -38,7 +38,7 @@ class Wavefront:
     """
 
     vertices: Floats
-    faces: Ints
+    faces: NDArray[np.int64]
     uv: Floats | None
     face_material: Ints
     names: list[str]
@@ -83,7 +83,7 @@ def read_obj(text: bytes, triangulate: bool) -> Wavefront:
     colored = bool(points) and all(len(row) >= 6 for row in points)
     return Wavefront(
         vertices=np.array([row[:3] for row in points], dtype=np.float64),
-        faces=vertex[rows].astype(np.int32),
+        faces=vertex[rows],
         uv=uv,
         face_material=np.array(found.used, dtype=np.int32)[face],
         names=list(found.names),

@@ -1,4 +1,4 @@
-"""Surfaces in the formats of neuroimaging: GIFTI, FreeSurfer and VTK PolyData, written with their metadata.
+"""Surfaces in the formats of neuroimaging: GIFTI and FreeSurfer, written with their metadata.
 
 nibabel (``pip install 'omtwarp[neuro]'``) reads and writes GIFTI and FreeSurfer's files.
 """
@@ -138,76 +138,12 @@ def write_freesurfer_surface(
     io.write_geometry(file, points, faces, create_stamp="created by omtwarp", volume_info=volume)
 
 
-def write_vtk(file: Path, points: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
-    """Write legacy VTK PolyData, binary, in double precision."""
-    cells = np.empty((len(faces), 4), dtype=">i4")
-    cells[:, 0], cells[:, 1:] = 3, faces
-    head = f"# vtk DataFile Version 3.0\nomtwarp\nBINARY\nDATASET POLYDATA\nPOINTS {len(points)} double\n"
-    polygons = f"\nPOLYGONS {len(faces)} {4 * len(faces)}\n"
-    body = [head.encode("ascii"), points.astype(">f8").tobytes(), polygons.encode("ascii"), cells.tobytes(), b"\n"]
-    file.write_bytes(b"".join(body))
-
-
-_VTK_TYPES = {"float": ">f4", "double": ">f8", "int": ">i4", "vtktypeint64": ">i8", "long": ">i8"}
-
-
-def read_vtk(data: bytes) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]:
-    """Read the points and polygons of legacy VTK PolyData, text or binary, versions 1 to 5.
-
-    Returns:
-        Points [V, 3] and a list of the corners of every polygon.
-
-    Raises:
-        OmtwarpError: another kind of dataset.
-    """
-    text = re.search(rb"^\s*(ASCII|BINARY)\s*$", data[:1000], re.M | re.I)
-    if not data.startswith(b"# vtk") or text is None or not re.search(rb"DATASET\s+POLYDATA", data[:2000], re.I):
-        raise OmtwarpError("not legacy VTK PolyData")
-    binary = text[1].upper() == b"BINARY"
-    at = re.search(rb"^POINTS\s+(\d+)\s+(\w+)[ \t]*\r?\n", data, re.M | re.I)
-    if at is None:
-        raise OmtwarpError("no points in it")
-
-    def numbers(start: int, count: int, kind: str) -> tuple[NDArray[np.generic], int]:
-        if binary:
-            end = start + count * np.dtype(kind).itemsize
-            return np.frombuffer(data[start:end], dtype=kind), end
-        words = data[start:].split(None, count)[:count]
-        return np.array(words, dtype=np.float64), start
-
-    kind = _VTK_TYPES.get(at[2].decode().lower())
-    if kind is None:
-        raise OmtwarpError(f"points of type '{at[2].decode()}'")
-    flat, end = numbers(at.end(), 3 * int(at[1]), kind)
-    cells = re.compile(rb"^POLYGONS\s+(\d+)\s+(\d+)[ \t]*\r?\n", re.M | re.I).search(data, end)
-    if cells is None or len(flat) != 3 * int(at[1]):
-        raise OmtwarpError("no polygons in it, or cut short")
-    first, second = int(cells[1]), int(cells[2])
-    offsets = re.compile(rb"OFFSETS\s+(\w+)[ \t]*\r?\n", re.I).match(data, cells.end())
-    if offsets is None:
-        entries = numbers(cells.end(), second, ">i4")[0].astype(np.int64)
-        polygons, place = [], 0
-        for _ in range(first):
-            polygons.append(entries[place + 1 : place + 1 + entries[place]])
-            place += 1 + int(entries[place])
-    else:
-        ends, after = numbers(offsets.end(), first, _VTK_TYPES[offsets[1].decode().lower()])
-        lists = re.compile(rb"CONNECTIVITY\s+(\w+)[ \t]*\r?\n", re.I).search(data, after)
-        if lists is None:
-            raise OmtwarpError("no corners in it")
-        corners = numbers(lists.end(), second, _VTK_TYPES[lists[1].decode().lower()])[0].astype(np.int64)
-        polygons = np.split(corners, ends.astype(np.int64)[1:-1])
-    return flat.reshape(-1, 3).astype(np.float64), polygons
-
-
 __all__ = [
     "FREESURFER_SUFFIXES",
     "gifti_image",
     "nibabel_module",
-    "read_vtk",
     "require_same_structure",
     "structure_of",
     "write_freesurfer_surface",
     "write_gifti_surface",
-    "write_vtk",
 ]

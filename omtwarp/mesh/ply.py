@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import whole_numbers
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -45,11 +46,12 @@ class _Element:
     properties: tuple[_Property, ...]
 
 
-def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.generic], NDArray[np.int64]]:
     """Read the vertices and polygons of a PLY file, in the file's order.
 
     Returns:
-        Vertices, float64 [V, 3]; the corners of all polygons one after another, int64; how many each has, int64 [F].
+        Vertices, float64 [V, 3]; the corners of all polygons one after another, of the file's type; how many each has,
+        int64 [F].
 
     Raises:
         OmtwarpError: the file is not as long as its header says, or has no vertices or no faces.
@@ -82,7 +84,7 @@ def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float
     if corners is None:
         raise OmtwarpError("not a triangle mesh: it holds points and no faces")
     sizes, flat = corners
-    return points, flat.astype(np.int64), sizes.astype(np.int64)
+    return points, flat, whole_numbers(sizes, "corners of faces", (None,))
 
 
 def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
@@ -120,9 +122,12 @@ def _property(words: list[str]) -> _Property:
 
     Raises:
         KeyError: an unknown type.
+        ValueError: lists whose length is not of a type of whole numbers.
     """
     listed = words[0] == "list"
     kinds = [_TYPES[word] for word in (words[1:3] if listed else words[:1])]
+    if listed and kinds[0].startswith("f"):
+        raise ValueError(f"the lengths of '{words[-1]}' are no whole numbers")
     return _Property(words[-1], kinds[-1], kinds[0] if listed else None)
 
 
@@ -231,7 +236,7 @@ def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, 
                 found[part.name] = numbers[at]
                 at = at + 1
                 continue
-            sizes = numbers[at].astype(np.int64)
+            sizes = whole_numbers(numbers[at], f"lengths of '{part.name}'", (None,))
             first = np.repeat(at + 1 - (np.cumsum(sizes) - sizes), sizes)
             found[part.name] = (sizes, numbers[first + np.arange(len(first))])
             at = at + 1 + sizes

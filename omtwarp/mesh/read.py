@@ -23,14 +23,15 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path
 from omtwarp.inputs import read_arrays, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.mesh.neuro import nibabel_module, read_vtk
+from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.neuro import nibabel_module
 from omtwarp.mesh.ply import read_ply
+from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.scenes import load_scene, scene_formats
+from omtwarp.mesh.vtk import read_vtk, read_vtk_xml
 
 if TYPE_CHECKING:
     import trimesh
-
-_REPAIR = "triangulate it in a mesh editor, or with --repair"
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,10 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
             reader = _reader(suffix, data)
             split = triangulate if together is None or reader is not _read_scene else together
             vertices, faces, notes = reader(data, file, split)
-        mesh = MeshFile(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64), tuple(notes))
+        if np.ndim(vertices) != 2 or np.shape(vertices)[1] != 3 or np.ndim(faces) != 2 or np.shape(faces)[1] != 3:
+            raise OmtwarpError("not a triangle mesh: no list of triangles in it")
+        corners = whole_numbers(faces, "faces", (None, 3))
+        mesh = MeshFile(np.ascontiguousarray(vertices, np.float64), corners, tuple(notes))
     except OmtwarpError as error:
         raise OmtwarpError(f"{file}: {error}") from None
     except MemoryError:
@@ -91,8 +95,6 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
     except Exception as error:  # any failure of a parser means that the file is not what its suffix says
         detail = " ".join(str(error).split())[:160] or type(error).__name__
         raise OmtwarpError(f"{file}: cannot be read as {suffix or 'a mesh'}: {detail}") from None
-    if mesh.vertices.ndim != 2 or mesh.vertices.shape[1] != 3 or mesh.faces.ndim != 2 or mesh.faces.shape[1] != 3:
-        raise OmtwarpError(f"{file}: not a triangle mesh: no list of triangles in it")
     if len(mesh.faces) > MOST_FACES:
         raise OmtwarpError(f"{file}: {len(mesh.faces):,} triangles, and {MOST_FACES:,} is the most")
     return mesh
@@ -117,6 +119,8 @@ def _reader(suffix: str, data: bytes) -> Callable[[bytes, Path, bool], _Read]:
         "stl": _read_stl,
         "gii": _read_gifti,
         "vtk": _read_vtk,
+        "vtp": _read_vtk_xml,
+        "vtu": _read_vtk_xml,
     }
     if suffix in own:
         return own[suffix]
@@ -183,7 +187,7 @@ def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 def _from_polygons(
     polygons: list[list[bytes]], triangulate: bool, vertices_before: NDArray | None = None
-) -> tuple[NDArray[np.int64], list[str]]:
+) -> tuple[NDArray[np.generic], list[str]]:
     """Convert the polygons of a text file, lists of corners, to triangles.
 
     ``vertices_before`` says that corners count from 1, or if negative back from the last vertex before their face.
@@ -195,24 +199,6 @@ def _from_polygons(
     if vertices_before is not None:
         flat = np.where(flat < 0, flat + np.repeat(vertices_before, corners), flat - 1)
     return fans(flat, corners, triangulate)
-
-
-def fans(flat: NDArray[np.int64], corners: NDArray[np.int64], triangulate: bool) -> tuple[NDArray[np.int64], list[str]]:
-    """Cut polygons, given by all corners one after another and their numbers of corners, into fans of triangles."""
-    if not len(corners):
-        raise OmtwarpError("not a triangle mesh: no faces in it")
-    if (corners < 3).any():
-        raise OmtwarpError(f"not a triangle mesh: face {int(np.argmax(corners < 3))} has fewer than three corners")
-    if (corners == 3).all():
-        return flat.reshape(-1, 3), []
-    larger = int((corners != 3).sum())
-    if not triangulate:
-        raise _polygons(larger, int(np.argmax(corners != 3)), len(corners))
-    # A fan from every polygon's first corner.
-    fans = corners - 2
-    first = np.repeat(np.cumsum(corners) - corners, fans)
-    step = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans)
-    return flat[np.stack([first, first + step + 1, first + step + 2], axis=1)], [_cut(larger)]
 
 
 def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
@@ -249,9 +235,13 @@ def _read_gifti(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _read_vtk(data: bytes, file: Path, triangulate: bool) -> _Read:
-    points, polygons = read_vtk(data)
-    words = [[str(corner).encode() for corner in polygon] for polygon in polygons]
-    return points, *_from_polygons(words, triangulate)
+    points, corners, sizes = read_vtk(data)
+    return points, *fans(corners, sizes, triangulate)
+
+
+def _read_vtk_xml(data: bytes, file: Path, triangulate: bool) -> _Read:
+    points, corners, sizes = read_vtk_xml(data)
+    return points, *fans(corners, sizes, triangulate)
 
 
 def _read_freesurfer(data: bytes, file: Path, triangulate: bool) -> _Read:
@@ -261,7 +251,7 @@ def _read_freesurfer(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
     suffix = _suffix(file)
-    known = {*scene_formats(), "npz", "gii", "vtk"}
+    known = {*scene_formats(), "npz", "gii", "vtk", "vtp", "vtu"}
     if suffix not in known:
         raise OmtwarpError(f"unknown format '.{suffix}': known are {', '.join(sorted(known))}")
     return _single_geometry(load_scene(data, file, suffix), triangulate)
@@ -293,13 +283,4 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
     return np.concatenate(vertices), np.concatenate(faces), notes
 
 
-def _polygons(count: int, first: int, total: int) -> OmtwarpError:
-    where = f", first face {first}" if first >= 0 else ""
-    return OmtwarpError(f"not a triangle mesh: {count} of {total} faces have more than three corners{where}; {_REPAIR}")
-
-
-def _cut(count: int) -> str:
-    return f"cut {count} faces with more than three corners into triangles"
-
-
-__all__ = ["MeshFile", "fans", "read_mesh", "utf8"]
+__all__ = ["MeshFile", "read_mesh", "utf8"]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, staged
-from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface, write_vtk
+from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
+from omtwarp.mesh.vtk import write_vtk
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963  # targets of glTF 2.0, by OpenGL's numbers
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gii", ".vtk", *FREESURFER_SUFFIXES)

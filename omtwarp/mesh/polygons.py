@@ -1,0 +1,97 @@
+"""Polygons and strips of triangles, as files list them, cut into triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import whole_numbers
+
+_REPAIR = "triangulate it in a mesh editor, or with --repair"
+
+
+def fans(
+    flat: NDArray[np.generic], corners: NDArray[np.int64], triangulate: bool
+) -> tuple[NDArray[np.generic], list[str]]:
+    """Cut polygons into fans of triangles.
+
+    Args:
+        flat: all corners, one polygon after another.
+        corners: how many each polygon has, shape [P].
+        triangulate: whether to cut those of more than three corners instead of refusing them.
+
+    Returns:
+        The triangles' corners, shape [F, 3], and notes about what was cut.
+
+    Raises:
+        OmtwarpError: no polygons, one with fewer than three corners, or one with more that is not to be cut.
+    """
+    if not len(corners):
+        raise OmtwarpError("not a triangle mesh: no faces in it")
+    if (corners < 3).any():
+        raise OmtwarpError(f"not a triangle mesh: face {int(np.argmax(corners < 3))} has fewer than three corners")
+    if (corners == 3).all():
+        return flat.reshape(-1, 3), []
+    larger = int((corners != 3).sum())
+    if not triangulate:
+        raise OmtwarpError(
+            f"not a triangle mesh: {larger} of {len(corners)} faces have more than three corners, first face "
+            f"{int(np.argmax(corners != 3))}; {_REPAIR}"
+        )
+    # A fan from every polygon's first corner.
+    fans = corners - 2
+    first = np.repeat(np.cumsum(corners) - corners, fans)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans)
+    note = f"cut {larger} faces with more than three corners into triangles"
+    return flat[np.stack([first, first + step + 1, first + step + 2], axis=1)], [note]
+
+
+def triangles_of_strips(flat: NDArray[np.generic], lengths: NDArray[np.int64]) -> NDArray[np.generic]:
+    """Return the triangles of strips: three corners in a row each, every second one turned.
+
+    Args:
+        flat: all corners, one strip after another.
+        lengths: how many each strip has, shape [S]; a strip of fewer than three has no triangle.
+
+    Returns:
+        Shape [F, 3]. Triangles that repeat a corner, with which a strip goes round a bend, are left out.
+    """
+    counts = np.maximum(lengths - 2, 0)
+    first = np.repeat(np.cumsum(lengths) - lengths, counts)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+    odd = step % 2
+    found = flat[np.stack([first + step + odd, first + step + 1 - odd, first + step + 2], axis=1)]
+    repeated = (found == np.roll(found, -1, axis=1)).any(axis=1)
+    return found[~repeated]
+
+
+def counted_lists(entries: NDArray[np.generic], count: int) -> tuple[NDArray[np.generic], NDArray[np.int64]]:
+    """Split numbers in which the length of every list stands before its entries.
+
+    Args:
+        entries: the numbers.
+        count: how many lists there are.
+
+    Returns:
+        The lists' entries one after another, and their lengths, shape [count].
+
+    Raises:
+        OmtwarpError: the numbers end before the lists do, or a length is no whole number.
+    """
+    numbers = whole_numbers(entries, "lengths and corners of faces", (None,))
+    starts = np.empty(min(count, len(numbers) + 1), dtype=np.int64)
+    place = 0
+    for row in range(count):
+        if place >= len(numbers) or numbers[place] < 0:
+            raise OmtwarpError(f"cut short: {count} faces announced, {row} there")
+        starts[row] = place
+        place += 1 + int(numbers[place])
+    if place > len(numbers):
+        raise OmtwarpError(f"cut short: {count} faces announced, the last one with fewer corners than it says")
+    is_corner = np.ones(place, dtype=bool)
+    is_corner[starts[:count]] = False
+    return numbers[:place][is_corner], numbers[starts[:count]]
+
+
+__all__ = ["counted_lists", "fans", "triangles_of_strips"]
