@@ -73,6 +73,7 @@ def test(options: list[str], environment: dict[str, str]) -> int:
         # Each test process would compile every kernel for itself: compile them once before.
         "kernels": ["-m", "omtwarp.device.prewarm"],
         "tests": ["-m", "pytest", "-n", "2", "--dist", "loadgroup", *options],
+        "size": [".ci/count.py"],
     }
     failed = {}
     for name, step in steps.items():

@@ -10,7 +10,10 @@ Names are imported at their first use, so that ``import omtwarp`` is fast.
 from __future__ import annotations
 
 import importlib
+from types import ModuleType as _ModuleType
 from typing import TYPE_CHECKING
+
+from omtwarp.display import Shown as _Shown
 
 # The module that every public name comes from; `shapes` is itself a module.
 _PUBLIC = {
@@ -108,6 +111,16 @@ if TYPE_CHECKING:
 __all__ = ["__version__", *_PUBLIC, *_MODULES]  # noqa: PLE0604 (ruff cannot see that all are texts)
 
 
+def _viewers() -> _ModuleType:
+    """Return the module that displays maps, loaded when the first is displayed."""
+    from omtwarp.reporting import notebook
+
+    return notebook
+
+
+_Shown.viewers = _viewers
+
+
 def __getattr__(name: str) -> object:
     if name == "__version__":
         value: object = importlib.import_module("omtwarp.version").package_version()
@@ -122,4 +135,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

@@ -11,7 +11,6 @@ import sys
 import typer
 
 from omtwarp.commands._command import Command, Group
-from omtwarp.commands._start import prepare_warp
 from omtwarp.commands._streams import standard_streams
 from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
@@ -98,10 +97,6 @@ SUMMARIES = {
 }
 """One line about every command, short enough for a terminal of 80 columns."""
 
-HELP = frozenset({"-h", "--help"})
-WITHOUT_WARP: tuple[list[str], ...] = ([], ["--version"])
-"""Beginnings of command lines that need no kernels."""
-
 app = typer.Typer(
     cls=Group,
     help="Area-preserving maps of surfaces to the sphere, and textures through them.",
@@ -109,7 +104,7 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": sorted(HELP)},
+    context_settings={"help_option_names": ["--help", "-h"]},
 )
 
 GARBAGE_THRESHOLD = 1_000_000  # objects made between searches for garbage: a map imports half as many, and all stay
@@ -159,8 +154,6 @@ def main(arguments: list[str] | None = None) -> None:
     # during the import and as much again at the end.
     gc.set_threshold(GARBAGE_THRESHOLD)
     atexit.register(gc.freeze)
-    if arguments is None and not HELP.intersection(sys.argv) and sys.argv[1:2] not in WITHOUT_WARP:
-        prepare_warp()
     with ending_the_process(restore=arguments is not None):
         try:
             with standard_streams():

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Callable
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
     import polyscope
@@ -12,17 +12,19 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-def _viewers() -> ModuleType:
-    # They are built on maps, which are built on this: so they are loaded by name, and only when something is shown.
-    return importlib.import_module("omtwarp.reporting.notebook")
-
-
 class Shown:
-    """The ways to display a map; nothing is computed before one of these is called."""
+    """The ways to display a map; nothing is computed before one of these is called.
+
+    Attributes:
+        viewers: returns :mod:`omtwarp.reporting.notebook`. That is built on maps, so that the package sets it, not this
+            module.
+    """
+
+    viewers: ClassVar[Callable[[], ModuleType]]
 
     def _repr_html_(self) -> str:
         """Return the view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""
-        return _viewers().notebook_view(self)
+        return Shown.viewers().notebook_view(self)
 
     def plot(self, *, pattern: str = "circles", size: tuple[int, int] = (640, 480), **options: object) -> Image:
         """Draw the map: the surface, with a pattern carried to it.
@@ -39,7 +41,7 @@ class Shown:
         Raises:
             OmtwarpError: an option has an invalid value.
         """
-        return _viewers().plot(self, pattern=pattern, size=size, **options)
+        return Shown.viewers().plot(self, pattern=pattern, size=size, **options)
 
     def to_pyvista(self) -> pyvista.PolyData:
         """Convert the map for PyVista: ``result.to_pyvista().plot(scalars="area_ratio")``.
@@ -51,7 +53,7 @@ class Shown:
         Raises:
             OmtwarpError: PyVista is not installed.
         """
-        return _viewers().to_pyvista(self)
+        return Shown.viewers().to_pyvista(self)
 
     def to_polyscope(self, name: str = "surface") -> polyscope.SurfaceMesh:
         """Register the map with Polyscope: surface and sphere side by side; ``polyscope.show()`` opens the window.
@@ -65,4 +67,4 @@ class Shown:
         Raises:
             OmtwarpError: Polyscope is not installed.
         """
-        return _viewers().to_polyscope(self, name)
+        return Shown.viewers().to_polyscope(self, name)

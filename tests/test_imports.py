@@ -211,3 +211,25 @@ def test_imports_stand_at_the_top(module):
         and not name.startswith(tuple(rooms) or ("-",))
     }
     assert not wrong
+
+
+def test_modules_are_loaded_by_name_where_names_are_looked_up_alone():
+    """Whatever else loads a module by its name hides an import from the tests above."""
+    by_name = {module for module, file in FILES.items() if "import_module(" in file.read_text("utf-8")}
+    packages = {module for module in by_name if FILES[module].name == "__init__.py"}
+    assert by_name - packages == {"omtwarp.device.prewarm"}  # which compiles the kernels of every module
+
+
+INSIDES = re.compile(
+    r"sys\.modules\[[^]]+\] =|sys\.modules\.setdefault|\b(np|scipy|wp|warp)\.__(?!version)|warp\._src|scipy\._lib"
+)
+
+
+def test_nothing_reaches_into_other_libraries():
+    """What pyrender is broken without stands in one file, with the addresses of the reports."""
+    found = {module for module, file in FILES.items() if INSIDES.search(file.read_text("utf-8"))}
+    assert found == {"omtwarp.render.pyrender_compat"}
+    assert (
+        len(re.findall(r"github\.com/\w+/\w+/issues/\d+", FILES["omtwarp.render.pyrender_compat"].read_text("utf-8")))
+        == 4
+    )

@@ -32,3 +32,7 @@ def test_names_are_what_type_checkers_think(name):
     value = getattr(omtwarp, name)
     if name != "__version__":
         assert getattr(importlib.import_module(names_for_type_checkers()[name]), name) is value
+
+
+def test_only_public_names_are_listed():
+    assert dir(omtwarp) == sorted(omtwarp.__all__)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Literal, Protocol, Unpack, overload, runtime_c
 
 from omtwarp.commands._facts import facts_of, quality
 from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._start import import_scipy
 from omtwarp.commands._streams import is_standard_output, say
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, parse_device
@@ -73,7 +72,6 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     Raises:
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
-    import_scipy()
     import numpy as np
 
     from omtwarp.mesh.names import InputNames
@@ -250,7 +248,6 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
     Raises:
         OmtwarpError: the file is missing or is no map, or is a map to a torus where the command takes none.
     """
-    import_scipy()
     from omtwarp.inputs import holds_array
     from omtwarp.result import OF_TORUS_MAPS
     from omtwarp.surface_map import read_map

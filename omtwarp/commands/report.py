@@ -25,7 +25,6 @@ from omtwarp.commands._options import (
     VerboseOption,
     output_option,
 )
-from omtwarp.commands._start import import_scipy
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
@@ -63,7 +62,6 @@ def report_on_map(
     from omtwarp.render import gl_client
 
     gl_client.prepare()  # its process starts while others are imported and the map is read
-    import_scipy()
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report
     from omtwarp.texturing import read_image

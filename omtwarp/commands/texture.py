@@ -29,7 +29,6 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._painted import painted_map
 from omtwarp.commands._progress import step_times
-from omtwarp.commands._start import import_scipy
 from omtwarp.commands._streams import say
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
@@ -167,7 +166,6 @@ def texture_mesh(
     \f
     One function, as most of its lines are options and where they are passed on.
     """
-    import_scipy()
     from omtwarp.texturing import read_image
     from omtwarp.texturing.atlas import check_size
     from omtwarp.texturing.export import SUFFIXES, format_for

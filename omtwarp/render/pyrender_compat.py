@@ -1,4 +1,14 @@
-"""Changes to pyrender 0.1.45 at run time, which needs them on today's Python, NumPy and PyOpenGL without a display.
+"""The changes that pyrender 0.1.45, its last release, needs to run on today's Python and NumPy and without a display.
+
+It requires PyOpenGL 3.1.0 exactly. What is changed, why, and where it was reported:
+
+* ``np.infty``, which NumPy 2 removed and pyrender's bounding boxes use: github.com/mmatl/pyrender/issues/288.
+* ``pyrender.viewer``, which imports pyglet, whose import fails without the X libraries:
+  github.com/mmatl/pyrender/issues/7.
+* ``ctypes.util.find_library``, by which PyOpenGL 3.1.0 asks ldconfig alone, without ``LD_LIBRARY_PATH``:
+  github.com/mcfletch/pyopengl/issues/90.
+* PyOpenGL's handler of pointers, which knows the type behind ``byref`` by the name it had before Python 3.12:
+  github.com/mcfletch/pyopengl/issues/99.
 
 Call :func:`import_pyrender` before anything else imports pyrender or OpenGL in the process. It runs in the drawing
 process only (see :mod:`omtwarp.render.drawing_process`), so that its changes affect no other code.
@@ -7,8 +17,6 @@ process only (see :mod:`omtwarp.render.drawing_process`), so that its changes af
 from __future__ import annotations
 
 import ctypes.util
-import importlib
-import importlib.util
 import os
 import sys
 import types
@@ -35,12 +43,9 @@ def import_pyrender() -> types.ModuleType:
     if sys.platform.startswith("linux"):
         os.environ["PYOPENGL_PLATFORM"] = "egl"  # the same path for llvmpipe and for a GPU's driver
     _restore_numpy_name()
-    # pyrender's viewer pulls in pyglet, which needs X libraries just to be imported; nothing here opens a window.
     viewer = types.ModuleType("pyrender.viewer")
     viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
     sys.modules.setdefault("pyrender.viewer", viewer)
-    _hollow_trimesh()
-    _hollow_networkx()
     # For good: PyOpenGL looks for libraries when they are first used, EGL long after this.
     ctypes.util.find_library = _find_library(ctypes.util.find_library)  # type: ignore[assignment]
     try:
@@ -64,54 +69,6 @@ def _missing(error: Exception) -> str:
     if sys.platform.startswith("linux"):
         return f"no OpenGL library with EGL was found ({INSTALL_GL})"
     return f"no OpenGL library was found ({error})"
-
-
-def _hollow_trimesh() -> None:
-    """Give pyrender a trimesh without its ``__init__``, which takes longer to import than everything else together.
-
-    Of trimesh pyrender needs the submodule ``transformations`` and, in functions not called here, the class names.
-    """
-    spec = importlib.util.find_spec("trimesh")
-    if "trimesh" in sys.modules or spec is None or spec.submodule_search_locations is None:
-        return
-    hollow = types.ModuleType("trimesh")
-    hollow.__path__ = list(spec.submodule_search_locations)
-    sys.modules["trimesh"] = hollow
-    try:
-        importlib.import_module("trimesh.transformations")
-    except Exception:  # a release in which the submodule leans on the package
-        for name in [name for name in sys.modules if name.split(".")[0] == "trimesh"]:
-            del sys.modules[name]
-
-
-class _Graph:
-    """The part of ``networkx.DiGraph`` that a pyrender scene uses: each node leads to at most one other."""
-
-    def __init__(self) -> None:
-        self._next: dict[object, list[object]] = {}
-
-    def add_node(self, node: object) -> None:
-        self._next.setdefault(node, [])
-
-    def add_edge(self, node: object, following: object) -> None:
-        self.add_node(node)
-        self.add_node(following)
-        self._next[node] = [following]
-
-    def path(self, node: object, target: object) -> list[object]:
-        """Return the nodes from one to another, both included."""
-        nodes = [node]
-        while nodes[-1] != target:
-            nodes += self._next[nodes[-1]]
-        return nodes
-
-
-def _hollow_networkx() -> None:
-    """Give pyrender a graph in the place of networkx, whose import takes half of the drawing process's start."""
-    hollow = types.ModuleType("networkx")
-    hollow.DiGraph = _Graph  # type: ignore[attr-defined]
-    hollow.shortest_path = _Graph.path  # type: ignore[attr-defined]
-    sys.modules.setdefault("networkx", hollow)
 
 
 def _restore_numpy_name() -> None:

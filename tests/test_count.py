@@ -1,0 +1,59 @@
+"""The script that counts the package counts what it says."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[1] / ".ci" / "count.py"
+if not SCRIPT.is_file():
+    pytest.skip("the script is not beside the tests", allow_module_level=True)
+SPEC = importlib.util.spec_from_file_location("count", SCRIPT)
+assert SPEC is not None and SPEC.loader is not None
+COUNT = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(COUNT)
+
+BASE = '''"""Say nothing."""
+
+# A comment.
+ONE, TWO = 1.0, 2
+LIMIT = 3 * 4
+"""Of something."""
+NAME = "a"
+EPSILON: float = -1e-9
+
+
+def f(
+    x,
+):
+    """Return
+    what is given."""
+
+    return """two
+lines"""
+'''
+
+
+def test_a_package_is_counted(tmp_path):
+    for name, text in {
+        "__init__": "",
+        "base": BASE,
+        "middle/__init__": "from omtwarp.base import f\n",
+        "middle/part": "from omtwarp.middle import f\n",
+        "top": "def g():\n    from omtwarp import middle\n    import omtwarp.base\n",
+    }.items():
+        file = tmp_path / f"{name}.py"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(text, "utf-8")
+    assert COUNT.count(tmp_path) == {
+        "lines of code": 9 + 1 + 1 + 3,
+        "files": 5,
+        "numeric constants": 4,
+        "floors": 3,
+        "loose modules": 2,
+    }
+
+
+def test_packages_that_import_each_other_have_no_floors():
+    with pytest.raises(ValueError, match="a, b"):
+        COUNT.floors({"a": {"b"}, "b": {"a"}, "c": set()})
