@@ -144,8 +144,12 @@ class TransportDual:
         self._launch(kernels.edge_bulges, faces, [self.y, self._faces, displaced], [self._edge])
         self._corners = y[surface.faces[self.order]]
         self._leaves = leaf_count(faces)
+        offsets, segments = tree_segments(self._leaves)
         # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
-        self._nodes = wp.array(_interleaved(2 * self._leaves, core_count()), dtype=wp.int32, device=self.device)
+        nodes, spread = (_interleaved(count, core_count()) for count in (2 * self._leaves, len(segments)))
+        self._nodes = wp.array(nodes, dtype=wp.int32, device=self.device)
+        self._segments = wp.array(segments[spread], dtype=wp.vec2i, device=self.device)
+        self._offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
         self.shared = shared_sources(x, surface.edges, _CUBE * self.tolerance)
         self._solver: EdgeLaplacianSolver | None = None
 
@@ -192,10 +196,19 @@ class TransportDual:
         node = (wp.vec3d, wp.vec3d, kernels.vec11d)
         tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
 
-        def of_nodes(part: slice) -> Arguments:
-            return [places, values, faces, self._leaves, self._nodes[part]], tree
+        samples = [places, values, faces, self._leaves]
 
-        launch_parts(kernels.build_nodes, nodes, of_nodes, self.device)
+        def of_nodes(part: slice) -> Arguments:
+            return [*samples, self._nodes[part]], tree
+
+        extremes = wp.empty(self._segments.size, dtype=kernels.vec6d, device=self.device)
+
+        def of_segments(part: slice) -> Arguments:
+            return [*samples, *tree, self._offsets, self._segments[part]], [extremes]
+
+        launch_parts(kernels.fit_nodes, nodes, of_nodes, self.device)
+        launch_parts(kernels.measure_segments, extremes.size, of_segments, self.device)
+        self._launch(kernels.bound_nodes, nodes, [self._offsets, extremes], [tree[2]])
         own = self.cost - potential
         asked = slice(None) if self.shared is None else self.shared.chosen
         sources, seeds = (
@@ -344,6 +357,26 @@ def order_by_halves(points: Array) -> NDArray[np.int32]:
 def _interleaved(count: int, parts: int) -> NDArray[np.int32]:
     """Return the numbers below ``count``, first every ``parts``-th one, then those that follow them, and so on."""
     return np.concatenate([np.arange(first, count, parts, dtype=np.int32) for first in range(parts)])
+
+
+def tree_segments(leaves: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Cut the leaves below every node of a complete binary tree in heap order into segments.
+
+    Args:
+        leaves: a power of two.
+
+    Returns:
+        The first segment of every node, and the number of all segments at the end, shape [2 leaves + 1]; and of every
+        segment its node and its number there, shape [S, 2].
+    """
+    nodes = np.arange(2 * leaves)
+    below = leaves >> np.frexp(np.maximum(nodes, 1))[1] - 1
+    counts = np.maximum(below // int(kernels.SEGMENT), 1)
+    counts[0] = 1  # no node
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    node = np.repeat(nodes, counts)
+    segments = np.stack([node, np.arange(len(node)) - offsets[node]], axis=1)
+    return offsets.astype(np.int32), segments.astype(np.int32)
 
 
 def leaf_count(items: int) -> int:

@@ -24,6 +24,7 @@ vec11d = wp.types.vector(length=11, dtype=wp.float64)
 RIDGE = wp.constant(wp.float64(1.0e-10))
 SLACK = wp.constant(wp.float64(1.0e-14))  # lowers bounds of numbers of size 1 by fifty times float64's round-off
 SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
+SEGMENT = wp.constant(256)  # triangles below a node that one thread goes through at most, a power of two
 # Triangles of a node that its paraboloid is fitted to; the level that makes it a bound uses all of them.
 FITTED = wp.constant(4)
 
@@ -337,7 +338,7 @@ def sample_triangles(
 
 
 @wp.kernel
-def build_nodes(
+def fit_nodes(
     places: wp.array[wp.vec3d],
     values: wp.array[wp.float64],
     face_count: int,
@@ -348,12 +349,11 @@ def build_nodes(
     axis_out: wp.array[wp.vec3d],
     model_out: wp.array[vec11d],
 ):
-    """Find a rectangle that holds every sample below a node, and a paraboloid above the potential there.
+    """Choose the centre c and the frame (axis, c × axis) of a node, and fit a paraboloid to the potential there.
 
-    With w the part of z - c tangent at the centre c, in the frame (axis, c × axis), every sample z below the node has w
-    in the rectangle and ψ(z) <= level + slope · w + w · B w / 2. Slope and B are fitted to some of the triangles; the
-    level is raised until the inequality holds at all samples, and between them to third order, as far as the residual
-    of ψ is a quadratic in barycentric coordinates.
+    With w the part of z - c tangent at c, every sample z below the node will have w in the node's rectangle and
+    ψ(z) <= level + slope · w + w · B w / 2. Slope and B are fitted to some of the triangles. The level is -LARGE, as it
+    stays for nodes without triangles.
     """
     place, _compiled_once = wp.tid()
     node = chosen[place]
@@ -418,42 +418,97 @@ def build_nodes(
         fit[3 + k] = fit[3 + k] / (size * size)
     if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < STEEPEST):
         fit = vec6d()
+    centre_out[node] = c
+    axis_out[node] = u
+    for k in range(1, 6):
+        model[k] = fit[k]
+    model[1] = fit[1] / size
+    model[2] = fit[2] / size
+    model_out[node] = model
 
+
+@wp.kernel
+def measure_segments(
+    places: wp.array[wp.vec3d],
+    values: wp.array[wp.float64],
+    face_count: int,
+    leaf_count: int,
+    centre: wp.array[wp.vec3d],
+    axis: wp.array[wp.vec3d],
+    model: wp.array[vec11d],
+    offsets: wp.array[wp.int32],
+    segments: wp.array[wp.vec2i],
+    # Data out:
+    extremes_out: wp.array[vec6d],
+):
+    """Find what the samples of some of a node's triangles need: level, least and largest coordinates, and radius.
+
+    A segment is a node and a number: it stands for as many as ``SEGMENT`` of the node's triangles, so that no thread
+    goes through those of half a mesh. The level makes the paraboloid an upper bound at all samples, and between them to
+    third order, as far as the residual of ψ is a quadratic in barycentric coordinates.
+    """
+    place, _compiled_once = wp.tid()
+    node = segments[place][0]
+    number = segments[place][1]
     level = -LARGE
     radius = ZERO
     low = wp.vec2d()
     high = wp.vec2d()
-    for f in range(first, last + 1):
-        above = wp.vec3d()
-        for s in range(SAMPLES):
-            k = SAMPLES * f + s
-            w = places[k] - c
-            a0 = wp.dot(w, u)
-            a1 = wp.dot(w, v)
-            bent = HALF * (fit[3] * a0 * a0 + fit[5] * a1 * a1) + fit[4] * a0 * a1
-            over = values[k] - ((fit[1] * a0 + fit[2] * a1) / size + bent)
-            level = wp.max(level, over)
-            radius = wp.max(radius, wp.length_sq(w))
-            low = wp.min(low, wp.vec2d(a0, a1))
-            high = wp.max(high, wp.vec2d(a0, a1))
-            if s < 3:
-                above[s] = over
-            else:
-                # No quadratic on the triangle exceeds its coefficients in Bernstein's form.
-                level = wp.max(level, TWO * over - HALF * (above[s - 3] + above[(s - 2) % 3]))
-    centre_out[node] = c
-    axis_out[node] = u
-    for k in range(6):
-        model[k] = fit[k]
-    model[0] = level
-    model[1] = fit[1] / size
-    model[2] = fit[2] / size
-    model[6] = low[0]
-    model[7] = high[0]
-    model[8] = low[1]
-    model[9] = high[1]
-    model[10] = wp.sqrt(radius)
-    model_out[node] = model
+    if node > 0:
+        first, last = leaves_below(node, leaf_count, face_count)
+        first += SEGMENT * number
+        last = wp.min(last, first + SEGMENT - 1)
+        c = centre[node]
+        u = axis[node]
+        v = wp.cross(c, u)
+        fit = model[node]
+        for f in range(first, last + 1):
+            above = wp.vec3d()
+            for s in range(SAMPLES):
+                k = SAMPLES * f + s
+                w = places[k] - c
+                a0 = wp.dot(w, u)
+                a1 = wp.dot(w, v)
+                bent = HALF * (fit[3] * a0 * a0 + fit[5] * a1 * a1) + fit[4] * a0 * a1
+                over = values[k] - (fit[1] * a0 + fit[2] * a1 + bent)
+                level = wp.max(level, over)
+                radius = wp.max(radius, wp.length_sq(w))
+                low = wp.min(low, wp.vec2d(a0, a1))
+                high = wp.max(high, wp.vec2d(a0, a1))
+                if s < 3:
+                    above[s] = over
+                else:
+                    # No quadratic on the triangle exceeds its coefficients in Bernstein's form.
+                    level = wp.max(level, TWO * over - HALF * (above[s - 3] + above[(s - 2) % 3]))
+    extremes_out[offsets[node] + number] = vec6d(level, low[0], high[0], low[1], high[1], radius)
+
+
+@wp.kernel
+def bound_nodes(
+    offsets: wp.array[wp.int32],
+    extremes: wp.array[vec6d],
+    # Data in and out:
+    model: wp.array[vec11d],
+):
+    """Set level, rectangle and radius of a node to the largest that its segments need."""
+    node, _compiled_once = wp.tid()
+    most = extremes[offsets[node]]
+    for k in range(offsets[node] + 1, offsets[node + 1]):
+        other = extremes[k]
+        most = vec6d(
+            wp.max(most[0], other[0]),
+            wp.min(most[1], other[1]),
+            wp.max(most[2], other[2]),
+            wp.min(most[3], other[3]),
+            wp.max(most[4], other[4]),
+            wp.max(most[5], other[5]),
+        )
+    bounded = model[node]
+    bounded[0] = most[0]
+    for k in range(4):
+        bounded[6 + k] = most[1 + k]
+    bounded[10] = wp.sqrt(most[5])
+    model[node] = bounded
 
 
 @wp.func

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality import exact_transport, map_optimality, optimality, relative_curl
-from omtwarp.metrics.optimality_dual import TransportDual, order_by_halves
+from omtwarp.metrics.optimality_dual import TransportDual, order_by_halves, tree_segments
 from omtwarp.metrics.optimality_sources import SourceDual
 from omtwarp.result import MapResult
 
@@ -264,6 +265,20 @@ def test_a_bound_raised_at_the_sources_comes_near_the_exact_optimum():
     assert 0 < steps <= 20
     assert bounds[0] < bounds[1] <= least * (1.0 + 1e-9)
     assert bounds[1] > 0.999 * least
+
+
+@pytest.mark.parametrize("leaves", [2, 64, 256, 2048])
+def test_segments_are_the_leaves_below_a_node_once(leaves):
+    """No thread goes through more than SEGMENT triangles; found by walking down from the node to its leaves."""
+    offsets, segments = tree_segments(leaves)
+    size = int(kernels.SEGMENT)
+    assert len(segments) == offsets[-1] and len(offsets) == 2 * leaves + 1
+    for node in range(1, 2 * leaves):
+        below = [node]
+        while below[0] < leaves:
+            below = [child for parent in below for child in (2 * parent, 2 * parent + 1)]
+        own = segments[offsets[node] : offsets[node + 1]]
+        np.testing.assert_array_equal(own, [[node, k] for k in range(-(-len(below) // size))])
 
 
 @settings(max_examples=20, deadline=None)
