@@ -18,7 +18,10 @@ class StageTimes(TypedDict):
 
 
 class MapTimes(TypedDict):
-    """A map, or the medians of several; memory in bytes above what the process held before."""
+    """A map, or the medians of several; memory in bytes above what the process held before.
+
+    ``device_bytes`` is None where an earlier map of the process needed as much of the device.
+    """
 
     device: NotRequired[str]
     seconds: float

@@ -98,9 +98,10 @@ class LaunchRecorder:
                 record.moved += moved_bytes(threads, [*inputs, *outputs])
         if self.device.is_cuda:
             begin, end = (wp.Event(self.device, enable_timing=True) for _ in range(2))
-            wp.record_event(begin)
+            stream = self.device.stream  # that of the launch; Warp's default device may be another
+            stream.record_event(begin)
             result = self._launch(kernel, dim, inputs, outputs, *rest, **options)
-            wp.record_event(end)
+            stream.record_event(end)
             self._events.append((record, begin, end))
             return result
         start = time.perf_counter()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from omtwarp.benchmark import markdown, run
+from omtwarp.benchmark import markdown, run, runner
 from omtwarp.benchmark.measure import PeakMemory, first_use, splu_reference
 from omtwarp.benchmark.meshes import label, made, subdivided
 from omtwarp.benchmark.roofline import LISTED, LaunchRecorder, copy_bandwidth, moved_bytes
@@ -144,6 +144,14 @@ def test_peak_memory_sees_what_was_there_for_a_moment():
     if peak is None:
         pytest.skip("this system does not let a process forget its peak")
     assert 60e6 < peak < 200e6
+
+
+@pytest.mark.parametrize(("marks", "peak"), [((100, 150), 150), ((150, 150), None), ((0, 0), None)])
+def test_the_mark_of_a_memory_pool_counts_for_the_map_that_raises_it(monkeypatch, marks, peak):
+    found = iter(marks)
+    monkeypatch.setattr(runner, "most_used", lambda device: next(found))
+    surface = icosphere(2)
+    assert runner.measure_map(surface, "cpu", None)["device_bytes"] == peak
 
 
 def test_subdivision_keeps_the_surface():
