@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 import socket
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+if TYPE_CHECKING:
+    from fake_device import FakeDevice
 
 # Kernels compiled by the tests stay in the checkout. Before anything imports Warp.
 os.environ.setdefault("WARP_CACHE_PATH", str(Path(__file__).parent.parent / ".warp"))
@@ -26,11 +30,22 @@ def pytest_configure(config: pytest.Config) -> None:
     warp.config.launch_array_access_mode = warp.config.LaunchArrayAccessMode.STRICT
 
 
-@pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> FakeDevice:
+    """Make ``cuda:0`` a device that is a CPU to Warp and CUDA to the package."""
+    from fake_device import install
+
+    return install(monkeypatch)
+
+
+@pytest.fixture(params=["cpu", "fake", pytest.param("cuda", marks=pytest.mark.cuda)])
 def device(request: pytest.FixtureRequest) -> str:
-    """Run a test on the CPU, and on the first CUDA device where there is one."""
+    """Run a test on the CPU, on a fake device, and on the first CUDA device where there is one."""
     if request.param == "cpu":
         return "cpu"
+    if request.param == "fake":
+        request.getfixturevalue("fake")
+        return "cuda:0"
     from omtwarp.device.start import wp
 
     if not wp.is_cuda_available():

@@ -22,6 +22,7 @@ from pathlib import Path
 
 from omtwarp.cohort.item import Job
 from omtwarp.cohort.work import mapped, run_item
+from omtwarp.device.policy import asks_for_cuda
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.write import write_mesh
@@ -45,7 +46,7 @@ def main() -> None:
             pending += block
         line, pending = pending.split(b"\n", 1)
         job = Job.from_json(line.decode())
-        if not forks or str(job.options.get("device", "auto")).startswith("cuda"):
+        if not forks or asks_for_cuda(job.options.get("device")):
             run_item(job)
             answers.write(json.dumps({"exit": 0, "timeout": False}) + "\n")
             return

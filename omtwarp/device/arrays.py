@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 
 # What arrays made by :func:`empty` may hold.
@@ -43,7 +44,7 @@ def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
 
     On the CPU its memory is NumPy's: 9 microseconds in place of 20, in loops that make thousands of small arrays.
     """
-    if not device.is_cpu:
+    if not shares_host_memory(device):
         return wp.empty(count, dtype=dtype, device=device)
     width = COMPONENTS.get(dtype)
     numbers = np.empty(count, dtype=NUMBERS[dtype]) if width is None else np.empty((count, width))

@@ -23,7 +23,8 @@ CUDA_LIST_THREADS = 16384
 def resolve_device(device: str | None = "auto") -> wp.Device:
     """Turn ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` into a Warp device.
 
-    ``auto`` (or ``None``) is the first CUDA device when there is one and the CPU otherwise.
+    ``auto`` (or ``None``) is the CPU: most steps of a map run on the host, and each of them copies from a CUDA device
+    and waits for it.
 
     Raises:
         OmtwarpError: an unknown device, or CUDA asked for where there is none.
@@ -32,8 +33,8 @@ def resolve_device(device: str | None = "auto") -> wp.Device:
         return device
     name = parse_device(device)
     if name == "auto":
-        return wp.get_device("cuda:0") if wp.is_cuda_available() else wp.get_device("cpu")
-    if name != "cpu" and not wp.is_cuda_available():
+        return wp.get_device("cpu")
+    if asks_for_cuda(name) and not wp.is_cuda_available():
         raise OmtwarpError(f"device '{name}' asked for, but this machine has no usable CUDA device: use --device cpu")
     try:
         return wp.get_device(name)
@@ -42,6 +43,16 @@ def resolve_device(device: str | None = "auto") -> wp.Device:
         raise OmtwarpError(
             f"device '{name}' does not exist: this machine has {count} CUDA device(s), 0 to {count - 1}"
         ) from error
+
+
+def is_cuda(device: wp.Device) -> bool:
+    """Return whether a device has memory of its own; every other question about devices here asks this one."""
+    return bool(device.is_cuda)
+
+
+def asks_for_cuda(device: object) -> bool:
+    """Return whether a device's name stands for a CUDA device, without a look at what the machine has."""
+    return parse_device(device).startswith("cuda")
 
 
 _wanted: ContextVar[Solver] = ContextVar("solver", default=Solver.AUTO)
@@ -73,7 +84,7 @@ def on_device(device: wp.Device, vertices: int) -> bool:
     They are on CUDA where the surface is large, and everywhere where ``multigrid`` is asked for.
     """
     solver = wanted_solver()
-    return solver is Solver.MULTIGRID or (solver is Solver.AUTO and device.is_cuda and vertices > DEVICE_VERTICES)
+    return solver is Solver.MULTIGRID or (solver is Solver.AUTO and is_cuda(device) and vertices > DEVICE_VERTICES)
 
 
 def solves_with_scipy() -> bool:
@@ -83,7 +94,7 @@ def solves_with_scipy() -> bool:
 
 def adds_on_device(device: wp.Device, vertices: int) -> bool:
     """Return whether kernels compute sums for a surface: where its systems are solved on the device, and on CUDA."""
-    return bool(device.is_cuda) or on_device(device, vertices)
+    return is_cuda(device) or on_device(device, vertices)
 
 
 def shares_host_memory(device: wp.Device) -> bool:
@@ -91,7 +102,7 @@ def shares_host_memory(device: wp.Device) -> bool:
 
     NumPy then takes sums, faster than a kernel on one core without vector instructions, and workspace is shared.
     """
-    return bool(device.is_cpu)
+    return not is_cuda(device)
 
 
 def records_graphs(device: wp.Device) -> bool:
@@ -99,21 +110,22 @@ def records_graphs(device: wp.Device) -> bool:
 
     Never on the CPU, where other threads' launches would end up in the recording.
     """
-    return bool(device.is_cuda and wp.is_conditional_graph_supported())
+    return is_cuda(device) and bool(wp.is_conditional_graph_supported())
 
 
 def launch_parts_of(device: wp.Device, count: int, cores: int, least: int = SMALLEST_SHARED_LAUNCH) -> int:
     """Return the number of parts of a launch of independent threads: one for every core of a CPU, one on CUDA."""
-    return cores if device.is_cpu and count >= least else 1
+    return 1 if is_cuda(device) or count < least else cores
 
 
 def list_threads(device: wp.Device) -> int:
     """Return the number of threads that work through a list whose length only the device knows."""
-    return CUDA_LIST_THREADS if device.is_cuda else 1
+    return CUDA_LIST_THREADS if is_cuda(device) else 1
 
 
 __all__ = [
     "adds_on_device",
+    "asks_for_cuda",
     "launch_parts_of",
     "list_threads",
     "on_device",

@@ -71,6 +71,7 @@ class MultigridSolver:
         self._smoothed = self._image  # never needed at the same time
         self._scalars = wp.zeros(4, dtype=wp.float64, device=device)
         self._counters = wp.zeros(3, dtype=wp.int32, device=device)
+        self._running = self._counters[:1]  # Warp reads a condition into an array of one element
         self._tolerance = wp.zeros(1, dtype=wp.float64, device=device)
         self._sum = DeviceSum(device, count * block)
         self._total = wp.empty(1, dtype=wp.float64, device=device) if laplacian else None
@@ -128,7 +129,7 @@ class MultigridSolver:
             outputs=[self._scalars, self._counters],
             device=self.device,
         )
-        wp.capture_while(self._counters, self._iterate)
+        wp.capture_while(self._running, self._iterate)
 
     def _smooth(self, out: wp.array) -> None:
         """Run one cycle for the residual."""
