@@ -21,7 +21,7 @@ from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.read import read_mesh, utf8
-from omtwarp.mesh.scenes import gltf_header, load_scene, scene_formats
+from omtwarp.mesh.scenes import gltf_header, load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.srgb import to_linear, to_srgb
 from omtwarp.texturing.image import read_image
@@ -222,28 +222,20 @@ def _from_scene(scene: trimesh.Scene, factors: Factors | None) -> PaintedMesh:
         scene: of trimesh's.
         factors: of a glTF file's materials, whose colours are linear; None for other formats.
     """
-    order = list(scene.geometry)
-    placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
-    placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order
-    found = [(scene.geometry[name], matrix) for matrix, name, _ in placed if hasattr(scene.geometry[name], "faces")]
+    found = placed_meshes(scene)
     if not found:
         raise OmtwarpError("not a triangle mesh: no triangles in it")
     materials: list[Material] = []
     numbers: dict[int, int] = {}
     vertices, faces, uvs, which, colors = [], [], [], [], []
     start = 0
-    for mesh, matrix in found:
-        points = np.asarray(mesh.vertices, dtype=np.float64)
-        moved = points if np.array_equal(matrix, np.eye(4)) else points @ matrix[:3, :3].T + matrix[:3, 3]
-        triangles = np.asarray(mesh.faces)
-        if np.linalg.det(matrix[:3, :3]) < 0:
-            triangles = triangles[:, ::-1]
-        material, uv, color = _appearance(mesh, factors)
-        key = id(getattr(mesh.visual, "material", mesh))
+    for _, one, points, triangles in found:
+        material, uv, color = _appearance(one, factors)
+        key = id(getattr(one.visual, "material", one))
         if key not in numbers:
             numbers[key] = len(materials)
             materials.append(material)
-        vertices.append(moved)
+        vertices.append(points)
         faces.append(triangles + start)
         uvs.append(np.full((len(triangles), 3, 2), np.nan) if uv is None else uv[triangles])
         which.append(np.full(len(triangles), numbers[key], dtype=np.int32))

@@ -27,7 +27,7 @@ from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.neuro import nibabel_module
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import fans
-from omtwarp.mesh.scenes import load_scene, scene_formats
+from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.vtk import read_vtk, read_vtk_xml
 
 if TYPE_CHECKING:
@@ -254,30 +254,24 @@ def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
     known = {*scene_formats(), "npz", "gii", "vtk", "vtp", "vtu"}
     if suffix not in known:
         raise OmtwarpError(f"unknown format '.{suffix}': known are {', '.join(sorted(known))}")
-    return _single_geometry(load_scene(data, file, suffix), triangulate)
+    return _single_geometry(load_scene(data, file, suffix, pictures=False), triangulate)
 
 
 def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
     """Return the only mesh of a scene, moved to the place that the scene gives it."""
-    order = list(scene.geometry)
-    placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
-    placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order
-    found = [(name, scene.geometry[name], matrix) for matrix, name, _ in placed]
-    meshes = [entry for entry in found if hasattr(entry[1], "faces")]
+    meshes = placed_meshes(scene)
     if not meshes:
         raise OmtwarpError("not a triangle mesh: no triangles in it")
     if len(meshes) > 1 and not together:
-        names = ", ".join(str(name) for name, _, _ in meshes[:4]) + (", ..." if len(meshes) > 4 else "")
+        names = ", ".join(name for name, *_ in meshes[:4]) + (", ..." if len(meshes) > 4 else "")
         raise OmtwarpError(
             f"{len(meshes)} geometries in one scene ({names}), first '{meshes[0][0]}'; save the one to be mapped by "
             "itself, or take the largest with --repair"
         )
     vertices, faces, start = [], [], 0
-    for _, mesh, matrix in meshes:
-        points = np.asarray(mesh.vertices, dtype=np.float64)
-        moved = points if np.array_equal(matrix, np.eye(4)) else points @ matrix[:3, :3].T + matrix[:3, 3]
-        vertices.append(moved)
-        faces.append(np.asarray(mesh.faces, dtype=np.int64) + start)
+    for _, _, points, triangles in meshes:
+        vertices.append(points)
+        faces.append(triangles + start)
         start += len(points)
     notes = [f"took {len(meshes)} geometries together"] if len(meshes) > 1 else []
     return np.concatenate(vertices), np.concatenate(faces), notes

@@ -10,17 +10,23 @@ import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, amount
+from omtwarp.mesh.accessors import Document, with_plain_accessors
 
 if TYPE_CHECKING:
     import trimesh
 
 # Drawings without surfaces, points without triangles, and archives of unknown content.
 _NOT_MESHES = {"dxf", "xyz", "zip", "bz2", "tar.gz", "tar.bz2"}
-# Parts of glTF that a file may call required and that change nothing about its triangles.
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantization")
+# Parts of glTF that are read, or that change nothing about triangles and little about their look.
+_READ = ("KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_", "KHR_lights_")
+# Parts that change where a picture lies or how it is stored, and nothing about triangles.
+_OF_PICTURES = ("KHR_texture_", "EXT_texture_", "MSFT_texture_")
 
 
 def scene_formats() -> set[str]:
@@ -30,20 +36,21 @@ def scene_formats() -> set[str]:
     return set(trimesh.available_formats()) - _NOT_MESHES
 
 
-def load_scene(data: bytes, file: Path, suffix: str) -> trimesh.Scene:
+def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -> trimesh.Scene:
     """Read a scene, with the files that it names in its directory or below.
 
     Args:
         data: the file's content.
         file: where it came from; files that it names are looked for in its directory.
         suffix: its format.
+        pictures: whether its pictures matter, so that a part that they need and that is not read is refused.
 
     Returns:
         A ``trimesh.Scene`` with vertices as the file has them.
 
     Raises:
-        OmtwarpError: compressed geometry, an archive that inflates too far, or a file that it names and that cannot be
-            read.
+        OmtwarpError: a part of glTF that the file requires and that is not read, such as compressed geometry; an
+            archive that inflates too far; or a file that it names and that cannot be read.
         Exception: what trimesh raises on a damaged file.
     """
     import trimesh
@@ -70,18 +77,21 @@ def load_scene(data: bytes, file: Path, suffix: str) -> trimesh.Scene:
         def write(self, name: str, data: object) -> None:
             raise OmtwarpError(f"{name}: not written, as the scene is only read")
 
+    beside = Beside(file.parent)
     if suffix in ("glb", "gltf"):
-        _require_plain(gltf_header(data, suffix))
+        header = gltf_header(data, suffix)
+        _require_read(header, (*_READ, *(() if pictures else _OF_PICTURES)))
+        data = with_plain_accessors(data, header, suffix == "glb", beside.get)
     if data.startswith(b"PK"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             total = sum(entry.file_size for entry in archive.infolist())
         if total > LARGEST_MESH_FILE:
             raise OmtwarpError(f"inflates to {amount(total)}, and {amount(LARGEST_MESH_FILE)} is the most")
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its errors contain the same information
-    return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Beside(file.parent), process=False)
+    return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=beside, process=False)
 
 
-def gltf_header(data: bytes, suffix: str) -> object:
+def gltf_header(data: bytes, suffix: str) -> Document:
     """Return the JSON of a glTF file (glTF 2.0 specification, section 4.4).
 
     Raises:
@@ -89,25 +99,54 @@ def gltf_header(data: bytes, suffix: str) -> object:
         ValueError: it is no such file.
     """
     if suffix == "gltf":
-        return json.loads(data)
+        return _document(data)
     magic, _, length, size, _ = struct.unpack("<4sIIII", data[:20].ljust(20, b"\0"))
     if magic != b"glTF":
         raise ValueError("no header of a binary glTF file")
     if len(data) < length or len(data) < 20 + size:
         raise OmtwarpError(f"cut short: {max(length, 20 + size)} bytes announced, {len(data)} there")
-    return json.loads(data[20 : 20 + size])
+    return _document(data[20 : 20 + size])
 
 
-def _require_plain(header: object) -> None:
-    """Refuse parts of a scene that trimesh would drop silently.
+def _document(text: bytes) -> Document:
+    document: Document = json.loads(text)
+    if not isinstance(document, dict):
+        raise ValueError("its JSON is no object")
+    return document
+
+
+def _require_read(header: Document, read: tuple[str, ...]) -> None:
+    """Refuse a file that requires a part of glTF which is not read.
 
     Raises:
-        OmtwarpError: an extension that changes the triangles.
+        OmtwarpError: the file requires such a part.
     """
-    required = header.get("extensionsRequired", []) if isinstance(header, dict) else []
-    unknown = [str(name) for name in required if not str(name).startswith(_HARMLESS)]
+    unknown = [str(name) for name in header.get("extensionsRequired", []) if not str(name).startswith(read)]
     if unknown:
         raise OmtwarpError(f"needs {unknown[0]}, which is not read: save it without compression and extensions")
 
 
-__all__ = ["gltf_header", "load_scene", "scene_formats"]
+def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, NDArray[np.float64], NDArray[np.int64]]]:
+    """Return the meshes of a scene in the file's order, each with its name, and moved to where the scene puts it.
+
+    Returns:
+        For every mesh its name, itself, its points there, shape [V, 3], and its faces, shape [F, 3], which a mirror
+        image turns.
+    """
+    order = list(scene.geometry)
+    placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
+    placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order
+    found = []
+    for matrix, name, _ in placed:
+        mesh = scene.geometry[name]
+        if hasattr(mesh, "faces"):
+            points, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
+            if not np.array_equal(matrix, np.eye(4)):
+                points = points @ matrix[:3, :3].T + matrix[:3, 3]
+            if np.linalg.det(matrix[:3, :3]) < 0:
+                faces = faces[:, ::-1]
+            found.append((str(name), mesh, points, faces))
+    return found
+
+
+__all__ = ["gltf_header", "load_scene", "placed_meshes", "scene_formats"]
