@@ -176,8 +176,6 @@ def judge(
 ) -> list[Finding]:
     """List the warnings about a map; those about areas only where the options ask for a map that keeps them.
 
-    One function, as each warning is a few lines, in the order in which they are given.
-
     Args:
         goal: the surface, with the area that each of its triangles is to have on the sphere.
         sphere: the map, unit vectors, shape [V, 3].

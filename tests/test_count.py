@@ -1,5 +1,6 @@
 """The script that counts the package counts what it says."""
 
+import ast
 import importlib.util
 from pathlib import Path
 
@@ -49,9 +50,26 @@ def test_a_package_is_counted(tmp_path):
         "lines of code": 9 + 1 + 1 + 3,
         "files": 5,
         "numeric constants": 4,
+        "functions over 80 lines or 20 branches": 0,
         "floors": 3,
         "loose modules": 2,
     }
+
+
+@pytest.mark.parametrize(
+    ("body", "large"),
+    [
+        ("    x = 1\n" * 79, 0),
+        ("    x = 1\n" * 80, 1),
+        ('    """Say\n' + "much.\n" * 80 + '    """\n    x = 1\n', 0),
+        ("    x = 1 if x else 2\n" * 19, 0),
+        ("    x = [y for y in z if y and x]\n" * 7, 1),
+    ],
+)
+def test_large_functions_are_counted(body, large):
+    source = "def f(x, z):\n" + body
+    assert COUNT.too_large(ast.parse(source)) == large
+    assert COUNT.too_large(ast.parse("@wp.kernel\n" + source)) == 0
 
 
 def test_packages_that_import_each_other_have_no_floors():

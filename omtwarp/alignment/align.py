@@ -145,8 +145,6 @@ def align(
     surfaces that were resampled to one grid have them, and correspond only if their spheres were aligned before. Where
     different surfaces correspond, such as a deformed template, use ``by="vertices"``.
 
-    One function, as it is checks of options and one or two calls.
-
     Args:
         given: a map, with its surface where that is needed (:func:`omtwarp.resampling.as_points` lists the forms).
         to: ``axes`` (:func:`align_to_axes`), or another map or sphere in any of the same forms.

@@ -53,7 +53,7 @@ def run(
     Each mesh is mapped ``repeats`` times on each device after a small map has warmed the device up, and factorised
     with SciPy's ``splu`` (its defaults) and solved once before every map on the CPU: medians of all are given. A ratio
     is the median of a map's time over that of the factorisation and solve before it, so that a machine that is busy for
-    a while slows both. One function, as it is the list of all measurements, in order.
+    a while slows both.
 
     Args:
         sizes: numbers of faces of the generated shapes, from 5,000 to 2,000,000 and beyond.

@@ -52,7 +52,7 @@ def write_page(rows: Sequence[Row], folder: Path) -> Path:
     return write_plain_page(folder / "report.html", "Cohort report", body)
 
 
-def outliers(done: Sequence[Row], most: int = OUTLIERS) -> list[tuple[Row, str]]:
+def outliers(done: Sequence[Row]) -> list[tuple[Row, str]]:
     """Return the items furthest above the median of a measure, in median absolute deviations, and why.
 
     Each item is listed once, with the measure in which it deviates most.
@@ -70,7 +70,7 @@ def outliers(done: Sequence[Row], most: int = OUTLIERS) -> list[tuple[Row, str]]
             if np.isfinite(distance) and distance > found.get(name_of_item, (0.0,))[0]:
                 found[name_of_item] = (distance, row, f"{words} {value:.4g}, median {middle:.4g}")
     ranked = sorted(found.values(), key=lambda entry: (-entry[0], str(entry[1]["id"])))
-    return [(row, why) for _, row, why in ranked[:most]]
+    return [(row, why) for _, row, why in ranked[:OUTLIERS]]
 
 
 def _measures(done: Sequence[Row]) -> Markup:

@@ -74,8 +74,6 @@ def align_map(
     By axes, the longest axis of the first-order ellipsoid points to longitude 0, the shortest to the north pole. To
     another map, features are correlated over all rotations: distance from the centre of the surface, area over area on
     the sphere, or those given.
-    \f
-    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.alignment import align
     from omtwarp.mesh.neuro import require_same_structure

@@ -94,8 +94,6 @@ def benchmark(
     """Time every stage and its memory on meshes of several sizes, and compare with a sparse factorisation by SciPy.
 
     Takes a minute or two with the sizes it has by default, and no network.
-    \f
-    One function, as most of its lines are options and where they are passed on.
     """
 
     given = tuple(meshes or ())

@@ -99,8 +99,6 @@ def cohort(
     """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun continues.
 
     DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html.
-    \f
-    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.cohort import read_manifest, run_cohort
 

@@ -88,8 +88,6 @@ def film_map(
     """Film a map without a display: it flows from conformal to optimal, then the surface turns into its sphere.
 
     A map to a torus ends as a ring torus, one to the disk as the disk, one of several parts as their spheres.
-    \f
-    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.render.films import film
     from omtwarp.render.output import check_target

@@ -48,8 +48,6 @@ def group(
     The folder gets table.csv, distances.csv, transport.csv where asked for, the mean and the components as .ply, and
     report.html. Two groups, named in the table's column 'group', are compared point by point with Student's t and
     permutations.
-    \f
-    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.shape_analysis.group import mirrored_words, study_group, two_groups
     from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report

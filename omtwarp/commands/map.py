@@ -141,8 +141,6 @@ def map_mesh(
     A surface with holes, handles or several parts is mapped with --hemisphere, --disk, --cap, --fill-area, --cut and
     --components; "omtwarp check" says what each would do with it. As a mesh a disk is flat, parts have spheres about
     one centre, and a torus is a ring torus, or in a .glb the surface with a texture.
-    \f
-    One function, as most of its lines are options and where they are passed on.
     """
 
     if torus and beside:

@@ -91,10 +91,7 @@ def preview_mesh(
     verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw a surface without a display.
-    \f
-    One function, as most of its lines are options and where they are passed on.
-    """
+    """Draw a surface without a display."""
     from omtwarp.render import Camera, preview
 
     given = subjects or []

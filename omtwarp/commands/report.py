@@ -55,10 +55,7 @@ def report_on_map(
     verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file.
-    \f
-    One function, as most of its lines are options and where they are passed on.
-    """
+    """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file."""
     from omtwarp.render import gl_client
 
     gl_client.prepare()  # its process starts while others are imported and the map is read

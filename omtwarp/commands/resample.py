@@ -75,8 +75,6 @@ def resample_map(
 
     Both spheres are taken in the position they are in: see 'omtwarp align'. Conservative resampling keeps integrals,
     bounds and signs. Without --data the surface is written with the target's triangles: the same mesh for all subjects.
-    \f
-    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.mesh.neuro import require_same_structure
     from omtwarp.resampling import file_points, resample

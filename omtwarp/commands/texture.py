@@ -163,8 +163,6 @@ def texture_mesh(
     """Texture a surface through its map to the sphere, with a picture or a pattern.
 
     Of a map to a torus the texture closes up both ways: a picture that repeats, circles or a checker.
-    \f
-    One function, as most of its lines are options and where they are passed on.
     """
     from omtwarp.texturing import read_image
     from omtwarp.texturing.atlas import check_size

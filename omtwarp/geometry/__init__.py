@@ -2,14 +2,10 @@
 
 from omtwarp.geometry.operators import (
     DifferentialOperators,
-    circumcentres,
     circumcentric_coordinates,
     corner_cotangents,
     cotangent_laplacian,
-    divergence_matrix,
-    dual_edge_lengths,
     face_normals,
-    gradient_matrix,
     rotate,
     rotation_matrix,
     voronoi_areas,
@@ -17,14 +13,10 @@ from omtwarp.geometry.operators import (
 
 __all__ = [
     "DifferentialOperators",
-    "circumcentres",
     "circumcentric_coordinates",
     "corner_cotangents",
     "cotangent_laplacian",
-    "divergence_matrix",
-    "dual_edge_lengths",
     "face_normals",
-    "gradient_matrix",
     "rotate",
     "rotation_matrix",
     "voronoi_areas",

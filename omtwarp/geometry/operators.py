@@ -55,19 +55,6 @@ def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
     return np.stack(dots, axis=1) / doubled[:, None]
 
 
-def dual_edge_lengths(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Return the signed length of each dual edge inside each triangle, shape [F, 3] (appendix B, before equation 24).
-
-    Column ``k`` belongs to the edge opposite corner ``k``: l_c = (c / 2) cot(gamma), the distance from the edge to the
-    circumcentre. It is negative where the opposite angle is obtuse and the circumcentre lies beyond the edge; the
-    sign is what keeps the identities of appendix B true for obtuse triangles (the paper writes the length |T ∩
-    e^perp| unsigned in appendix A.2, which holds for acute triangles only).
-    """
-    _, _, p = _corner_points(vertices, faces)
-    lengths = np.stack([np.linalg.norm(p[(k + 2) % 3] - p[(k + 1) % 3], axis=1) for k in range(3)], axis=1)
-    return 0.5 * lengths * corner_cotangents(vertices, faces)
-
-
 def voronoi_areas(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Return the circumcentric (Voronoi) cell area A_i of every vertex, shape [V] (appendix A.2).
 
@@ -98,68 +85,6 @@ def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Array:
     return 0.5 * np.stack([cotangents[:, k] * (cotangents[:, k - 1] + cotangents[:, k - 2]) for k in range(3)], axis=1)
 
 
-def circumcentres(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Return the circumcentre of every triangle, in its plane, shape [F, 3].
-
-    They are the vertices of the dual mesh (section 4.3).
-    """
-    _, _, p = _corner_points(vertices, faces)
-    weights = circumcentric_coordinates(vertices, faces)
-    return sum((weights[:, k, None] * p[k] for k in range(3)), np.zeros_like(p[0]))
-
-
-def _hat_gradients(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Return the gradients of the three hat functions of each triangle, shape [F, 3 corners, 3]."""
-    _, _, p = _corner_points(vertices, faces)
-    n = np.cross(p[1] - p[0], p[2] - p[0])
-    squared = np.maximum(np.einsum("ij,ij->i", n, n), TINY)[:, None]
-    return np.stack([np.cross(n, p[k - 1] - p[k - 2]) / squared for k in range(3)], axis=1)
-
-
-def gradient_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
-    """Return the matrix [3F, V] of gradients of functions at vertices, constant in each triangle (A.1, equation 19).
-
-    The gradient of a hat function is normal to the opposite edge and has length 1 / height. Exact on functions that are
-    linear in space (their tangential part). Rows ``3 f + d`` hold component ``d`` in triangle ``f``.
-    """
-    points, triangles, _ = _corner_points(vertices, faces)
-    hats = _hat_gradients(vertices, faces)
-    count = len(triangles)
-    rows = (3 * np.arange(count)[:, None, None] + np.arange(3)[None, None, :]).repeat(3, axis=1)
-    columns = np.broadcast_to(triangles[:, :, None], (count, 3, 3))
-    return sparse.csr_matrix((hats.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, len(points)))
-
-
-def divergence_matrix(
-    vertices: ArrayLike, faces: ArrayLike, *, integrated: bool = True, areas: ArrayLike | None = None
-) -> sparse.csr_matrix:
-    """Return the divergence at vertices of a field constant in each triangle, as a matrix [V, 3F] (appendix A.2).
-
-    Outflow through the boundary of the Voronoi cell: the sum over edges and their two triangles of
-    V(T) · e^ |T ∩ e^perp|, with the signed dual lengths of :func:`dual_edge_lengths`. In one triangle the two terms
-    at a corner add up to the opposite edge turned by -90 degrees and halved (equation 23 with the circumcentre's
-    properties); the matrix holds that sum, whose round-off does not grow with cotangents that cancel. It is minus the
-    transpose of the gradient weighted by triangle areas.
-
-    Args:
-        vertices: positions, shape [V, 3].
-        faces: triangles, shape [F, 3].
-        integrated: give the outflow of each cell (a 2-form, the default); else divide by ``areas``, as in the paper.
-        areas: cell areas, shape [V]; :func:`voronoi_areas` where not given.
-    """
-    points, triangles, p = _corner_points(vertices, faces)
-    normals = face_normals(vertices, faces)
-    turned = np.stack([0.5 * np.cross(p[k - 1] - p[k - 2], normals) for k in range(3)], axis=1)
-    count = len(triangles)
-    columns = (3 * np.arange(count)[:, None, None] + np.arange(3)[None, None, :]).repeat(3, axis=1)
-    rows = np.broadcast_to(triangles[:, :, None], (count, 3, 3))
-    matrix = sparse.csr_matrix((turned.ravel(), (rows.ravel(), columns.ravel())), shape=(len(points), 3 * count))
-    if integrated:
-        return matrix
-    cells = voronoi_areas(vertices, faces) if areas is None else np.asarray(areas, dtype=np.float64)
-    return sparse.csr_matrix(sparse.diags(1.0 / cells) @ matrix)
-
-
 def rotation_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
     """Return J, the turn by +90 degrees about each outward normal, as a matrix [3F, 3F] (section 2.3, equation 10)."""
     n = face_normals(vertices, faces)
@@ -179,19 +104,15 @@ def rotate(field: ArrayLike, normals: ArrayLike) -> Array:
     return np.cross(np.asarray(normals, dtype=np.float64), np.asarray(field, dtype=np.float64))
 
 
-def cotangent_laplacian(
-    vertices: ArrayLike, faces: ArrayLike, *, minimum_weight: float | None = None
-) -> sparse.csr_matrix:
+def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
     """Return the matrix D of section 4.1: D_PQ = -(cot R + cot S) / 2, rows that sum to zero; [V, V], symmetric.
 
-    Sign: positive semi-definite on every mesh, D = -div grad with the integrated divergence of
-    :func:`divergence_matrix`; u · D u is the Dirichlet energy of u. Nothing is divided by areas: weak form.
+    Sign: positive semi-definite on every mesh, D = -div grad with the integrated divergence of equation 23; u · D u is
+    the Dirichlet energy of u. Nothing is divided by areas: weak form.
 
     Args:
         vertices: positions, shape [V, 3].
         faces: triangles, shape [F, 3].
-        minimum_weight: raise each edge's weight (cot R + cot S) / 2 to at least this, for callers that need a maximum
-            principle on obtuse meshes; the matrix is then no longer div grad.
     """
     points, triangles, _ = _corner_points(vertices, faces)
     half = 0.5 * corner_cotangents(vertices, faces)
@@ -199,8 +120,6 @@ def cotangent_laplacian(
     size = len(points)
     weights = sparse.csr_matrix((half.ravel(), (i, j)), shape=(size, size))
     weights = sparse.csr_matrix(weights + weights.T)
-    if minimum_weight is not None:
-        weights.data = np.maximum(weights.data, minimum_weight)
     diagonal = np.asarray(weights.sum(axis=1)).ravel()
     return sparse.csr_matrix(sparse.diags(diagonal) - weights)
 
@@ -250,7 +169,7 @@ class DifferentialOperators:
         return out.numpy() if from_numpy else out
 
     def gradient(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Return the gradient in each triangle, [V] -> [F, 3]: :func:`gradient_matrix` (appendix A.1)."""
+        """Return the gradient in each triangle, [V] -> [F, 3]: equation 19 (appendix A.1)."""
         return self._run(kernels.face_gradients, True, values, wp.float64, wp.vec3d, out, False)
 
     def rotate(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
@@ -258,7 +177,7 @@ class DifferentialOperators:
         return self._run(kernels.rotate_in_faces, True, field, wp.vec3d, wp.vec3d, out, False)
 
     def divergence(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Return the outflow of each vertex's cell, [F, 3] -> [V]: see :func:`divergence_matrix` (appendix A.2)."""
+        """Return the outflow of each vertex's cell, [F, 3] -> [V]: equation 23 (appendix A.2)."""
         return self._run(kernels.vertex_divergence, False, field, wp.vec3d, wp.float64, out, True)
 
     def laplacian(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:

@@ -68,8 +68,6 @@ def paint(
     atlas, all materials share one picture. Coordinates outside [0, 1] repeat the picture. Where triangles overlap on
     the picture, as mirrored halves do, the first one gets the texel, and a warning says for which share of the picture.
 
-    One function, as it is checks of options and two calls.
-
     Args:
         result: a :class:`~omtwarp.MapResult`, a :class:`~omtwarp.TorusMap`, anything with ``vertices``, ``faces`` and
             ``sphere``, or the three as a tuple.

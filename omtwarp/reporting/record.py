@@ -57,10 +57,7 @@ def shown_history(result: MapResult | TorusMap) -> list[Record]:
 
 
 def _fitting(value: object, shape: object) -> object:
-    """Keep the parts of a value that have the expected types; return None where the value itself does not.
-
-    One function, as it calls itself for what a dict or a list holds.
-    """
+    """Keep the parts of a value that have the expected types; return None where the value itself does not."""
     if isinstance(shape, dict):
         if not isinstance(value, dict):
             return None

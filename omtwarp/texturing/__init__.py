@@ -7,7 +7,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from omtwarp.texturing.areas import cell_areas as cell_areas
     from omtwarp.texturing.atlas import ATLASES as ATLASES
     from omtwarp.texturing.atlas import make_atlas as make_atlas
     from omtwarp.texturing.baking import VertexValues as VertexValues
@@ -16,13 +15,11 @@ if TYPE_CHECKING:
     from omtwarp.texturing.baking import bake_vertex_values as bake_vertex_values
     from omtwarp.texturing.baking import resample as resample
     from omtwarp.texturing.baking import sample as sample
-    from omtwarp.texturing.baking import uv_to_sphere as uv_to_sphere
     from omtwarp.texturing.image import read_image as read_image
     from omtwarp.texturing.patterns import PATTERNS as PATTERNS
     from omtwarp.texturing.patterns import Pattern as Pattern
     from omtwarp.texturing.patterns import pattern as pattern
     from omtwarp.texturing.projection import direction_to_image as direction_to_image
-    from omtwarp.texturing.projection import image_to_direction as image_to_direction
     from omtwarp.texturing.projection import rotation_matrix as rotation_matrix
     from omtwarp.texturing.rasterizing import rasterize as rasterize
     from omtwarp.texturing.seams import unwrap as unwrap
@@ -46,11 +43,8 @@ _HOMES = {
     "VertexValues": "baking",
     "sample": "baking",
     "resample": "baking",
-    "cell_areas": "areas",
-    "uv_to_sphere": "baking",
     "read_image": "image",
     "direction_to_image": "projection",
-    "image_to_direction": "projection",
     "rotation_matrix": "projection",
 }
 
@@ -63,9 +57,7 @@ __all__ = [
     "bake",
     "bake_to_uv",
     "bake_vertex_values",
-    "cell_areas",
     "direction_to_image",
-    "image_to_direction",
     "make_atlas",
     "pattern",
     "rasterize",
@@ -75,7 +67,6 @@ __all__ = [
     "sample",
     "texture",
     "unwrap",
-    "uv_to_sphere",
 ]
 
 

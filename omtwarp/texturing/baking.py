@@ -538,59 +538,6 @@ def bake_vertex_values(
     return _bake_linear(layout, (cut.weights @ given.values)[cut.faces][part], supersample, -1)
 
 
-def uv_to_sphere(
-    picture: PictureLike,
-    sphere: ArrayLike,
-    faces: ArrayLike,
-    uv: ArrayLike,
-    *,
-    uv_faces: ArrayLike | None = None,
-    atlas: str | Atlas = "equirectangular",
-    size: int | tuple[int, int] | None = None,
-    rotation: ArrayLike | None = None,
-    supersample: int = 2,
-    device: str | wp.Device | None = "auto",
-) -> Picture:
-    """Resample a texture on a mesh's own coordinates onto the sphere: the inverse of :func:`bake_to_uv`.
-
-    Args:
-        picture: the mesh's texture: a path, a PIL image or an array [H, W, C].
-        sphere, faces: the map, [V, 3] and [F, 3].
-        uv, uv_faces: the mesh's texture coordinates, as in :func:`bake_to_uv`.
-        atlas, size: what to make: by default an equirectangular picture of 2048 x 1024 texels.
-        rotation: turns the resulting picture on the sphere, shape [3, 3].
-
-    Returns:
-        float32, shape [H, W, C].
-    """
-    where = resolve_device(device)
-    target = _target(atlas, size)
-    faces = np.asarray(faces, dtype=np.int32)
-    array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
-    own = _own_uv(uv, faces, uv_faces)
-    cut = unwrap(
-        np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
-    )
-    # A part of a face has that face's own coordinates: linear, whatever seams the mesh's coordinates have.
-    corner_own = own_at_parts(cut, faces, own)
-    layout, part = sphere_layout(cut, target, sphere, rotation, where)
-    values = wp.array(np.ascontiguousarray(corner_own[part]), dtype=wp.float64, device=where)
-    source = wp.array(np.ascontiguousarray(as_floats(array)), dtype=wp.float32, device=where)
-    channels = array.shape[2]
-    out = wp.zeros((target.width * target.height, channels), dtype=wp.float32, device=where)
-    texels, samples = layout.owned(), max(int(supersample), 1)
-    step = max(SAMPLES_AT_ONCE // samples**2, 1)
-    for start in range(0, len(texels), step):
-        some = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
-        count = len(some) * samples**2
-        points = wp.empty((count, 2), dtype=wp.float64, device=where)
-        colours = wp.empty((count, channels), dtype=wp.float64, device=where)
-        layout.interpolate(values, some, samples, points)
-        wp.launch(kernels.sample_plane, dim=count, inputs=[source, points, colours], device=where)
-        wp.launch(kernels.average_samples, dim=len(some), inputs=[colours, samples, some, out], device=where)
-    return layout.dilate(out, -1).numpy().reshape(target.height, target.width, channels)
-
-
 def sphere_layout(
     cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: wp.Device
 ) -> tuple[Layout, NDArray[np.int64]]:

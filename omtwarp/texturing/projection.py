@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF
 
 Floats = NDArray[np.float64]
 
@@ -59,22 +58,6 @@ def direction_to_image(directions: ArrayLike, projection: str = "equirectangular
     if projection == "sinusoidal":
         lon = lon * np.cos(lat)
     return np.stack([0.5 + lon / (2.0 * np.pi), 0.5 + lat / np.pi], axis=-1)
-
-
-def image_to_direction(uv: ArrayLike, projection: str = "equirectangular") -> Floats:
-    """Return the unit vectors, shape [..., 3], of image coordinates: the inverse of :func:`direction_to_image`.
-
-    Points of a sinusoidal picture outside its two bounding curves belong to no direction and give NaN.
-    """
-    check_projection(projection)
-    uv = np.asarray(uv, dtype=np.float64)
-    lon, lat = (uv[..., 0] - 0.5) * 2.0 * np.pi, (uv[..., 1] - 0.5) * np.pi
-    if projection == "sinusoidal":
-        with np.errstate(divide="ignore", invalid="ignore"):
-            stretched = lon / np.cos(lat)
-        inside = np.abs(stretched) <= np.pi * (1 + ROUND_OFF)
-        lon, lat = np.where(inside, stretched, np.nan), np.where(inside, lat, np.nan)
-    return direction_from_angles(lon, lat)
 
 
 def rotation_matrix(rotate: ArrayLike | None) -> Floats:

@@ -24,6 +24,7 @@ Ints = NDArray[np.int32]
 # Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
 PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 / 3, 1 / 3]])
 MOST_PASSES = 24
+MERIDIANS = 180  # compared for the seam, evenly spaced
 LONGEST_EDGE = 0.25  # radians: above this the probes could miss how far from linear the coordinates are
 
 # Faces that are added to four times the mesh's, at most: room for coarse meshes, while a folded or collapsed map is not
@@ -61,9 +62,7 @@ class Unwrapped:
     weights: sparse.csr_matrix
 
 
-def unwrap(
-    sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None = None, tolerance: float | None = None
-) -> Unwrapped:
+def unwrap(sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None = None) -> Unwrapped:
     """Cut a spherical mesh along the borders of an atlas and give every vertex its texture coordinates.
 
     Args:
@@ -71,11 +70,10 @@ def unwrap(
         faces: shape [F, 3].
         atlas: where the charts are.
         rotation: turns the texture on the sphere, shape [3, 3].
-        tolerance: largest angle, in radians, between the direction that linear texture coordinates give and the
-            map's own; a third of a texel by default. Infinity adds no vertices but those on the cuts.
 
     Returns:
-        The cut mesh. Its surface and its map are the same as before, to round-off.
+        The cut mesh, in which linear texture coordinates give the map's direction to a third of a texel. Its
+        surface and its map are the same as before, to round-off.
     """
     turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
     sphere = np.asarray(sphere, dtype=np.float64)
@@ -84,7 +82,7 @@ def unwrap(
         mesh.insert(np.asarray(corner) / np.linalg.norm(corner))
     for arc in atlas.arcs:
         mesh.cut(arc)
-    _refine(mesh, atlas, atlas.texel_angle / 3.0 if tolerance is None else tolerance)
+    _refine(mesh, atlas)
     chart = _face_charts(mesh, atlas)
     corner_uv = atlas.corner_uv(mesh.points[mesh.faces], chart)
     return _split_vertices(mesh, corner_uv, chart, turn, len(sphere))
@@ -94,10 +92,8 @@ def _face_charts(mesh: CutMesh, atlas: Atlas, which: NDArray | slice = slice(Non
     return atlas.charts(mesh.points[mesh.faces[which]].sum(axis=1))
 
 
-def _refine(mesh: CutMesh, atlas: Atlas, tolerance: float) -> None:
-    """Divide triangles until texture coordinates are linear over each to within an angle."""
-    if not np.isfinite(tolerance):
-        return
+def _refine(mesh: CutMesh, atlas: Atlas) -> None:
+    """Divide triangles until texture coordinates are linear over each to within a third of a texel."""
     limit = 4 * len(mesh.faces) + ADDED_FACES
     fresh = np.ones(len(mesh.faces), dtype=bool)
     for _ in range(MOST_PASSES):
@@ -110,7 +106,7 @@ def _refine(mesh: CutMesh, atlas: Atlas, tolerance: float) -> None:
             got = atlas.uv_directions(np.einsum("k,fkj->fj", bary, uv), chart)
             want = normalised(np.einsum("k,fkj->fj", bary, points))
             error[:, k] = lengths(got - want)
-        bad = error > tolerance
+        bad = error > atlas.texel_angle / 3.0
         edges = bad[:, :3]
         directions = normalised(points)
         edges |= lengths(directions - np.roll(directions, -1, axis=1)) > LONGEST_EDGE
@@ -167,7 +163,7 @@ def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats,
     )
 
 
-def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats, *, candidates: int = 180) -> float:
+def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats) -> float:
     """Return the longitude of the meridian that shows least on the surface, in radians in (-π, π].
 
     The measure is the length of the meridian's image on the surface, weighted by the openness of the space around each
@@ -177,13 +173,12 @@ def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats, *, can
         vertices: shape [V, 3].
         faces: shape [F, 3].
         sphere: the map, in the frame in which longitude is meant, shape [V, 3].
-        candidates: how many meridians are compared, evenly spaced.
     """
     weight = LEAST_OPENNESS + face_openness(vertices, faces)
     scale = np.ptp(vertices, axis=0).max()
     x = (vertices - vertices.min(axis=0)) / scale
-    longitudes = (np.arange(candidates) + 1) / candidates * 2.0 * np.pi - np.pi
-    costs = np.empty(candidates)
+    longitudes = (np.arange(MERIDIANS) + 1) / MERIDIANS * 2.0 * np.pi - np.pi
+    costs = np.empty(MERIDIANS)
     for k, longitude in enumerate(longitudes):
         c, s = np.cos(longitude), np.sin(longitude)
         height = sphere[:, 1] * c - sphere[:, 0] * s

@@ -335,8 +335,8 @@ def test_keys_follow_input_options_and_version(tmp_path, monkeypatch):
 def test_what_lies_furthest_out_is_found():
     rows = [{"id": str(k), "area": 2.0 + 0.001 * (k % 5), "angle": 3.0, "seconds": None} for k in range(20)]
     rows[7]["area"] = 2.5
-    assert outliers(rows, 1)[0][0]["id"] == "7"
-    assert "area distortion 2.5" in outliers(rows, 1)[0][1]
+    assert outliers(rows)[0][0]["id"] == "7"
+    assert "area distortion 2.5" in outliers(rows)[0][1]
 
 
 class TestManifest:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from texturing_shapes import ellipsoid, rotation, texel_directions, unit
+from texturing_shapes import ellipsoid, texel_directions, unit
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import (
@@ -14,7 +14,6 @@ from omtwarp.texturing import (
     resample,
     sample,
     texture,
-    uv_to_sphere,
 )
 from omtwarp.texturing.atlas import ATLASES, make_atlas
 
@@ -131,19 +130,6 @@ def two_triangle_charts(faces):
     k = np.arange(len(faces))
     corner = np.array([[0.1, 0.1], [0.85, 0.1], [0.1, 0.85]])
     return (np.stack([k % side, k // side], axis=1)[:, None, :] + corner) / side
-
-
-def test_baking_to_own_coordinates_and_back(device):
-    """A function baked to own coordinates, then to an equirectangular picture, comes back as itself."""
-    _, faces, sphere = ellipsoid(3, seed=7)
-    uv = two_triangle_charts(faces)
-    turn = rotation(2)
-    picture = bake_to_uv(smooth, sphere, faces, uv, size=1024, rotation=turn, padding=4, device=device)
-    assert picture.shape == (1024, 1024, 2)
-    back = uv_to_sphere(picture, sphere, faces, uv, size=256, rotation=turn, device=device)
-    expected = smooth(texel_directions(256, 128).reshape(-1, 3)).reshape(back.shape)
-    assert np.abs(back - expected).max() < 1e-2
-    assert np.abs(back - expected).mean() < 1e-3
 
 
 def test_own_coordinates_by_index_and_by_corner_are_the_same():

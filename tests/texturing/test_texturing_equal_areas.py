@@ -1,9 +1,10 @@
 """What area preservation means to the eye: equal circles on the sphere are equally large on the surface."""
 
 import numpy as np
+from pattern_areas import cell_areas
 
 from omtwarp import map_to_sphere, shapes
-from omtwarp.texturing import cell_areas, pattern
+from omtwarp.texturing import pattern
 
 
 def test_equal_circles_are_equally_large_on_the_surface_with_the_optimal_map_only():

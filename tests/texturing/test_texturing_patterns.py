@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from pattern_areas import cell_areas
 from scipy import ndimage
 from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing import cell_areas, pattern, rasterize
+from omtwarp.texturing import pattern, rasterize
 from omtwarp.texturing.coastlines import coastline_segments
 from omtwarp.texturing.patterns import PATTERNS, STORED, Checker, Circles, Globe, Puzzle, stored_circles
 from omtwarp.texturing.projection import direction_from_angles

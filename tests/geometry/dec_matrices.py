@@ -1,0 +1,85 @@
+"""Operators of the discrete exterior calculus as matrices, which the package's kernels are compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from omtwarp.geometry import circumcentric_coordinates, corner_cotangents, face_normals, voronoi_areas
+from omtwarp.geometry.operators import Array, _corner_points
+from omtwarp.mesh.arrays import TINY
+
+
+def dual_edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> Array:
+    """Return the signed length of each dual edge inside each triangle, shape [F, 3] (appendix B, before equation 24).
+
+    Column ``k`` belongs to the edge opposite corner ``k``: l_c = (c / 2) cot(gamma), the distance from the edge to the
+    circumcentre. It is negative where the opposite angle is obtuse and the circumcentre lies beyond the edge; the
+    sign is what keeps the identities of appendix B true for obtuse triangles (the paper writes the length |T ∩
+    e^perp| unsigned in appendix A.2, which holds for acute triangles only).
+    """
+    _, _, p = _corner_points(vertices, faces)
+    lengths = np.stack([np.linalg.norm(p[(k + 2) % 3] - p[(k + 1) % 3], axis=1) for k in range(3)], axis=1)
+    return 0.5 * lengths * corner_cotangents(vertices, faces)
+
+
+def circumcentres(vertices: np.ndarray, faces: np.ndarray) -> Array:
+    """Return the circumcentre of every triangle, in its plane, shape [F, 3].
+
+    They are the vertices of the dual mesh (section 4.3).
+    """
+    _, _, p = _corner_points(vertices, faces)
+    weights = circumcentric_coordinates(vertices, faces)
+    return sum((weights[:, k, None] * p[k] for k in range(3)), np.zeros_like(p[0]))
+
+
+def _hat_gradients(vertices: np.ndarray, faces: np.ndarray) -> Array:
+    """Return the gradients of the three hat functions of each triangle, shape [F, 3 corners, 3]."""
+    _, _, p = _corner_points(vertices, faces)
+    n = np.cross(p[1] - p[0], p[2] - p[0])
+    squared = np.maximum(np.einsum("ij,ij->i", n, n), TINY)[:, None]
+    return np.stack([np.cross(n, p[k - 1] - p[k - 2]) / squared for k in range(3)], axis=1)
+
+
+def gradient_matrix(vertices: np.ndarray, faces: np.ndarray) -> sparse.csr_matrix:
+    """Return the matrix [3F, V] of gradients of functions at vertices, constant in each triangle (A.1, equation 19).
+
+    The gradient of a hat function is normal to the opposite edge and has length 1 / height. Exact on functions that are
+    linear in space (their tangential part). Rows ``3 f + d`` hold component ``d`` in triangle ``f``.
+    """
+    points, triangles, _ = _corner_points(vertices, faces)
+    hats = _hat_gradients(vertices, faces)
+    count = len(triangles)
+    rows = (3 * np.arange(count)[:, None, None] + np.arange(3)[None, None, :]).repeat(3, axis=1)
+    columns = np.broadcast_to(triangles[:, :, None], (count, 3, 3))
+    return sparse.csr_matrix((hats.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, len(points)))
+
+
+def divergence_matrix(
+    vertices: np.ndarray, faces: np.ndarray, *, integrated: bool = True, areas: np.ndarray | None = None
+) -> sparse.csr_matrix:
+    """Return the divergence at vertices of a field constant in each triangle, as a matrix [V, 3F] (appendix A.2).
+
+    Outflow through the boundary of the Voronoi cell: the sum over edges and their two triangles of
+    V(T) · e^ |T ∩ e^perp|, with the signed dual lengths of :func:`dual_edge_lengths`. In one triangle the two terms
+    at a corner add up to the opposite edge turned by -90 degrees and halved (equation 23 with the circumcentre's
+    properties); the matrix holds that sum, whose round-off does not grow with cotangents that cancel. It is minus the
+    transpose of the gradient weighted by triangle areas.
+
+    Args:
+        vertices: positions, shape [V, 3].
+        faces: triangles, shape [F, 3].
+        integrated: give the outflow of each cell (a 2-form, the default); else divide by ``areas``, as in the paper.
+        areas: cell areas, shape [V]; :func:`voronoi_areas` where not given.
+    """
+    points, triangles, p = _corner_points(vertices, faces)
+    normals = face_normals(vertices, faces)
+    turned = np.stack([0.5 * np.cross(p[k - 1] - p[k - 2], normals) for k in range(3)], axis=1)
+    count = len(triangles)
+    columns = (3 * np.arange(count)[:, None, None] + np.arange(3)[None, None, :]).repeat(3, axis=1)
+    rows = np.broadcast_to(triangles[:, :, None], (count, 3, 3))
+    matrix = sparse.csr_matrix((turned.ravel(), (rows.ravel(), columns.ravel())), shape=(len(points), 3 * count))
+    if integrated:
+        return matrix
+    cells = voronoi_areas(vertices, faces) if areas is None else np.asarray(areas, dtype=np.float64)
+    return sparse.csr_matrix(sparse.diags(1.0 / cells) @ matrix)
