@@ -9,7 +9,7 @@ Of Warp's own insides it needs the table of devices alone; the rest are function
 
 from __future__ import annotations
 
-import traceback
+import inspect
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
@@ -96,7 +96,10 @@ def install(monkeypatch: pytest.MonkeyPatch) -> FakeDevice:
 
 def place() -> str:
     """Return the innermost file and line of the package that is being run."""
-    for frame, line in traceback.walk_stack(None):
-        if str(frame.f_globals.get("__name__", "")).startswith("omtwarp"):
-            return f"{frame.f_globals['__name__']}:{line}"
+    frame = inspect.currentframe()
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", ""))
+        if module.startswith("omtwarp"):
+            return f"{module}:{frame.f_lineno}"
+        frame = frame.f_back
     return "outside of the package"
