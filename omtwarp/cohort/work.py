@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
@@ -12,9 +13,9 @@ import numpy as np
 
 from omtwarp.any_surface import map_surface
 from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, locked, read_record, write_record
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.checks import MeshLike
-from omtwarp.mesh.repair import repair
+from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Domain, MapKeywords
@@ -49,6 +50,8 @@ def _map(job: Job) -> Row:
     if repair_first:
         repaired = repair(vertices, faces, whole="fill_area" not in job.options)
         vertices, faces = repaired.vertices, repaired.faces
+        if repaired.loss > NOTED_LOSS:
+            warnings.warn(f"{job.path}: {repaired.actions[-1]}", OmtwarpWarning, stacklevel=2)
     result = mapped((vertices, faces), job.options)
     result.save(job.map_file)
     return numbers_of(result)

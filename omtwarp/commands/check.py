@@ -9,6 +9,7 @@ import typer
 
 from omtwarp.commands._options import JsonOption, MeshArguments, QuietOption, VerboseOption, output_option
 from omtwarp.commands._progress import step_times
+from omtwarp.commands._streams import say
 from omtwarp.commands._work import each, of_a_map, outputs_of, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
@@ -116,10 +117,13 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
             "repairs": [],
         }  # fmt: skip
         if repair and defects:
+            from omtwarp.mesh.repair import NOTED_LOSS
             from omtwarp.mesh.repair import repair as repair_mesh
 
             repaired = repair_mesh(vertices, faces)
             facts["repairs"] = list(repaired.actions)
+            if repaired.loss > NOTED_LOSS:
+                say(f"{mesh}: {repaired.actions[-1]}")
             vertices, faces = repaired.vertices, repaired.faces
             defects = check(vertices, faces)
             facts["defects_before"] = [{"kind": defect.kind, "text": str(defect)} for defect in before]

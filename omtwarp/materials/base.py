@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.repair import WELD
 from omtwarp.srgb import to_linear
 
 Floats = NDArray[np.float64]
@@ -192,7 +193,7 @@ class PaintedArrays:
         here, there = points[triangles[kept]], self.vertices[self.faces[origin[kept]]]
         apart = np.linalg.norm(here[:, :, None] - there[:, None, :], axis=3)
         corner = apart.argmin(axis=2)
-        if len(kept) and apart.min(axis=2).max() > self._same_place:
+        if len(kept) and apart.min(axis=2).max() > (self._same_place if face_origin is None else WELD * self._extent):
             raise OmtwarpError(ELSEWHERE)
         materials = np.zeros(len(triangles), dtype=np.int32)
         materials[kept] = self.material_of[origin[kept]]
@@ -213,7 +214,12 @@ class PaintedArrays:
     @property
     def _same_place(self) -> float:
         """Return the distance within which two vertices count as copies of each other."""
-        return SAME_PLACE * float(np.ptp(self.vertices, axis=0).max(initial=0.0))
+        return SAME_PLACE * self._extent
+
+    @property
+    def _extent(self) -> float:
+        """Return the largest side of the box around the mesh."""
+        return float(np.ptp(self.vertices, axis=0).max(initial=0.0))
 
     def _same_triangles(self, points: Floats, triangles: Ints) -> Ints:
         """Return, for each triangle of a copy, this mesh's triangle in the same place, shape [G].

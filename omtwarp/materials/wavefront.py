@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Bytes, Floats, Ints, Material
 from omtwarp.mesh.polygons import fans
+from omtwarp.mesh.read import require_counted_from_one
 
 _STATEMENT = re.compile(rb"^[ \t]*(vt|v|f|usemtl|mtllib)[ \t]+([^\n#]*)|^[ \t]*(usemtl)[ \t]*$", flags=re.MULTILINE)
 
@@ -65,6 +66,7 @@ def read_obj(text: bytes, triangulate: bool) -> Wavefront:
     split = [word.split(b"/") for word in found.corners]
     ahead = np.repeat(np.array(found.before), counts, axis=0)
     vertex = np.array([int(parts[0]) for parts in split], dtype=np.int64)
+    require_counted_from_one(vertex)
     vertex = np.where(vertex < 0, vertex + ahead[:, 0], vertex - 1)
     which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
     given = which != 0

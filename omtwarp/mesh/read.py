@@ -197,8 +197,19 @@ def _from_polygons(
     corners = np.array([len(polygon) for polygon in polygons])
     flat = np.array([int(word) for polygon in polygons for word in polygon], dtype=np.int64)
     if vertices_before is not None:
+        require_counted_from_one(flat)
         flat = np.where(flat < 0, flat + np.repeat(vertices_before, corners), flat - 1)
     return fans(flat, corners, triangulate)
+
+
+def require_counted_from_one(corners: NDArray[np.int64]) -> None:
+    """Refuse a Wavefront OBJ whose faces refer to vertex 0.
+
+    Raises:
+        OmtwarpError: there is such a face.
+    """
+    if (corners == 0).any():
+        raise OmtwarpError("a face refers to vertex 0, and OBJ counts vertices from 1: the file counts from 0")
 
 
 def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
@@ -277,4 +288,4 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
     return np.concatenate(vertices), np.concatenate(faces), notes
 
 
-__all__ = ["MeshFile", "read_mesh", "utf8"]
+__all__ = ["MeshFile", "read_mesh", "require_counted_from_one", "utf8"]

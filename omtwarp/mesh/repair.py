@@ -1,4 +1,4 @@
-"""Repair a mesh without moving a vertex, and record what was done and where vertices and faces came from."""
+"""Repair a mesh without new vertices, and record what was done and where vertices and faces came from."""
 
 from __future__ import annotations
 
@@ -9,13 +9,22 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from omtwarp.mesh.arrays import edge_keys
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import TINY, edge_keys
 from omtwarp.mesh.validate import Topology, as_arrays, check, duplicate_faces, number, unit_coordinates, zero_area_faces
 
 LARGEST_HOLE = 64
 """Holes with more edges than this are left open: their filling would be arbitrary."""
 CRUMBS = 8
 """Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners."""
+
+WELD = 1e-3
+"""Vertices nearer to each other than this share of the mean length of the edges at both are merged on boundaries.
+
+Single precision rounds a coordinate by 6e-8 of the extent, a thousandth of edges that are 6e-5 of it.
+"""
+NEIGHBOURS = 16  # places next to one that are compared with it: more than the faces around most vertices
+NOTED_LOSS = 0.01  # share of the area above which the repair says how much of it is gone
 
 # Rounds of exchanged edges, so that they end: each round repairs one triangle of every row of flat ones.
 MOST_ROUNDS = 1000
@@ -31,6 +40,7 @@ class Repaired(NamedTuple):
         actions: what was done, in words and in order; empty if nothing was changed.
         vertex_origin: for every vertex its index in the input, int64, shape [V].
         face_origin: for every face its index in the input, int64, shape [F]; -1 for a face that fills a hole.
+        loss: share of the input's area that is gone; where more than :data:`NOTED_LOSS`, the last action says it.
     """
 
     vertices: NDArray[np.float64]
@@ -38,20 +48,21 @@ class Repaired(NamedTuple):
     actions: list[str]
     vertex_origin: NDArray[np.int64]
     face_origin: NDArray[np.int64]
+    loss: float = 0.0
 
 
 def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repaired:
-    """Repair the defects that need no new shape; no vertex is moved.
+    """Repair the defects that need no new shape; no vertex is moved but to one that it is merged with.
 
-    In this order: faces with impossible vertices are dropped; vertices with equal coordinates on the boundary or at
-    faces of zero area are merged; faces of zero area and duplicates are dropped or flipped away; the largest component
-    is kept; faces are turned to agree; holes of at most :data:`LARGEST_HOLE` edges are filled; the surface is turned
-    outward; unused vertices are dropped. A mesh without defects is returned unchanged. A repaired mesh can still have
-    defects, which :func:`omtwarp.mesh.validate.check` lists.
+    In this order: faces with impossible vertices are dropped; vertices on the boundary or at faces of zero area are
+    merged with equal ones, and with those nearer than :data:`WELD` of the edges there; faces of zero area and
+    duplicates are dropped or flipped away; where more than two faces meet in an edge, those connected to the surface
+    by it alone are dropped, or else all of them; a vertex in which the surface touches itself is split; faces are
+    turned to agree; unused vertices are dropped. A mesh without defects is returned unchanged. A repaired mesh can
+    still have defects, which :func:`omtwarp.mesh.validate.check` lists.
 
-    A surface that need not be whole keeps its holes and its parts of more than :data:`CRUMBS` faces. Where more than
-    two faces meet in an edge, those connected to the surface by it alone are dropped, or else all of them; a vertex in
-    which the surface touches itself is split.
+    Of a surface that is to be whole the largest component is kept, holes of at most :data:`LARGEST_HOLE` edges are
+    filled, and the surface is turned outward; another keeps its holes, and its parts of more than :data:`CRUMBS` faces.
 
     Args:
         vertices: coordinates, shape [V, 3].
@@ -62,7 +73,8 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repa
         The mesh, what was done, and where its vertices and faces come from.
 
     Raises:
-        OmtwarpError: the arrays are not those of a triangle mesh.
+        OmtwarpError: the arrays are not those of a triangle mesh, or its faces count from another number than 0, so
+            that a repair would scramble the surface.
 
     Example:
         >>> import omtwarp
@@ -74,23 +86,40 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repa
     points, triangles = as_arrays(vertices, faces)
     work = _Work(points, triangles)
     if check(points, triangles):
+        _require_counted_from_zero(triangles, len(points))
         work.drop_impossible_faces()
         work.merge_coincident_vertices()
         work.drop_repeated_faces()
         work.flip_flat_faces()
+        work.drop_fins()
+        work.split_touching_vertices()
         if whole:
             work.keep_largest_component()
         else:
-            work.drop_fins()
             work.drop_crumbs()
         work.turn_to_agree()
         if whole:
             work.fill_holes()
             work.turn_outward()
-        else:
-            work.split_touching_vertices()
         work.drop_unused_vertices()
-    return Repaired(work.points, work.faces, work.actions, work.vertex_origin, work.face_origin)
+        work.measure_loss(points, triangles)
+    return Repaired(work.points, work.faces, work.actions, work.vertex_origin, work.face_origin, work.loss)
+
+
+def _require_counted_from_zero(faces: NDArray[np.int64], count: int) -> None:
+    """Refuse faces whose numbers are all one too high or one too low, as of files that count otherwise.
+
+    Raises:
+        OmtwarpError: the faces count from 1, or from -1 as those of an OBJ that counts from 0 are read.
+    """
+    if not faces.size:
+        return
+    low, high = int(faces.min()), int(faces.max())
+    if (low, high) in ((1, count), (-1, count - 2)):
+        raise OmtwarpError(
+            f"faces are numbered from {low} to {high} in a mesh of {count} vertices, which are numbered from 0 to "
+            f"{count - 1}: all are one too {'high' if low > 0 else 'low'}, and dropping some would scramble the surface"
+        )
 
 
 class _Work:
@@ -100,6 +129,8 @@ class _Work:
         self.points, self.faces = points, faces.copy()
         self.vertex_origin, self.face_origin = np.arange(len(points)), np.arange(len(faces))
         self.actions: list[str] = []
+        self.loss = 0.0
+        self.repeated = np.zeros(len(faces), dtype=bool)  # faces of the input that another one covers
 
     def keep(self, faces: NDArray[np.bool_], words: str) -> None:
         """Keep some faces and say how many others were dropped."""
@@ -115,11 +146,9 @@ class _Work:
         self.keep(np.logical_not(strange.any(axis=(1, 2))), "with NaN or infinite coordinates")
 
     def merge_coincident_vertices(self) -> None:
-        """Merge equal vertices where that can repair a defect; elsewhere two vertices may share a position."""
+        """Merge vertices at one place where that can repair a defect; elsewhere two may share a position."""
         if not len(self.faces):
             return
-        import trimesh
-
         topology = Topology(self.faces, len(self.points))
         candidate = np.zeros(len(self.points), dtype=bool)
         candidate[topology.edges[topology.edge_face_count == 1]] = True
@@ -130,14 +159,14 @@ class _Work:
         among = np.flatnonzero(candidate)
         if not len(among):
             return
-        # Coordinates in units of the extent: trimesh rounds to a fixed number of digits.
-        first, inverse = trimesh.grouping.unique_rows(unit[among], digits=8)
         target = np.arange(len(self.points))
-        target[among] = among[first[inverse]]
-        merged = int((target != np.arange(len(target))).sum())
-        if merged:
+        target[among] = among[_first_at_place(unit, topology.edges, among)]
+        merged = np.flatnonzero(target != np.arange(len(target)))
+        if len(merged):
             self.faces = target[self.faces]
-            self.actions.append(f"merged {number(merged, 'vertex', 'vertices')} with an equal one")
+            near = bool((self.points[merged] != self.points[target[merged]]).any())
+            other = f"one nearer than {WELD:g} of the edges there" if near else "an equal one"
+            self.actions.append(f"merged {number(len(merged), 'vertex', 'vertices')} with {other}")
 
     def drop_repeated_faces(self) -> None:
         repeated = self.faces == np.roll(self.faces, -1, axis=1)
@@ -149,6 +178,7 @@ class _Work:
             before = duplicate_faces(self.faces[::-1], len(self.points))[::-1]
             topology = Topology(self.faces, len(self.points))
             flap = (again ^ before) & (topology.edge_face_count[topology.face_edges] % 2 == 0).all(axis=1)
+            self.repeated[self.face_origin[again | flap]] = True
             self.keep(~(again | flap), "that were there twice")
 
     def flip_flat_faces(self) -> None:
@@ -286,6 +316,25 @@ class _Work:
         used, faces = np.unique(self.faces, return_inverse=True)
         return self.points[used], faces.reshape(-1, 3)
 
+    def measure_loss(self, points: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+        """Measure which share of the input's area is gone, and say it where it is not small.
+
+        Of faces that are there twice, one counts.
+        """
+        valid: NDArray[np.bool_] = np.all((faces >= 0) & (faces < len(points)), axis=1)
+        valid[np.flatnonzero(valid)] = np.isfinite(points[faces[valid]]).all(axis=(1, 2))
+        if not valid.any():
+            return
+        corners = points[faces[valid]] / np.abs(points[faces[valid]]).max(initial=TINY)
+        areas = np.zeros(len(faces))
+        areas[valid] = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        areas[self.repeated] = 0.0
+        gone = np.ones(len(faces), dtype=bool)
+        gone[self.face_origin[self.face_origin >= 0]] = False
+        self.loss = float(areas[gone].sum() / max(float(areas.sum()), TINY))
+        if self.loss > NOTED_LOSS:
+            self.actions.append(f"dropped {100 * self.loss:.3g} % of the area")
+
     def drop_unused_vertices(self) -> None:
         used, faces = np.unique(self.faces, return_inverse=True)
         dropped = len(self.points) - len(used)
@@ -293,6 +342,37 @@ class _Work:
             self.points, self.vertex_origin = self.points[used], self.vertex_origin[used]
             self.faces = faces.reshape(-1, 3)
             self.actions.append(f"dropped {number(dropped, 'unused vertex', 'unused vertices')}")
+
+
+def _first_at_place(unit: NDArray[np.float64], edges: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Find vertices that lie at one place: nearer than a share of the mean length of their edges, or equal.
+
+    Args:
+        unit: the positions of all vertices, shape [V, 3].
+        edges: their edges, shape [E, 2].
+        among: the vertices that are compared, shape [N].
+
+    Returns:
+        For each of these the first at its place, an index into them, shape [N].
+    """
+    from scipy.spatial import cKDTree
+
+    lengths = np.repeat(np.linalg.norm(unit[edges[:, 0]] - unit[edges[:, 1]], axis=1), 2)
+    counts = np.bincount(edges.ravel(), minlength=len(unit))
+    mean = np.bincount(edges.ravel(), lengths, len(unit)) / np.maximum(counts, 1)
+    places, first, inverse = np.unique(unit[among] + 0.0, axis=0, return_index=True, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    reach = np.full(len(places), np.inf)
+    np.minimum.at(reach, inverse, WELD * mean[among])
+    far, near = cKDTree(places).query(places, k=min(NEIGHBOURS, len(places)))
+    near = near.reshape(len(places), -1)
+    joined = far.reshape(len(places), -1) <= np.minimum(reach[:, None], reach[near])
+    one, neighbour = np.nonzero(joined)
+    graph = coo_array((np.ones(len(one)), (one, near[one, neighbour])), shape=(len(places),) * 2)
+    labels = connected_components(graph, directed=False)[1]
+    first_of_label = np.full(len(places), len(among))
+    np.minimum.at(first_of_label, labels, first)
+    return first_of_label[labels[inverse]]
 
 
 def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
@@ -378,4 +458,4 @@ def _patch(
     return patch
 
 
-__all__ = ["CRUMBS", "LARGEST_HOLE", "Repaired", "repair"]
+__all__ = ["CRUMBS", "LARGEST_HOLE", "NOTED_LOSS", "WELD", "Repaired", "repair"]

@@ -234,7 +234,7 @@ def _crowded_edges(topology: Topology, crowded: NDArray[np.bool_]) -> Defect | N
     a, b = (int(end) for end in topology.edges[np.argmax(crowded)])
     count = int(crowded.sum())
     text = f"{number(count, 'non-manifold edge')} (more than two faces), first between vertices {a} and {b}"
-    return Defect("non-manifold-edges", count, a, text, "remove the extra faces in a mesh editor")
+    return Defect("non-manifold-edges", count, a, text, f"drop the extra faces with {REPAIR}")
 
 
 def _pinched_vertices(pinched: NDArray[np.bool_]) -> Defect | None:
@@ -244,8 +244,7 @@ def _pinched_vertices(pinched: NDArray[np.bool_]) -> Defect | None:
     first, count = int(np.argmax(pinched)), int(pinched.sum())
     several = number(count, "non-manifold vertex", "non-manifold vertices")
     text = f"{several} (several fans of faces meet in a point), first vertex {first}"
-    remedy = "split the vertex, or drop the extra fan, in a mesh editor"
-    return Defect("non-manifold-vertices", count, first, text, remedy)
+    return Defect("non-manifold-vertices", count, first, text, f"split them with {REPAIR}")
 
 
 def _open_boundary(points: NDArray[np.float64], topology: Topology) -> Defect | None:

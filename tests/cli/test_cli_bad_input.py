@@ -59,11 +59,11 @@ def bad_meshes() -> dict[str, tuple[np.ndarray, np.ndarray, str, str]]:
     )
     fin = np.concatenate([f, [[f[0, 0], f[0, 1], 92]]])
     fin_points = np.concatenate([v, [[3.0, 0, 0]]])
-    cases["fin"] = (fin_points, fin, "1 non-manifold edge (more than two faces), first between", "mesh editor")
+    cases["fin"] = (fin_points, fin, "1 non-manifold edge (more than two faces), first between", "--repair")
     a, b = int(np.argmax(v[:, 2])), int(np.argmin(v[:, 2]))
     glued = np.where(f == b, a, f)
     glued = np.where(glued > b, glued - 1, glued)
-    cases["pinched"] = (np.delete(v, b, axis=0), glued, "1 non-manifold vertex", "split the vertex")
+    cases["pinched"] = (np.delete(v, b, axis=0), glued, "1 non-manifold vertex", "split them with --repair")
     g = f.copy()
     g[6] = g[6, ::-1]
     cases["turned"] = (v, g, "inconsistent orientation: 3 edges", "--repair")

@@ -5,9 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from omtwarp.cli import main
+from omtwarp.errors import OmtwarpError
+from omtwarp.materials import PaintedMesh, read_painted_mesh
 from omtwarp.mesh import shapes
+from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.repair import LARGEST_HOLE, Repaired, repair
 from omtwarp.mesh.validate import check
+from omtwarp.mesh.write import write_mesh
 
 
 def ball(frequency: int = 4) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +100,8 @@ def test_the_largest_component_is_kept():
     faces = np.concatenate([small.faces, f + small.vertex_count])
     repaired = repair(vertices, faces)
     assert_repaired(vertices, faces, repaired)
-    assert repaired.actions == ["dropped 80 faces in 1 smaller component", "dropped 42 unused vertices"]
+    actions = ["dropped 80 faces in 1 smaller component", "dropped 42 unused vertices", "dropped 48.6 % of the area"]
+    assert repaired.actions == actions
     assert repaired.vertex_origin[0] == 42 and repaired.face_origin[0] == 80
 
 
@@ -197,3 +203,123 @@ def test_vertices_where_an_open_surface_touches_itself_are_split():
     assert len(repaired.vertices) == len(v) + 1
     np.testing.assert_array_equal(repaired.vertices, v[repaired.vertex_origin])
     np.testing.assert_array_equal(repaired.vertex_origin[repaired.faces], faces)
+
+
+def soup_of(v: np.ndarray, f: np.ndarray, jitter: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Give every face corners of its own, each moved by a share of its shortest edge."""
+    corners = v[f]
+    shortest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).min(axis=1)
+    shift = np.random.default_rng(seed).uniform(-1, 1, corners.shape) * jitter * shortest[:, None, None]
+    return (corners + shift).reshape(-1, 3), np.arange(f.size).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("jitter", [1e-7, 1e-5])
+def test_corners_that_are_nearly_equal_are_merged_by_the_length_of_their_edges(jitter):
+    """Edges of a ball drawn out on one side differ by a factor of 100, and each is joined at its own scale."""
+    v, f = ball(8)
+    v *= np.exp(2.3 * v[:, 2:])
+    soup, faces = soup_of(v, f, jitter)
+    repaired = repair(soup, faces)
+    assert check(repaired.vertices, repaired.faces) == []
+    assert (len(repaired.vertices), len(repaired.faces)) == (len(v), len(f))
+    assert repaired.actions[0] == f"merged {f.size - len(v)} vertices with one nearer than 0.001 of the edges there"
+    np.testing.assert_array_equal(repaired.vertices, soup[repaired.vertex_origin])
+    np.testing.assert_array_equal(repaired.face_origin, np.arange(len(f)))
+
+
+def test_corners_that_are_further_apart_stay():
+    v, f = ball()
+    soup, faces = soup_of(v, f, 0.05)
+    repaired = repair(soup, faces, whole=False)
+    assert not any(action.startswith("merged") for action in repaired.actions)
+
+
+@pytest.mark.parametrize("shift", [1, -1])
+def test_faces_that_count_from_another_number_are_refused(shift):
+    v, f = ball()
+    with pytest.raises(OmtwarpError, match=f"all are one too {'high' if shift > 0 else 'low'}"):
+        repair(v, f + shift)
+    assert (
+        repair(v, np.concatenate([f, [[0, 1, len(v)]]])).actions[0] == "dropped 1 face with a vertex index out of range"
+    )
+
+
+@pytest.mark.parametrize("read", [read_mesh, read_painted_mesh])
+def test_an_obj_that_counts_from_zero_is_refused(tmp_path, read):
+    v, f = ball()
+    rows = ["v " + " ".join(map(repr, row)) for row in v.tolist()] + [f"f {a} {b} {c}" for a, b, c in f.tolist()]
+    (tmp_path / "a.obj").write_text("\n".join(rows))
+    with pytest.raises(OmtwarpError, match="refers to vertex 0, and OBJ counts vertices from 1"):
+        read(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_vertex_of_two_fans_is_split_and_fins_go_whatever_the_option(whole):
+    """Two balls that share a vertex, with a fin, become two surfaces; a whole one is the larger of them."""
+    v, f = ball()
+    small = shapes.icosphere(3)
+    moved = small.vertices - small.vertices[0] + v[0]
+    other = np.where(small.faces == 0, 0, small.faces + len(v) - 1)
+    n = len(v) + small.vertex_count - 1
+    points = np.concatenate([v, moved[1:], v[:1] * 3])
+    faces = np.concatenate([f, other, [[f[3, 1], f[3, 0], n]]])
+    assert {defect.kind for defect in check(points, faces)} >= {"non-manifold-vertices", "non-manifold-edges"}
+    repaired = repair(points, faces, whole=whole)
+    left = [defect.kind for defect in check(repaired.vertices, repaired.faces)]
+    assert left == ([] if whole else ["several-components"])
+    assert repaired.actions[:2] == [
+        "dropped 1 face that hung by an edge of two others",
+        "split 1 vertex where the surface touches itself",
+    ]
+    if whole:
+        np.testing.assert_array_equal(repaired.faces[:, 0], f[:, 0])
+
+
+@pytest.mark.parametrize("damage", ["soup", "jitter", "fin", "flat", "turned"])
+def test_a_closed_surface_is_repaired_in_the_same_way_whatever_the_option(damage):
+    v, f = ball()
+    if damage in ("soup", "jitter"):
+        v, f = soup_of(v, f, 1e-6 * (damage == "jitter"))
+    elif damage == "fin":
+        v, f = np.concatenate([v, v[:1] * 3]), np.concatenate([f, [[f[3, 1], f[3, 0], len(v)]]])
+    elif damage == "flat":
+        v[f[40, 2]] = (v[f[40, 0]] + v[f[40, 1]]) / 2
+    else:
+        f[7] = f[7][::-1]
+    one, other = repair(v, f), repair(v, f, whole=False)
+    assert one.actions == other.actions and len(one.actions)
+    np.testing.assert_array_equal(one.vertices, other.vertices)
+    np.testing.assert_array_equal(one.faces, other.faces)
+
+
+def test_how_much_of_the_area_is_gone_is_said():
+    """Of two balls of radius 1 and r the smaller has r^2 / (1 + r^2) of the area."""
+    v, f = ball(8)
+    for radius in (0.05, 0.2, 0.7):
+        points, faces = np.concatenate([v, radius * v + 3]), np.concatenate([f, f + len(v)])
+        repaired = repair(points, faces)
+        expected = radius**2 / (1 + radius**2)
+        np.testing.assert_allclose(repaired.loss, expected, rtol=1e-9)
+        said = f"dropped {100 * expected:.3g} % of the area"
+        assert (repaired.actions[-1] == said) == (expected > 0.01)
+    twice = repair(v, np.concatenate([f, f[:100]]))
+    assert twice.loss == 0.0
+
+
+def test_the_loss_is_said_on_standard_error(tmp_path, capsys):
+    v, f = ball(8)
+    write_mesh(tmp_path / "two.ply", np.concatenate([v, 0.7 * v + 3]), np.concatenate([f, f + len(v)]))
+    with pytest.raises(SystemExit) as ended:
+        main(["check", str(tmp_path / "two.ply"), "--repair"])
+    assert not ended.value.code
+    assert "two.ply: dropped 32.9 % of the area" in capsys.readouterr().err
+
+
+def test_coordinates_and_materials_follow_a_repair_that_merges_nearly_equal_corners():
+    v, f = ball(8)
+    soup, faces = soup_of(v, f, 1e-5)
+    uv = np.random.default_rng(2).random((len(f), 3, 2))
+    painted = PaintedMesh(soup, faces, uv)
+    repaired = repair(soup, faces)
+    moved = painted.on(repaired.vertices, repaired.faces, repaired.face_origin)
+    np.testing.assert_array_equal(moved.uv, uv)
