@@ -178,7 +178,7 @@ class AreaMatch:
     area: float
 
     def __str__(self) -> str:
-        return f"match:{self.area:g}"
+        return f"match:{self.area!r}".removesuffix(".0")  # every digit: the text is read again by other processes
 
 
 def parse_refinement(value: object) -> Refinement | AreaMatch | float | None:

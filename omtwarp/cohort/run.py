@@ -16,7 +16,7 @@ from omtwarp.cohort.manifest import Item
 from omtwarp.cohort.table import write_table
 from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import FillArea, MapKeywords, MapOptions, Progress, choose
+from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, choose
 
 TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
 
@@ -145,7 +145,7 @@ def _asked(options: MapKeywords) -> dict[str, object]:
     if unknown:
         raise OmtwarpError(f"unknown option '{unknown[0]}': use {', '.join(known)}")
     parsed = vars(MapOptions.parse(**(cast(MapKeywords, known) | options)))
-    return {name: str(value) if isinstance(value, str) else value for name, value in parsed.items()}
+    return {name: str(value) if isinstance(value, str | AreaMatch) else value for name, value in parsed.items()}
 
 
 def _follow(records: Generator[Row, None, None], done: int, total: int, progress: Progress | None) -> None:

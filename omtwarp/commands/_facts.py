@@ -57,7 +57,7 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
         stage["largest_area_error"] for each in reports for stage in each["stages"] if "largest_area_error" in stage
     ]
     apart = getattr(result, "cap_centres", None) is None  # not side by side on one sphere
-    gaps = [each["optimality"]["gap"] for each in reports if each.get("optimality")]
+    gaps = [each.get("optimality", {}).get("gap") for each in reports]  # the bound is on squared distances only
     return {
         "output": str(output),
         "report": None if report is None else str(report),
