@@ -90,22 +90,22 @@ def test(options: list[str], environment: dict[str, str]) -> int:
 def make_environment() -> None:
     """A virtual environment that works, made anew if there is none."""
     works = "import pip, sys; sys.exit(sys.version_info < (3, 11))"
-    if PYTHON.exists() and quiet([PYTHON, "-c", works]).returncode == 0:
+    if PYTHON.exists() and quiet([PYTHON, "-P", "-c", works]).returncode == 0:
         return
-    if quiet([sys.executable, "-c", "import ensurepip, venv"]).returncode != 0:
+    if quiet([sys.executable, "-P", "-c", "import ensurepip, venv"]).returncode != 0:
         # Debian splits these off.
         say("installing Python's venv module")
         if not apt_install(["python3-venv"], "python3-venv"):
             version = f"{sys.version_info.major}.{sys.version_info.minor}"
             apt_install([f"python{version}-venv"], f"python{version}-venv")
-        if quiet([sys.executable, "-c", "import ensurepip, venv"]).returncode != 0:
+        if quiet([sys.executable, "-P", "-c", "import ensurepip, venv"]).returncode != 0:
             raise SetupError(
                 "this Python has no venv module: install it (apt-get install python3-venv), or make the environment "
                 f"yourself (uv venv --seed {VENV}; or virtualenv {VENV}) and run this again"
             )
     say(f"making a virtual environment in {VENV.name}")
     shutil.rmtree(VENV, ignore_errors=True)
-    made = quiet([sys.executable, "-m", "venv", VENV])
+    made = quiet([sys.executable, "-P", "-m", "venv", VENV])
     if made.returncode != 0:
         shutil.rmtree(VENV, ignore_errors=True)
         raise SetupError(f"the virtual environment could not be made: {last_line(made)}")
@@ -228,7 +228,8 @@ def unpack_opengl() -> bool:
 def run(arguments: list[str], environment: dict[str, str]) -> int:
     """Run the environment's Python in the caller's directory, its output passed through."""
     where = ROOT if arguments[:2] != ["-m", "omtwarp"] else None
-    process = subprocess.Popen([str(PYTHON), *arguments], env=environment, cwd=where)
+    safe = [] if where else ["-P"]  # the caller's directory is no place for modules
+    process = subprocess.Popen([str(PYTHON), *safe, *arguments], env=environment, cwd=where)
     while True:
         try:
             status = process.wait()

@@ -8,7 +8,6 @@ import gc
 import os
 import platform
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.benchmark.records import Gpu, Machine
+from omtwarp.children import interpreter
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count
 from omtwarp.pipeline import versions
@@ -129,12 +129,12 @@ def first_use(device: str = "cpu") -> dict[str, float]:
     """
     with tempfile.TemporaryDirectory(prefix="omtwarp-benchmark-") as folder:
         empty = os.environ | {"WARP_CACHE_PATH": folder}
-        prewarm = ["-m", "omtwarp.device.prewarm", device]
+        prewarm = interpreter("from omtwarp.device.prewarm import main; main()", device)
         compiled, compiled_cpu = _run(prewarm, empty)
         loaded, _ = _run(prewarm, empty)
     plain = dict(os.environ)
-    imported = min(_run(["-c", "import omtwarp"], plain)[0] for _ in range(3))
-    helped = min(_run(["-m", "omtwarp", "--help"], plain)[0] for _ in range(3))
+    imported = min(_run(interpreter("import omtwarp"), plain)[0] for _ in range(3))
+    helped = min(_run(interpreter("from omtwarp.__main__ import main; main()", "--help"), plain)[0] for _ in range(3))
     return {
         "compile_seconds": compiled,
         "compile_cpu_seconds": compiled_cpu,
@@ -144,12 +144,10 @@ def first_use(device: str = "cpu") -> dict[str, float]:
     }
 
 
-def _run(arguments: list[str], environment: dict[str, str]) -> tuple[float, float]:
+def _run(command: list[str], environment: dict[str, str]) -> tuple[float, float]:
     before = os.times()
     start = time.perf_counter()
-    subprocess.run(
-        [sys.executable, *arguments], env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     wall = time.perf_counter() - start
     after = os.times()
     return wall, after.children_user + after.children_system - before.children_user - before.children_system

@@ -7,12 +7,12 @@ import json
 import os
 import queue
 import subprocess
-import sys
 import threading
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
+from omtwarp.children import interpreter, keep_to_safe_paths
 from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
 from omtwarp.errors import OmtwarpError
 
@@ -101,7 +101,7 @@ class Host:
             self.close()
         if self._process is None:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "omtwarp.cohort.host"],
+                interpreter("from omtwarp.cohort.host import main; main()"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -242,6 +242,7 @@ class DaskCluster:
             from distributed import Client, LocalCluster
         except ImportError:
             raise OmtwarpError("Dask is not installed: pip install 'omtwarp[dask]'") from None
+        keep_to_safe_paths()
         try:
             if address:
                 self._client = Client(address, timeout=20)
@@ -285,6 +286,7 @@ class SubmititArray:
             import submitit
         except ImportError:
             raise OmtwarpError("submitit is not installed: pip install 'omtwarp[slurm]'") from None
+        keep_to_safe_paths()
         try:
             self._executor = submitit.AutoExecutor(folder=folder / "submitit", cluster=cluster)
         except Exception as error:

@@ -9,9 +9,9 @@ import subprocess
 import sys
 import tempfile
 import threading
-from pathlib import Path
 from typing import IO, TYPE_CHECKING, cast
 
+from omtwarp.children import interpreter
 from omtwarp.render.drawing_process import receive, send
 from omtwarp.render.installing import INSTALL_GL, INSTALL_PYRENDER
 
@@ -26,8 +26,7 @@ START_SECONDS = 120.0
 PICTURE_SECONDS = 180.0
 IDLE_SECONDS = 60.0  # after which the drawing process ends, and frees its memory
 
-_PACKAGE_ROOT = str(Path(__file__).resolve().parents[2])
-_COMMAND = "import sys; sys.path.insert(0, sys.argv[1]); from omtwarp.render.drawing_process import main; main()"
+_COMMAND = "from omtwarp.render.drawing_process import main; main()"
 
 LAST_BYTES = 2000  # of the drawing process's log, in which its last line is looked for
 
@@ -58,7 +57,7 @@ class DrawingProcess:
         self._idle: threading.Timer | None = None
         self.device: str | None = None
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _COMMAND, _PACKAGE_ROOT],
+            interpreter(_COMMAND),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

@@ -185,7 +185,8 @@ def test_first_use_runs_in_processes_of_its_own(monkeypatch):
     monkeypatch.setattr("omtwarp.benchmark.measure._run", fake)
     measured = first_use("cpu")
     assert measured["compile_seconds"] == 1.0 and measured["load_seconds"] == 2.0
-    assert commands[0][0] == commands[1][0] == ("-m", "omtwarp.device.prewarm", "cpu")
+    assert commands[0][0] == commands[1][0]
+    assert commands[0][0][1] == "-P" and commands[0][0][-1] == "cpu"
     assert commands[0][1] == commands[1][1] != commands[2][1]
 
 
