@@ -45,6 +45,7 @@ from omtwarp.options import (
     Progress,
     Solver,
     Stage,
+    WeightsAt,
     choose,
     parse_refinement,
 )
@@ -93,6 +94,7 @@ def map_surface(
     cut_along: str = CutAlong.AUTO,
     progress: Progress | None = None,
     weights: ArrayLike | None = None,
+    weights_at: str = WeightsAt.AUTO,
     target: TargetLike | None = None,
     **options: Unpack[MapKeywords],
 ) -> MapResult | TorusMap:
@@ -124,6 +126,7 @@ def map_surface(
             those that leave thicker limbs.
         progress: called as ``progress(stage, done, total, details)``.
         weights: of vertices or triangles, see :func:`omtwarp.map_to_sphere`; not for a torus.
+        weights_at: what they belong to, as there.
         target: the density on the sphere, see :func:`omtwarp.map_to_sphere`; for closed, connected surfaces of genus 0.
         options: those of :func:`omtwarp.map_to_sphere`: ``method``, ``until``, ``cost``, ``scheme``, ``refine``,
             ``device``, ...
@@ -149,7 +152,7 @@ def map_surface(
     parts = parts_of(vertices, faces)
     together = together and len(parts) > 1
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
-        return map_to_sphere(mesh, weights=weights, target=target, progress=progress, **options)
+        return map_to_sphere(mesh, weights=weights, weights_at=weights_at, target=target, progress=progress, **options)
     if target is not None:
         raise OmtwarpError("a target density is for closed, connected surfaces of genus 0")
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
@@ -158,7 +161,7 @@ def map_surface(
         return _on_torus(parts[0], progress, options)
     _check_domain(domain, parts, components, together, along)
     count, exact = len(np.asarray(vertices)), bool(options.get("exact"))
-    shares = None if weights is None else face_weights(weights, np.asarray(faces), count)
+    shares = None if weights is None else face_weights(weights, np.asarray(faces), count, weights_at)
     given, parts = parts, [numbered_in_space(part) for part in parts]
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE

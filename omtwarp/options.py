@@ -68,6 +68,14 @@ class Refinement(StrEnum):
     ANGLE = "angle"
 
 
+class WeightsAt(StrEnum):
+    """What weights belong to; ``auto`` goes by their number, which decides unless it is that of both."""
+
+    AUTO = "auto"
+    VERTICES = "vertices"
+    TRIANGLES = "triangles"
+
+
 class Interpolation(StrEnum):
     """How data are carried from one sphere to another."""
 
@@ -134,6 +142,7 @@ FILM_RATE = 20.0  # frames per second; a .gif counts in hundredths of a second, 
 Kind = TypeVar("Kind", bound=StrEnum)
 
 _NAMES: dict[type[StrEnum], str] = {
+    WeightsAt: "place of weights",
     Method: "method",
     Stage: "stage",
     Cost: "cost",
@@ -371,6 +380,7 @@ __all__ = [
     "Scheme",
     "Solver",
     "Stage",
+    "WeightsAt",
     "choose",
     "parse_device",
     "parse_refinement",

@@ -41,7 +41,7 @@ from omtwarp.optimal import GAIN, SHAPE_WEIGHT, OptimalMap, optimal_map
 from omtwarp.optimal.cells import LIGHT_PENALTIES, exact_map
 from omtwarp.optimal.energy import AREA_WEIGHT
 from omtwarp.optimal.refinement import refine_map, refinement_weight
-from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, continued
+from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, WeightsAt, continued
 from omtwarp.refine.solver import Refiner
 from omtwarp.result import MapReport, MapResult, StageRecord, renumbered
 from omtwarp.solvers.mesh_factor import begin_saddle_order
@@ -224,6 +224,7 @@ def map_to_sphere(
     keep_edges: bool = MapOptions.keep_edges,
     optimality: bool = MapOptions.optimality,
     weights: ArrayLike | None = None,
+    weights_at: str = WeightsAt.AUTO,
     target: TargetLike | None = None,
     device: str | None = MapOptions.device,
     solver: str = MapOptions.solver,
@@ -250,6 +251,7 @@ def map_to_sphere(
         optimality: also measure how far the map is from optimal, by a lower bound on the cost of every map.
         weights: positive, per vertex [V] or per triangle [F]: parts of twice the weight cover twice as much of the
             sphere for their area, see :func:`omtwarp.measures.weighted_surface`.
+        weights_at: what the weights belong to, ``vertices`` or ``triangles``; ``auto`` goes by their number.
         target: the density that the image is to have on the sphere in place of the uniform one: a function of unit
             vectors [N, 3], an equirectangular picture, or ``(sphere, faces, values)``; see
             :func:`omtwarp.texturing.density.as_target`.
@@ -296,7 +298,7 @@ def map_to_sphere(
         raise OmtwarpError("a target density needs the methods omt or moser, and the schemes default or plain")
     if density is not None and options.exact:
         raise OmtwarpError("exact areas are for the uniform sphere: leave the target density out")
-    surface = weighted_surface(as_surface(mesh), weights)
+    surface = weighted_surface(as_surface(mesh), weights, weights_at)
     ordered = in_space_order(surface)
     with solving_with(options.solver):
         result = _Run(ordered.surface, options, str(where), progress, density).result()

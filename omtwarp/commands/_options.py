@@ -22,6 +22,7 @@ from omtwarp.options import (
     Scheme,
     Solver,
     Stage,
+    WeightsAt,
     choose,
     parse_refinement,
 )
@@ -119,6 +120,7 @@ RefineOption = Annotated[
         help="Refine the optimal map towards less distortion: a weight of area against angle.",
     ),
 ]
+WeightsAtOption = Annotated[WeightsAt, named(WeightsAt, "What the weights belong to; auto goes by their number.")]
 SolverOption = Annotated[Solver, named(Solver, "How sparse systems are solved; scipy is the plain way.")]
 DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda:N", help="Device to compute on.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]

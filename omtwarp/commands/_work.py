@@ -14,7 +14,7 @@ from omtwarp.commands._facts import facts_of, quality
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import is_standard_output, say
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, parse_device
+from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, WeightsAt, parse_device
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -320,6 +320,7 @@ def make_map(
     quiet: bool,
     any_surface: None = None,
     weights: ArrayLike | None = None,
+    weights_at: str = WeightsAt.AUTO,
     target: TargetDensity | None = None,
     **options: Unpack[MapKeywords],
 ) -> MapResult: ...
@@ -330,6 +331,7 @@ def make_map(
     quiet: bool,
     any_surface: SurfaceKeywords | None,
     weights: ArrayLike | None = None,
+    weights_at: str = WeightsAt.AUTO,
     target: TargetDensity | None = None,
     **options: Unpack[MapKeywords],
 ) -> MapResult | TorusMap: ...
@@ -339,6 +341,7 @@ def make_map(
     quiet: bool,
     any_surface: SurfaceKeywords | None = None,
     weights: ArrayLike | None = None,
+    weights_at: str = WeightsAt.AUTO,
     target: TargetDensity | None = None,
     **options: Unpack[MapKeywords],
 ) -> MapResult | TorusMap:
@@ -349,6 +352,7 @@ def make_map(
         quiet: whether to draw no progress.
         any_surface: options of :func:`omtwarp.map_surface` for a mesh that is no sphere.
         weights: of vertices or triangles.
+        weights_at: which of them.
         target: the density on the sphere.
         options: those of :func:`omtwarp.map_to_sphere`.
     """
@@ -362,10 +366,18 @@ def make_map(
                 from omtwarp.any_surface import map_surface
 
                 result = map_surface(
-                    surface, weights=weights, target=target, progress=progress, **any_surface, **options
+                    surface,
+                    weights=weights,
+                    weights_at=weights_at,
+                    target=target,
+                    progress=progress,
+                    **any_surface,
+                    **options,
                 )
             else:
-                result = map_to_sphere(surface, weights=weights, target=target, progress=progress, **options)
+                result = map_to_sphere(
+                    surface, weights=weights, weights_at=weights_at, target=target, progress=progress, **options
+                )
     for each_warning in caught:
         if issubclass(each_warning.category, OmtwarpWarning):
             say(f"warning: {each_warning.message}")

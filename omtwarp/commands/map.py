@@ -35,6 +35,7 @@ from omtwarp.commands._options import (
     TorusOption,
     UntilOption,
     VerboseOption,
+    WeightsAtOption,
     output_option,
 )
 from omtwarp.commands._work import (
@@ -50,7 +51,7 @@ from omtwarp.commands._work import (
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output, staged
-from omtwarp.options import CutAlong, Domain, FillArea, MapOptions, Refinement, SurfaceKeywords
+from omtwarp.options import CutAlong, Domain, FillArea, MapOptions, Refinement, SurfaceKeywords, WeightsAt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,6 +99,7 @@ def map_mesh(
             metavar="FILE", help="Numbers per vertex or triangle (.npy, .txt, .csv): twice the weight, twice the area."
         ),
     ] = None,
+    weights_at: WeightsAtOption = WeightsAt.AUTO,
     density: Annotated[
         Path | None,
         typer.Option(
@@ -162,7 +164,7 @@ def map_mesh(
 
     def map_one(mesh: Path, target: Path | None) -> None:
         sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
-        per_part = None if weights is None else weights_of(weights, sound)
+        per_part, belong = (None, weights_at) if weights is None else weights_of(weights, sound, weights_at)
         result = make_map(
             sound.surface,
             any_surface=any_surface,
@@ -177,6 +179,7 @@ def map_mesh(
             solver=solver,
             strict=strict,
             weights=per_part,
+            weights_at=belong,
             target=goal,
             device=device,
         )
@@ -260,22 +263,32 @@ def as_in_file(
     return result, file_faces
 
 
-def weights_of(path: Path, sound: Input) -> NDArray[np.float64]:
-    """Read weights, and reorder them for a mesh that was repaired.
+def weights_of(path: Path, sound: Input, at: WeightsAt) -> tuple[NDArray[np.float64], WeightsAt]:
+    """Read weights of a file's mesh, and reorder them where it was repaired or copies of its vertices were joined.
+
+    Args:
+        path: the file of the weights.
+        sound: the mesh.
+        at: what is said about what they belong to.
+
+    Returns:
+        The weights of the mesh's vertices or triangles, and which of them.
 
     Raises:
-        OmtwarpError: the file holds no numbers, or parts of the repaired mesh have no weights.
+        OmtwarpError: the file holds no numbers, or not as many as the mesh's file has vertices or triangles; or parts
+            of the repaired mesh have no weights.
     """
-    from omtwarp.measures.weights import read_numbers
+    from omtwarp.measures.weights import read_numbers, weights_belong_to
 
     weights = read_numbers(path)
-    for size, origin in zip(sound.sizes, sound.origins.values(), strict=False):
-        if len(weights) == size:
-            added = int((origin < 0).sum())
-            if added:
-                raise OmtwarpError(f"'{path}' has no weights for the {added} parts that --repair added to the mesh")
-            return weights[origin]
-    return weights
+    belong = weights_belong_to(weights.shape, *sound.sizes, at)
+    origin = sound.origins.get("vertex_origin" if belong is WeightsAt.VERTICES else "face_origin")
+    if origin is None:
+        return weights, belong
+    added = int((origin < 0).sum())
+    if added:
+        raise OmtwarpError(f"'{path}' has no weights for the {added} parts that --repair added to the mesh")
+    return weights[origin], belong
 
 
 def surface_options(

@@ -76,3 +76,15 @@ def test_weights_that_cannot_be_used(desk, capsys, content, message):
     assert error.count("\n") == 1
     assert not (desk / "x.npz").exists()
     assert run("map", "mesh.ply", "-o", "x.npz", "--weights", "missing.npy") == 1
+
+
+def test_weights_of_a_surface_with_as_many_vertices_as_triangles_need_an_option(desk, capsys):
+    rows = ["v 1 1 1", "v 1 -1 -1", "v -1 1 -1", "v -1 -1 1", "f 1 2 3", "f 1 4 2", "f 1 3 4", "f 2 4 3"]
+    (desk / "four.obj").write_text("\n".join(rows))
+    (desk / "w.txt").write_text("4\n1\n1\n1\n")
+    words = ["map", "four.obj", "-o", "four.npz", "--weights", "w.txt", "--device", "cpu"]
+    assert run(*words) == 1
+    assert "--weights-at" in capsys.readouterr().err
+    for at, expected in (("triangles", [4, 1, 1, 1]), ("vertices", [2, 2, 2, 1])):
+        assert run(*words, "--weights-at", at) == 0
+        np.testing.assert_allclose(np.load("four.npz")["measure"] / (4 * np.pi), np.array(expected) / 7, rtol=1e-12)

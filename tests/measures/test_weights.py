@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.measures import weighted_surface
 from omtwarp.mesh.shapes import blob
-from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.triangle_newton.frames import triangle_frames
 
 SURFACE = blob(4, sphere=600)
@@ -77,3 +78,31 @@ def test_weights_that_cannot_be_used_are_refused_in_one_line(weights, message):
 def test_areas_that_cannot_be_used_are_refused(areas):
     with pytest.raises(OmtwarpError, match=r"areas? "):
         SURFACE.with_areas(areas)
+
+
+def test_where_there_are_as_many_vertices_as_triangles_an_argument_says_which():
+    """A tetrahedron has four of both: a weight of a vertex is spread over its three triangles."""
+    points = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    surface = Surface(points, faces)
+    weights = [4.0, 1.0, 1.0, 1.0]
+    with pytest.raises(OmtwarpError, match=r"as many vertices as triangles: say which.*--weights-at"):
+        weighted_surface(surface, weights)
+    for map_it in (omtwarp.map_to_sphere, omtwarp.map_surface):
+        with pytest.raises(OmtwarpError, match="--weights-at"):
+            map_it((points, faces), weights=weights)
+    of_triangles = weighted_surface(surface, weights, "triangles").face_areas
+    np.testing.assert_allclose(of_triangles / SPHERE_AREA, np.array([4, 1, 1, 1]) / 7, rtol=1e-12)
+    of_vertices = weighted_surface(surface, weights, "vertices").face_areas
+    np.testing.assert_allclose(of_vertices / SPHERE_AREA, np.array([2, 2, 2, 1]) / 7, rtol=1e-12)
+    result = omtwarp.map_to_sphere((points, faces), weights=weights, weights_at="triangles", device="cpu")
+    np.testing.assert_allclose(result.measure / SPHERE_AREA, np.array([4, 1, 1, 1]) / 7, rtol=1e-12)
+
+
+def test_weights_of_the_other_kind_than_is_said_are_refused():
+    with pytest.raises(OmtwarpError, match=f"give one for each of {SURFACE.vertex_count} vertices$"):
+        weighted_surface(SURFACE, WEIGHTS, "vertices")
+    with pytest.raises(OmtwarpError, match=f"give one for each of {SURFACE.face_count} triangles$"):
+        weighted_surface(SURFACE, np.ones(SURFACE.vertex_count), "triangles")
+    with pytest.raises(OmtwarpError, match="unknown place of weights"):
+        weighted_surface(SURFACE, WEIGHTS, "edges")
