@@ -23,15 +23,15 @@ faces[inwards] = faces[inwards][:, ::-1]
 vertices = np.concatenate([whole.vertices, 0.08 * crumb.vertices + [0.9, -0.9, 0.9]])
 faces = np.concatenate([faces[~hole], crumb.faces + len(whole.vertices)])
 
-for defect in omtwarp.check(vertices, faces):
+for defect in omtwarp.check((vertices, faces)):
     print(defect)
 
 # %%
 # Repair says what it did. No vertex is moved.
 
-repaired = omtwarp.repair(vertices, faces)
+repaired = omtwarp.repair((vertices, faces))
 print("\n".join(repaired.actions))
-print(len(omtwarp.check(repaired.vertices, repaired.faces)), "defects are left")
+print(len(omtwarp.check(repaired)), "defects are left")
 
 result = omtwarp.map_to_sphere((repaired.vertices, repaired.faces))
 pale, red = [0.84, 0.85, 0.88], [0.8, 0.25, 0.2]

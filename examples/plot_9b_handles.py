@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import omtwarp
-from omtwarp.alignment import turned_map
 from omtwarp.render import SurfaceView, sheet
 from omtwarp.render.subject import torus_view
 from omtwarp.texturing import rasterize
@@ -43,7 +42,7 @@ print(result.distortion())
 # it. The map is turned to the pretzel's own axes, so that both are seen from the same side.
 
 cut = omtwarp.map_surface(omtwarp.shapes.rings(2, tube=0.65, cell=0.15))
-cut = turned_map(cut, omtwarp.align(cut))
+cut = omtwarp.align(cut).turned(cut)
 print(cut, f"{len(cut.loop_pairs)} cuts of {len(cut.loops) // len(cut.loop_pairs) // 2} edges on average")
 
 # %%

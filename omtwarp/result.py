@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import NotRequired, TypedDict, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path
 from omtwarp.inputs import open_input, read_arrays, write_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
-from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_triangles
 from omtwarp.options import ChosenOptions, Record
@@ -44,8 +44,6 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "face_origin": (np.int64, ("F",)),
     "vertex_of_file": (np.int64, ("N",)),
 }
-# Largest distance of a point from the sphere: many times the rounding of single precision.
-UNIT_LENGTH = 1e-5
 STAGES = ("sphere", "conformal", "moser", "transported")
 OF_A_TORUS = "wraps"  # an array that only maps to a torus have
 # Arrays that tell a map's file from a mesh's, even where one was lost, and a map to a torus from one to the sphere.
@@ -356,24 +354,8 @@ def _fitting(arrays: Mapping[str, object]) -> _Arrays:
     fitting = fitting_arrays(arrays, LAYOUT, {"V": len(vertices), "F": len(faces)})
     for name in (*STAGES, "source"):
         if name in fitting:
-            require_unit_length(fitting[name], name)
+            require_unit_length(fitting[name], f"'{name}'")
     return cast(_Arrays, fitting)
-
-
-def require_unit_length(points: ArrayLike, name: str) -> None:
-    """Make sure that points of a map lie on the unit sphere, to single precision.
-
-    Raises:
-        OmtwarpError: some points do not; the message counts them and names the first.
-    """
-    lengths = np.linalg.norm(points, axis=1)
-    off = ~(np.abs(lengths - 1.0) <= UNIT_LENGTH)
-    if off.any():
-        first = int(np.argmax(off))
-        raise OmtwarpError(
-            f"{int(off.sum())} points of '{name}' are not on the unit sphere, first vertex {first} "
-            f"at a distance of {lengths[first]:g} from its centre"
-        )
 
 
 def _read_report(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[MapReport, list[Record]]:

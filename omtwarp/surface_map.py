@@ -14,12 +14,12 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path
 from omtwarp.inputs import holds_array, open_input, read_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
-from omtwarp.mesh.arrays import fitting_arrays, owned, whole_numbers
+from omtwarp.mesh.arrays import fitting_arrays, owned, require_unit_length, whole_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
 from omtwarp.options import Domain
-from omtwarp.result import MapResult, require_unit_length
+from omtwarp.result import MapResult
 from omtwarp.topology.boundary import boundary_half_edges
 from omtwarp.topology.kind import connected_components
 
@@ -89,7 +89,7 @@ class SurfaceMap(MapResult):
             whole_numbers(self.filled_faces, "'filled_faces'", (None, 3), below=len(points))
         for name in ("filled_sphere", "filled_conformal"):
             if name in fitting:
-                require_unit_length(fitting[name], name)
+                require_unit_length(fitting[name], f"'{name}'")
         for name in ("part", "loops", "loop_ends", "loop_pairs", "split_edges"):
             if name in fitting and fitting[name].size and fitting[name].min() < 0:
                 raise OmtwarpError(f"'{name}': {int(fitting[name].min())} is out of range, at least 0")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from omtwarp.alignment.align import Alignment, align, align_to_axes, turned_map
+from omtwarp.alignment.align import Alignment, align, align_to_axes
 from omtwarp.alignment.group import GroupAlignment, procrustes_mean
 
-__all__ = ["Alignment", "GroupAlignment", "align", "align_to_axes", "procrustes_mean", "turned_map"]
+__all__ = ["Alignment", "GroupAlignment", "align", "align_to_axes", "procrustes_mean"]

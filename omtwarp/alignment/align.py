@@ -34,7 +34,7 @@ SAME_SHAPE = 0.01
 MIRROR = np.diag([-1.0, 1.0, 1.0])  # reflects in the plane x = 0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Alignment:
     """A map's sphere in its new position, and the rotation that brought it there.
 
@@ -68,6 +68,42 @@ class Alignment:
         plain = {name: value for name, value in vars(self).items() if name not in ("sphere", "rotation", "frame")}
         frame = None if self.frame is None else self.frame.tolist()
         return plain | {"rotation": self.rotation.tolist(), "frame": frame}
+
+    def __repr__(self) -> str:
+        mirrored = ", mirrored" if self.mirrored else ""
+        return f"Alignment(by {self.method}, score {self.score:.4f}, next best {self.runner_up:.4f}{mirrored})"
+
+    def turned(self, result: MapResult) -> MapResult:
+        """Return the map that was aligned in its new position, all stages turned, with the alignment in its report.
+
+        After a mirror image has been aligned, the surface is mirrored in x and its faces are reversed too. Save it as
+        any map: ``align(left, right).turned(left).save("left.npz")``.
+        """
+
+        def moved(points: Floats | None) -> Floats | None:
+            return None if points is None else points @ self.rotation.T
+
+        mirrored = self.mirrored
+        if isinstance(result, SurfaceMap):
+            filled, faces = result.filled_vertices, result.filled_faces
+            result = replace(
+                result,
+                filled_vertices=filled @ MIRROR if mirrored and filled is not None else filled,
+                filled_faces=np.ascontiguousarray(faces[:, ::-1]) if mirrored and faces is not None else faces,
+                filled_sphere=moved(result.filled_sphere),
+                filled_conformal=moved(result.filled_conformal),
+            )
+        return replace(
+            result,
+            vertices=result.vertices @ MIRROR if mirrored else result.vertices,
+            faces=np.ascontiguousarray(result.faces[:, ::-1]) if mirrored else result.faces,
+            sphere=result.sphere @ self.rotation.T,
+            conformal=result.conformal @ self.rotation.T,
+            source=moved(result.source),
+            moser=moved(result.moser),
+            transported=moved(result.transported),
+            report=result.report | {"alignment": self.to_dict()},
+        )
 
 
 def mirror_image(points: SpherePoints) -> SpherePoints:
@@ -230,42 +266,6 @@ def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
     return "equal faces, and one surface in both" if apart < SAME_SHAPE else ""
 
 
-def turned_map(result: MapResult, alignment: Alignment) -> MapResult:
-    """Turn all stages of a map to the position that an alignment found, and record it in the report.
-
-    After a mirror image has been aligned, the surface is mirrored in x and its faces are reversed too.
-
-    Args:
-        result: the map that was aligned.
-        alignment: what :func:`align` returned for it.
-    """
-
-    def turned(points: Floats | None) -> Floats | None:
-        return None if points is None else points @ alignment.rotation.T
-
-    mirrored = alignment.mirrored
-    if isinstance(result, SurfaceMap):
-        filled, faces = result.filled_vertices, result.filled_faces
-        result = replace(
-            result,
-            filled_vertices=filled @ MIRROR if mirrored and filled is not None else filled,
-            filled_faces=np.ascontiguousarray(faces[:, ::-1]) if mirrored and faces is not None else faces,
-            filled_sphere=turned(result.filled_sphere),
-            filled_conformal=turned(result.filled_conformal),
-        )
-    return replace(
-        result,
-        vertices=result.vertices @ MIRROR if mirrored else result.vertices,
-        faces=np.ascontiguousarray(result.faces[:, ::-1]) if mirrored else result.faces,
-        sphere=result.sphere @ alignment.rotation.T,
-        conformal=result.conformal @ alignment.rotation.T,
-        source=turned(result.source),
-        moser=turned(result.moser),
-        transported=turned(result.transported),
-        report=result.report | {"alignment": alignment.to_dict()},
-    )
-
-
 def _own_turned(points: SpherePoints, rotation: Floats) -> Floats:
     """Return a sphere's points, without those that fill holes, after a rotation."""
     turned = points.grid.points @ rotation.T
@@ -348,4 +348,4 @@ def common_features(
     return {name: ours[name] for name in names}, {name: theirs[name] for name in names}
 
 
-__all__ = ["Alignment", "align", "align_to_axes", "mirror_image", "turned_map"]
+__all__ = ["Alignment", "align", "align_to_axes", "mirror_image"]

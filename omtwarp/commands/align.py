@@ -148,6 +148,5 @@ def _degrees(found: Alignment) -> float:
 
 
 def _save_map(source: Path, output: Path, found: Alignment) -> None:
-    from omtwarp.alignment import turned_map
 
-    turned_map(load_map(source), found).save(output)
+    found.turned(load_map(source)).save(output)

@@ -21,6 +21,7 @@ TINY = 1e-300
 # Relative: what differs by less is equal but for rounding. Some five thousand times float64's round-off, as much as a
 # few thousand roundings in a row leave at worst, and a millionth of the least digit that any figure is given to.
 ROUND_OFF = 1e-12
+UNIT_LENGTH = 1e-5  # largest distance of a point from the sphere: many times the rounding of single precision
 
 Shape = tuple[int | None, ...]
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
@@ -249,6 +250,23 @@ def _require_shape(array: NDArray[np.generic], name: str, shape: Shape) -> None:
         raise OmtwarpError(f"{name}: shape {list(array.shape)}, not [{wanted}]")
 
 
+def require_unit_length(points: NDArray[np.generic], name: str) -> None:
+    """Make sure that points lie on the unit sphere, to single precision.
+
+    Raises:
+        OmtwarpError: some points do not; the message counts them and names the first.
+    """
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(np.asarray(points, dtype=np.float64), axis=1)
+    off = ~(np.abs(lengths - 1.0) <= UNIT_LENGTH)
+    if off.any():
+        first = int(np.argmax(off))
+        raise OmtwarpError(
+            f"{int(off.sum())} points of {name} are not on the unit sphere, first vertex {first} "
+            f"at a distance of {lengths[first]:g} from its centre"
+        )
+
+
 __all__ = [
     "ROUND_OFF",
     "TINY",
@@ -259,6 +277,7 @@ __all__ = [
     "owned",
     "real_number",
     "real_numbers",
+    "require_unit_length",
     "whole_number",
     "whole_numbers",
 ]

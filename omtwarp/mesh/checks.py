@@ -2,35 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Protocol, TypeAlias
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, real_numbers, require_unit_length, whole_numbers
 from omtwarp.mesh.surface import Surface
-from omtwarp.mesh.validate import require_valid
-
-
-class HasTriangles(Protocol):
-    """An object with vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""
-
-    @property
-    def vertices(self) -> ArrayLike:
-        """Positions, shape [V, 3]."""
-
-    @property
-    def faces(self) -> ArrayLike:
-        """Vertex indices of the triangles, shape [F, 3]."""
-
-
-MeshLike: TypeAlias = HasTriangles | Surface | tuple[ArrayLike, ArrayLike]
-"""A surface in any of the forms that public functions take."""
-
-# Points whose length differs from 1 by at most this are not normalised: a normalised float64 vector is within 4e-16.
-UNIT_LENGTH = 1e-12
+from omtwarp.mesh.validate import HasTriangles, MeshLike, mesh_arrays, require_valid
 
 
 def as_surface(mesh: MeshLike) -> Surface:
@@ -50,7 +29,7 @@ def as_surface(mesh: MeshLike) -> Surface:
             require_valid(mesh.vertices, mesh.faces)
             mesh.checked = True
         return mesh
-    surface = Surface(*require_valid(*_parts(mesh)))
+    surface = Surface(*require_valid(*mesh_arrays(mesh)))
     surface.checked = True
     return surface
 
@@ -67,22 +46,13 @@ def as_triangles(mesh: MeshLike) -> tuple[NDArray[np.float64], NDArray[np.int32]
     Raises:
         OmtwarpError: the value is no mesh.
     """
-    vertices, faces = _parts(mesh)
+    vertices, faces = mesh_arrays(mesh)
     positions = real_numbers(vertices, "vertices", (None, 3))
     return positions, as_faces(faces, len(positions))
 
 
-def _parts(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
-    if isinstance(mesh, tuple | list) and len(mesh) == 2:
-        vertices, faces = mesh
-        return vertices, faces
-    if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
-        return mesh.vertices, mesh.faces
-    raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}")
-
-
 def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map") -> NDArray[np.float64] | wp.array:
-    """Check the images of a surface's vertices on the sphere, and normalise them.
+    """Check that the images of a surface's vertices lie on the unit sphere, and normalise them to round-off.
 
     Args:
         sphere: shape [V, 3]; a Warp array of vec3d, which only stages of the package make, is taken as it is.
@@ -93,7 +63,7 @@ def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map")
         float64, shape [V, 3]: the array given where it holds unit vectors to round-off, normalised otherwise.
 
     Raises:
-        OmtwarpError: another shape, coordinates that are not finite, or a point at the centre of the sphere.
+        OmtwarpError: another shape, coordinates that are not finite, or points off the unit sphere.
     """
     if isinstance(sphere, wp.array):
         if sphere.shape != (surface.vertex_count,):
@@ -103,7 +73,7 @@ def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map")
 
 
 def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "map") -> NDArray[np.float64]:
-    """Check points of the unit sphere, and normalise them to round-off.
+    """Check that points lie on the unit sphere, and normalise them to round-off.
 
     Args:
         points: shape [N, 3].
@@ -114,20 +84,13 @@ def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "ma
         float64, shape [N, 3]: the array given where it holds unit vectors to round-off, normalised otherwise.
 
     Raises:
-        OmtwarpError: another shape or type, coordinates that are not finite, or a point at the centre of the sphere.
+        OmtwarpError: another shape or type, coordinates that are not finite, or points off the unit sphere.
     """
     given = real_numbers(points, f"the {name}", (count, 3))
-    with np.errstate(over="ignore"):
-        lengths = np.linalg.norm(given, axis=1)
-    largest = np.abs(given).max(axis=1, initial=0.0)
-    if not largest.all():
-        raise OmtwarpError(
-            f"the {name} has a point at the centre of the sphere, first vertex {int(np.argmin(largest))}"
-        )
-    if np.abs(lengths - 1.0).max(initial=0.0) > UNIT_LENGTH:
-        # Once more after scaling, so that squares of the largest and smallest numbers stay in range.
-        scaled = given / largest[:, None]
-        given = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    require_unit_length(given, f"the {name}")
+    lengths = np.linalg.norm(given, axis=1)
+    if np.abs(lengths - 1.0).max(initial=0.0) > ROUND_OFF:
+        given = given / lengths[:, None]
     return given
 
 
@@ -148,4 +111,13 @@ def as_faces(faces: ArrayLike, count: int, name: str = "faces") -> NDArray[np.in
     return corners.astype(np.int32)
 
 
-__all__ = ["HasTriangles", "MeshLike", "as_faces", "as_sphere", "as_surface", "as_triangles", "as_unit_vectors"]
+__all__ = [
+    "HasTriangles",
+    "MeshLike",
+    "as_faces",
+    "as_sphere",
+    "as_surface",
+    "as_triangles",
+    "as_unit_vectors",
+    "require_unit_length",
+]

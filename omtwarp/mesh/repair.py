@@ -11,7 +11,17 @@ from scipy.sparse.csgraph import connected_components
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, edge_keys
-from omtwarp.mesh.validate import Topology, as_arrays, check, duplicate_faces, number, unit_coordinates, zero_area_faces
+from omtwarp.mesh.validate import (
+    MeshLike,
+    Topology,
+    as_arrays,
+    check,
+    duplicate_faces,
+    mesh_arrays,
+    number,
+    unit_coordinates,
+    zero_area_faces,
+)
 
 LARGEST_HOLE = 64
 """Holes with more edges than this are left open: their filling would be arbitrary."""
@@ -51,7 +61,7 @@ class Repaired(NamedTuple):
     loss: float = 0.0
 
 
-def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repaired:
+def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole: bool = True) -> Repaired:
     """Repair the defects that need no new shape; no vertex is moved but to one that it is merged with.
 
     In this order: faces with impossible vertices are dropped; vertices on the boundary or at faces of zero area are
@@ -65,8 +75,9 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repa
     filled, and the surface is turned outward; another keeps its holes, and its parts of more than :data:`CRUMBS` faces.
 
     Args:
-        vertices: coordinates, shape [V, 3].
-        faces: vertex indices, shape [F, 3].
+        mesh: what :func:`omtwarp.read_mesh` returns, a ``trimesh.Trimesh``, ``(vertices, faces)``, or vertices alone,
+            shape [V, 3].
+        faces: with vertices alone the vertex indices, shape [F, 3].
         whole: whether the surface is to be closed and of one part.
 
     Returns:
@@ -79,11 +90,11 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, whole: bool = True) -> Repa
     Example:
         >>> import omtwarp
         >>> surface = omtwarp.shapes.icosphere(2)
-        >>> repaired = omtwarp.repair(surface.vertices, surface.faces[1:])
-        >>> omtwarp.check(repaired.vertices, repaired.faces)
+        >>> repaired = omtwarp.repair((surface.vertices, surface.faces[1:]))
+        >>> omtwarp.check(repaired)
         []
     """
-    points, triangles = as_arrays(vertices, faces)
+    points, triangles = as_arrays(*mesh_arrays(mesh, faces))
     work = _Work(points, triangles)
     if check(points, triangles):
         _require_counted_from_zero(triangles, len(points))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,12 +54,48 @@ class Defect:
         return f"{self.message}; {self.remedy}"
 
 
-def check(vertices: ArrayLike, faces: ArrayLike) -> list[Defect]:
+class HasTriangles(Protocol):
+    """An object with vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""
+
+    @property
+    def vertices(self) -> ArrayLike:
+        """Positions, shape [V, 3]."""
+
+    @property
+    def faces(self) -> ArrayLike:
+        """Vertex indices of the triangles, shape [F, 3]."""
+
+
+MeshLike: TypeAlias = HasTriangles | tuple[ArrayLike, ArrayLike]
+"""A surface in any of the forms that public functions take."""
+
+
+def mesh_arrays(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> tuple[ArrayLike, ArrayLike]:
+    """Return the vertices and faces of a mesh in any of the accepted forms, or of two arrays, unexamined.
+
+    Raises:
+        OmtwarpError: the value is no mesh.
+    """
+    if faces is not None:
+        return cast("ArrayLike", mesh), faces
+    if isinstance(mesh, tuple | list) and len(mesh) == 2:
+        return mesh[0], mesh[1]
+    try:
+        given = cast("HasTriangles", mesh)
+        return given.vertices, given.faces
+    except AttributeError:
+        pass
+    raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}")
+
+
+def check(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> list[Defect]:
     """List everything that keeps a mesh from being mapped to the sphere; an empty list means that nothing does.
 
     Args:
-        vertices: coordinates in any unit, shape [V, 3].
-        faces: vertex indices of the triangles, counter-clockwise seen from outside, shape [F, 3].
+        mesh: what :func:`omtwarp.read_mesh` returns, a ``trimesh.Trimesh``, ``(vertices, faces)``, or vertices alone,
+            in any unit, shape [V, 3].
+        faces: with vertices alone the vertex indices of the triangles, counter-clockwise seen from outside, shape
+            [F, 3].
 
     Returns:
         The defects, the most basic first. Conditions that only make sense on a sounder mesh (an inside for an open
@@ -67,13 +104,13 @@ def check(vertices: ArrayLike, faces: ArrayLike) -> list[Defect]:
     Example:
         >>> import omtwarp
         >>> surface = omtwarp.shapes.icosphere(2)
-        >>> omtwarp.check(surface.vertices, surface.faces)
+        >>> omtwarp.check(surface)
         []
-        >>> [defect.kind for defect in omtwarp.check(surface.vertices, surface.faces[1:])]
+        >>> [defect.kind for defect in omtwarp.check((surface.vertices, surface.faces[1:]))]
         ['open-boundary']
     """
     try:
-        points, triangles = as_arrays(vertices, faces)
+        points, triangles = as_arrays(*mesh_arrays(mesh, faces))
     except OmtwarpError as error:
         return [Defect("not-a-triangle-mesh", 1, -1, str(error), "give vertices [V, 3] and triangles [F, 3]")]
     if len(points) == 0 or len(triangles) == 0:

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF, real_number, real_numbers
-from omtwarp.mesh.checks import as_faces
+from omtwarp.mesh.arrays import real_number, real_numbers
+from omtwarp.mesh.checks import as_faces, as_unit_vectors
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
@@ -37,7 +37,6 @@ Ints = NDArray[np.int32]
 # x 12 / 8 of a texel of it: smaller triangles need none.
 LEAST_BENT = 12.0
 
-SHORTEST_DIRECTION = 1e-6  # of a map's point: shorter, it lies at the centre of the sphere, and names no direction
 MOST_SIDE = 16384  # texels of a picture's own size: what browsers and game engines load (WebGL 2)
 # Of the picture's width. Octahedral textures then have as many texels, 0.56 widths squared beside 0.5; three cells of a
 # cube map without their gutters as many along the equator as three quarters of the picture.
@@ -297,7 +296,7 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
     """Return the vertices [V, 3], faces [F, 3] and unit vectors [V, 3] of a map in any of its forms.
 
     Raises:
-        OmtwarpError: the argument is no map, or some of its points lie at the centre of the sphere.
+        OmtwarpError: the argument is no map, or some of its points are off the unit sphere.
     """
     parts: tuple[ArrayLike, ...]
     if isinstance(result, (tuple, list)) and len(result) == 3:
@@ -310,17 +309,8 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
                 f"cannot use a {type(result).__name__}: give a result of map_to_sphere, or vertices, faces and sphere"
             ) from error
     vertices = real_numbers(parts[0], "vertices", (None, 3))
-    sphere = real_numbers(parts[2], "sphere points", (len(vertices), 3))
     faces = as_faces(parts[1], len(vertices))
-    length = np.linalg.norm(sphere, axis=1)
-    bad = np.flatnonzero(length < SHORTEST_DIRECTION)
-    if len(bad):
-        raise OmtwarpError(
-            f"{len(bad)} points of the map lie at the centre of the sphere, first vertex {bad[0]}: remake the map"
-        )
-    if np.any(np.abs(length - 1.0) > ROUND_OFF):
-        sphere = sphere / length[:, None]
-    return vertices, faces, sphere
+    return vertices, faces, as_unit_vectors(parts[2], len(vertices))
 
 
 def _seam(given: float | str, vertices: Floats, faces: Ints, sphere: Floats, rotation: Floats) -> float:

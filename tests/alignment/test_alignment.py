@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from sphere_truths import SHARED, pushed_north, random_rotation
 
 import omtwarp
-from omtwarp.alignment import align, align_to_axes, procrustes_mean, turned_map
+from omtwarp.alignment import align, align_to_axes, procrustes_mean
 from omtwarp.alignment.group import superpose
 from omtwarp.alignment.rotation_search import (
     best_rotation,
@@ -151,7 +151,7 @@ def test_cortex_without_its_medial_wall_is_aligned_to_the_whole(area, degrees, a
     found = align(filled, whole)
     left, _, right = np.linalg.svd(filled.sphere.T @ whole.sphere[used[part.vertex_origin]])
     assert degrees_apart(found.rotation, (left @ right).T) < degrees
-    ours = omtwarp.resample(turned_map(filled, found), "fsaverage5", device="cpu")
+    ours = omtwarp.resample(found.turned(filled), "fsaverage5", device="cpu")
     theirs = omtwarp.resample(whole, "fsaverage5", device="cpu").surface()
     assert np.median(np.linalg.norm(ours.surface() - theirs, axis=1)[~ours.empty]) < apart
 
@@ -313,3 +313,9 @@ def test_what_cannot_be_aligned_is_refused():
         procrustes_mean([blob, blob], grid="healpix:4")
     stretched = SpherePoints(mesh_grid(pushed_north(SPHERE.vertices, 0.9), SPHERE.faces), blob.vertices)
     assert align(blob, stretched, by="features").score < 1.0
+
+
+def test_an_alignment_prints_in_a_line():
+    ball = shapes.icosphere(3)
+    words = repr(align((ball.vertices, ball.faces), ball))
+    assert words.startswith("Alignment(by vertices, score 1.0000") and "\n" not in words

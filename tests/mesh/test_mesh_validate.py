@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
+import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, check, require_valid
+from omtwarp.mesh.write import write_mesh
 
 
 def ball() -> tuple[np.ndarray, np.ndarray]:
@@ -159,3 +162,16 @@ def test_turning_any_faces_is_found_and_undone(seed):
     assert orientable
     f[wrong] = f[wrong][:, ::-1]
     assert not Topology(f, len(v)).clashing_edges.any()
+
+
+def test_a_mesh_is_checked_and_repaired_in_every_form(tmp_path):
+    ball = shapes.icosphere(2)
+    write_mesh(tmp_path / "ball.ply", ball.vertices, ball.faces)
+    arrays = ball.vertices, ball.faces
+    for mesh in (ball, arrays, omtwarp.read_mesh(tmp_path / "ball.ply"), trimesh.Trimesh(*arrays)):
+        assert omtwarp.check(mesh) == omtwarp.check(*arrays) == []
+        assert omtwarp.repair(mesh).actions == []
+    for wrong in (None, "ball", [1.0, 2.0, 3.0]):
+        assert [defect.kind for defect in omtwarp.check(wrong)] == ["not-a-triangle-mesh"]
+        with pytest.raises(OmtwarpError, match=r"expected a trimesh\.Trimesh or \(vertices, faces\)"):
+            omtwarp.repair(wrong)

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 import omtwarp
 from omtwarp import OmtwarpError, align, resample, shapes
-from omtwarp.alignment import turned_map
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.resampling.overlap import overlap_areas
@@ -68,7 +67,7 @@ def test_maps_to_a_part_of_the_sphere_are_not_closed(holed):
 
 @pytest.mark.parametrize("by", ["auto", "features"])
 def test_rotation_of_the_map_comes_back(filled, by):
-    turned = turned_map(filled, replace(align(filled), rotation=TURN))
+    turned = replace(align(filled), rotation=TURN).turned(filled)
     assert np.allclose(turned.filled_sphere, filled.filled_sphere @ TURN.T)
     found = align(turned, filled, by=by)
     assert found.sphere.shape == filled.sphere.shape and found.score == pytest.approx(1.0)
@@ -82,7 +81,7 @@ def test_rotation_of_the_surface_changes_nothing(holed, filled):
     found = align(filled, other, by="features")
     assert found.score == pytest.approx(1.0, abs=1e-9)
     assert np.abs(found.sphere - other.sphere).max() < 1e-6
-    assert align(turned_map(filled, align(filled))).rotation == pytest.approx(np.eye(3), abs=1e-9)
+    assert align(align(filled).turned(filled)).rotation == pytest.approx(np.eye(3), abs=1e-9)
     assert shape_distance(filled, other, device="cpu").coefficients < 1e-6
 
 
@@ -101,7 +100,7 @@ def test_filling_has_no_weight_in_features(filled):
 
 def test_given_features_are_those_of_the_surface(filled):
     heights = filled.vertices[:, 2] - filled.vertices[:, 0] ** 2
-    turned = turned_map(filled, replace(align(filled), rotation=TURN))
+    turned = replace(align(filled), rotation=TURN).turned(filled)
     found = align(turned, filled, features={"height": heights}, to_features={"height": heights})
     # Within an angle of 1e-8 of its maximum the score is the same to rounding.
     assert np.abs(found.rotation @ TURN - np.eye(3)).max() < 3e-8
@@ -116,7 +115,7 @@ def test_mirror_image_is_found(filled, holed):
     )
     found = align(image, filled, mirror=True)
     assert found.mirrored
-    turned = turned_map(image, found)
+    turned = found.turned(image)
     assert turned.certificate.bijective and turned.closed().certificate.bijective
     assert np.allclose(turned.vertices, filled.vertices)
 
@@ -168,7 +167,7 @@ def test_filled_ball_keeps_its_coordinates():
     kept = (ball.vertices[ball.faces, 2] < 0.98).all(axis=1)
     used, faces = np.unique(ball.faces[kept], return_inverse=True)
     result = omtwarp.map_surface((ball.vertices[used], faces.reshape(-1, 3)), domain="sphere", device="cpu")
-    turned = turned_map(result, align(result, omtwarp.map_to_sphere(ball, device="cpu"), by="features"))
+    turned = align(result, omtwarp.map_to_sphere(ball, device="cpu"), by="features").turned(result)
     to_grid = resample(turned, "ico4", device="cpu")
     places = to_grid.target.grid.points
     apart = np.linalg.norm(to_grid.apply(turned.vertices) - places, axis=1)[~to_grid.empty]
@@ -180,12 +179,12 @@ def test_filled_ball_keeps_its_coordinates():
 def test_distance_of_a_filled_shape_from_itself_is_zero(filled):
     found = shape_distance(filled, filled, degree=8, device="cpu")
     assert found.coefficients < 1e-12 and found.transport < 0.03
-    turned = turned_map(filled, replace(align(filled), rotation=TURN))
+    turned = replace(align(filled), rotation=TURN).turned(filled)
     assert shape_distance(filled, turned, degree=8, device="cpu").coefficients < 1e-10
 
 
 def test_group_of_filled_shapes(filled):
-    turned = turned_map(filled, replace(align(filled), rotation=TURN))
+    turned = replace(align(filled), rotation=TURN).turned(filled)
     study = study_group([filled, turned], grid="ico3", degree=6, device="cpu")
     assert study.distances.max() < 1e-6 and study.from_mean.max() < 1e-3
 
@@ -217,7 +216,7 @@ def test_cut_surface(cut):
     """Data of the input's vertices count at both copies along the cuts."""
     count, result = cut
     assert len(result.vertices) > count
-    assert align(turned_map(result, replace(align(result), rotation=TURN)), result).rotation @ TURN == pytest.approx(
+    assert align(replace(align(result), rotation=TURN).turned(result), result).rotation @ TURN == pytest.approx(
         np.eye(3), abs=1e-9
     )
     data = np.cos(np.arange(count))

@@ -383,7 +383,7 @@ def test_bad_maps_are_named(surface):
     centre[[3, 9]] = 0
     for bad, message in (
         (3, "cannot use a int"),
-        ((vertices, faces, sphere[:-1]), "sphere points"),
+        ((vertices, faces, sphere[:-1]), r"the map: shape \[641, 3\]"),
         ((vertices, faces + 1, sphere), "642 in row 497 is out of range"),
         ((vertices, faces[:, :2], sphere), r"faces: shape \[1280, 2\]"),
         ((vertices, faces, broken), "3 numbers that are not finite, first in row 7"),
