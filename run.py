@@ -3,6 +3,7 @@
 
     python3 run.py demo [options]     map, texture and draw a shape made by the package itself; figures in out/
     python3 run.py test [options]     lint, type check and test; options go to pytest
+    python3 run.py gpu [options]      try an NVIDIA card: tests, agreement with the CPU, times; a page in out/gpu
     python3 run.py COMMAND ...        any other command of omtwarp: map, texture, preview, check, benchmark, ...
 
 The first call makes a virtual environment in .venv, installs the package there and sees to the software OpenGL that the
@@ -30,7 +31,9 @@ GL_PACKAGES = ("libegl1", "libgl1")
 NODE = ROOT / ".node"
 READERS = {"gltf-validator": "2.0.0-dev.3.10", "three": "0.187.0"}  # packages of node that tests read GLB with
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-EXTRAS = {"test": "test"}  # of every other command: preview
+EXTRAS = {"test": "test", "gpu": "test"}  # of every other command: preview
+WHEELS = ROOT / "wheels"  # what `gpu` installs from without a network, where it is there; see docs/performance.md
+NO_CARD = 3  # exit status of `gpu` without a card
 
 
 class SetupError(Exception):
@@ -43,17 +46,25 @@ def main(arguments: list[str]) -> int:
         print(__doc__.strip())
         return 0 if arguments else 2
     command, options = arguments[0], arguments[1:]
+    if command == "gpu" and not have_card():
+        print("run.py: error: this machine has no NVIDIA card with a driver: nothing was run", file=sys.stderr)
+        return NO_CARD
     try:
         if sys.version_info < (3, 11):  # noqa: UP036 (this script is the one that meets an older Python)
             raise SetupError(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
         make_environment()
-        install(EXTRAS.get(command, "preview"))
-        environment = {**os.environ, **opengl()}
+        if command == "gpu" and WHEELS.is_dir():
+            install_wheels(WHEELS)
+        else:
+            install(EXTRAS.get(command, "preview"))
+        environment = dict(os.environ) if command == "gpu" else {**os.environ, **opengl()}
     except SetupError as error:
         print(f"run.py: error: {error}", file=sys.stderr)
         return 1
     # Compiled kernels stay in the checkout: nothing is shared with other versions, and nothing is compiled twice.
     environment.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
+    if command == "gpu":
+        return run(["-m", "omtwarp.benchmark.gpu", "--tests", str(ROOT / "tests"), *options], environment)
     if command == "test":
         browser()
         node_packages()
@@ -125,6 +136,48 @@ def install(extras: str) -> None:
     if subprocess.call([str(word) for word in command], cwd=ROOT) != 0:
         raise SetupError("pip could not install the dependencies (its message is above); is there a network?")
     stamp(extras).write_text(state)
+
+
+def have_card() -> bool:
+    """Whether an NVIDIA driver is installed and sees a card."""
+    count = ctypes.c_int(0)
+    for name in ("nvcuda.dll",) if os.name == "nt" else ("libcuda.so.1", "libcuda.so"):
+        try:
+            driver = ctypes.CDLL(name)
+        except OSError:
+            continue
+        return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 and count.value > 0
+    return False
+
+
+def install_wheels(folder: Path) -> None:
+    """Install every wheel in a folder, without a network and without more, and put the checkout on the path.
+
+    A large wheel may lie there in parts, NAME.whl.part00, NAME.whl.part01 and so on, as `split -d -b 60m` makes them.
+    """
+    joined = VENV / "wheels"
+    joined.mkdir(exist_ok=True)
+    parts = sorted(folder.glob("*.whl.part*"))
+    for name in dict.fromkeys(part.name.partition(".part")[0] for part in parts):
+        with open(joined / name, "wb") as whole:
+            for part in parts:
+                if part.name.startswith(f"{name}.part"):
+                    with open(part, "rb") as piece:
+                        shutil.copyfileobj(piece, whole)
+    # Names in place of files: pip then takes the wheels for this Python, where there are some for several.
+    files = [*folder.glob("*.whl"), *joined.glob("*.whl")]
+    names = sorted({file.name.split("-")[0] for file in files})
+    if not names:
+        raise SetupError(
+            f"there are no wheels in {folder}: put some there, or remove the folder to install from a network"
+        )
+    say(f"installing {len(names)} packages from {folder.name}")
+    command = [PYTHON, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--no-index", "--no-deps"]
+    done = quiet([*command, "--find-links", folder, "--find-links", joined, *names])
+    if done.returncode != 0:
+        raise SetupError(f"pip could not install the wheels in {folder}: {last_line(done)}")
+    place = quiet([PYTHON, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"])
+    (Path(last_line(place)) / "omtwarp-checkout.pth").write_text(f"{ROOT}\n")
 
 
 def opengl() -> dict[str, str]:
