@@ -192,7 +192,7 @@ FrontOption = Annotated[
 BackgroundOption = Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")]
 BackendOption = Annotated[Backend, typer.Option(help="What draws: OpenGL or the ray caster.")]
 RadiusOption = Annotated[
-    float, typer.Option(min=1e-6, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
+    float, typer.Option(min=1e-6, max=1e9, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
 ]
 SizeOption = Annotated[
     str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size, help="Size of the picture in pixels.")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 
 # Level of the icosahedron's subdivision that the total mass is taken on: 40,962 nodes, one and a quarter degrees apart.
@@ -80,7 +81,7 @@ class TargetDensity:
 
     def _values(self, points: NDArray[np.float64], positive: bool) -> NDArray[np.float64]:
         try:
-            values = np.array(self._density(points), dtype=np.float64)
+            values = real_numbers(self._density(points), "values", None, finite=False)
         except (TypeError, ValueError) as error:
             raise OmtwarpError(f"the target density cannot be evaluated: {error}") from error
         if values.shape != (len(points),):

@@ -62,6 +62,28 @@ def real_numbers(values: object, name: str, shape: Shape | None, *, finite: bool
     return out
 
 
+def single_precision(values: NDArray[np.generic], name: str) -> NDArray[np.float32]:
+    """Round numbers to single precision, in which some file formats hold them.
+
+    Args:
+        values: an array of any shape; NaN and infinite numbers stay.
+        name: what to call it in a message.
+
+    Raises:
+        OmtwarpError: finite numbers that are too large for it, or numbers that are all too small.
+    """
+    with np.errstate(over="ignore", under="ignore"):
+        out = np.asarray(values, dtype=np.float32)
+    largest = float(np.abs(np.asarray(values)[np.isfinite(values)]).max(initial=0.0))
+    tiny, most = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+    if largest and not tiny <= largest <= most:
+        raise OmtwarpError(
+            f"{name}: numbers up to {largest:g} are out of range for single precision, {tiny:.3g} to {most:.3g}: "
+            "scale them, or use a format of double precision"
+        )
+    return out
+
+
 def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None = None) -> NDArray[np.int64]:
     """Convert an array of whole numbers to int64; floating point numbers are accepted where they are whole.
 
@@ -278,6 +300,7 @@ __all__ = [
     "real_number",
     "real_numbers",
     "require_unit_length",
+    "single_precision",
     "whole_number",
     "whole_numbers",
 ]

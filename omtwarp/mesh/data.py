@@ -27,12 +27,17 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
 from omtwarp.inputs import array_of, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import gifti_image, nibabel_module, structure_of
 from omtwarp.mesh.write import ply_bytes
 
 CURV_SUFFIXES = (".curv", ".sulc", ".thickness", ".area", ".volume")
 TEXT_SUFFIXES = (".csv", ".txt")
 DATA_SUFFIXES = (".npy", *TEXT_SUFFIXES, ".gii", ".annot", *CURV_SUFFIXES, ".ply")
+
+MOST_EXACT = 2**24  # up to which float32 holds every whole number
+MOST_WHOLE = 2**53  # the same of float64: numbers of it that are larger are whole whatever they count
+_TOO_EXACT = "single precision does not hold these whole numbers"
 
 Color = tuple[float, float, float, float]
 
@@ -236,7 +241,10 @@ def write_data(
         elif name.endswith(".annot"):
             _write_annot(file, data)
         elif name.endswith(CURV_SUFFIXES):
-            nibabel_module().freesurfer.write_morph_data(file, data.values[:, 0].astype(np.float32))
+            values, kind = _stored(data.values[:, 0], data.names[0])
+            if kind != "float32":
+                raise OmtwarpError(f"cannot write '{path}': {_TOO_EXACT}: use .label.gii, .npy or .csv")
+            nibabel_module().freesurfer.write_morph_data(file, values)
         elif name.endswith(".ply"):
             if mesh is None:
                 raise OmtwarpError(f"cannot write '{path}': .ply needs a mesh with triangles; use .npy")
@@ -257,23 +265,44 @@ def _write_gifti(file: Path, data: VertexData, name: str) -> None:
     structure = data.structure or structure_of(file)
     if structure:
         meta["AnatomicalStructurePrimary"] = structure
-    intent, kind, array_type = "NIFTI_INTENT_SHAPE", "NIFTI_TYPE_FLOAT32", "float32"
+    intent = "NIFTI_INTENT_SHAPE"
     if name.endswith((".func.gii", ".func.gii.gz")):
         intent = "NIFTI_INTENT_NONE"
     table = gifti.GiftiLabelTable()
     if data.table is not None:
-        intent, kind, array_type = "NIFTI_INTENT_LABEL", "NIFTI_TYPE_INT32", "int32"
+        intent = "NIFTI_INTENT_LABEL"
         for key, (word, color) in sorted(data.table.items()):
             label = gifti.GiftiLabel(key, *color)
             label.label = word
             table.labels.append(label)
     arrays = []
     for column, title in zip(data.values.T, data.names, strict=True):
-        array = gifti.GiftiDataArray(np.ascontiguousarray(column, dtype=array_type), intent, kind)
+        values, kind = _stored(column, title, labels=data.is_labels)
+        array = gifti.GiftiDataArray(values, intent, f"NIFTI_TYPE_{kind.upper()}")
         array.meta = gifti.GiftiMetaData({"Name": title})
         arrays.append(array)
     image = gifti.GiftiImage(darrays=arrays, meta=gifti.GiftiMetaData(meta), labeltable=table)
     nibabel.save(image, file)
+
+
+def _stored(column: NDArray[np.generic], name: str, *, labels: bool = False) -> tuple[NDArray[np.generic], str]:
+    """Return numbers in a type of GIFTI's that holds them, and its name: float32, or int32 for labels.
+
+    Whole numbers that float32 would round become int32.
+
+    Raises:
+        OmtwarpError: no such type holds them.
+    """
+    finite = column[np.isfinite(column)]
+    largest = np.abs(finite).max(initial=0)
+    counted = column.dtype.kind != "f" or (largest <= MOST_WHOLE and bool((finite == np.floor(finite)).all()))
+    if labels or (counted and largest > MOST_EXACT):
+        limits = np.iinfo(np.int32)
+        fits = finite.min(initial=0) >= limits.min and finite.max(initial=0) <= limits.max
+        if len(finite) < len(column) or not fits:
+            raise OmtwarpError(f"'{name}': {_TOO_EXACT}, nor does int32: use .npy or .csv")
+        return np.ascontiguousarray(column, dtype=np.int32), "int32"
+    return np.ascontiguousarray(single_precision(column, f"'{name}'")), "float32"
 
 
 def _write_annot(file: Path, data: VertexData) -> None:

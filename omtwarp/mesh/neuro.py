@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import single_precision
 
 if TYPE_CHECKING:
     from nibabel.gifti import GiftiImage
@@ -117,7 +118,7 @@ def write_gifti_surface(
     corners.setdefault("TopologicalType", "Closed")
     float32, int32 = "NIFTI_TYPE_FLOAT32", "NIFTI_TYPE_INT32"
     arrays = [
-        gifti.GiftiDataArray(points.astype(np.float32), "NIFTI_INTENT_POINTSET", float32, coordsys=system),
+        gifti.GiftiDataArray(single_precision(points, "vertices"), "NIFTI_INTENT_POINTSET", float32, coordsys=system),
         gifti.GiftiDataArray(faces.astype(np.int32), "NIFTI_INTENT_TRIANGLE", int32),
     ]
     arrays[0].meta, arrays[1].meta = gifti.GiftiMetaData(own), gifti.GiftiMetaData(corners)
@@ -135,7 +136,9 @@ def write_freesurfer_surface(
             volume = io.read_geometry(like, read_metadata=True)[2] or None
         except (ValueError, OSError):
             volume = None  # of another format, which has none
-    io.write_geometry(file, points, faces, create_stamp="created by omtwarp", volume_info=volume)
+    io.write_geometry(
+        file, single_precision(points, "vertices"), faces, create_stamp="created by omtwarp", volume_info=volume
+    )
 
 
 __all__ = [

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, staged
+from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
 from omtwarp.mesh.vtk import write_vtk
 
@@ -82,6 +83,7 @@ def _write(
     else:
         import trimesh
 
+        single_precision(points, "vertices")  # which both formats have
         mesh = trimesh.Trimesh(points, triangles, process=False)
         if suffix == ".glb":
             file.write_bytes(trimesh.exchange.gltf.export_glb(trimesh.Scene(mesh), tree_postprocessor=_name_targets))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY
 from omtwarp.render.colors import parse_color
-from omtwarp.render.scene import Arrows, Part, SurfaceView, normalisation, welded_normals
+from omtwarp.render.scene import Arrows, Part, SurfaceView, normalisation, numbers_of, welded_normals
 
 _SIDES = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
 
@@ -25,7 +25,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
         OmtwarpError: the field has the wrong shape or a value that is not finite.
     """
     vertices, faces = np.asarray(view.vertices), np.asarray(view.faces)
-    vectors = np.asarray(arrows.vectors, dtype=np.float64)
+    vectors = numbers_of(arrows.vectors, "arrows")
     if vectors.shape not in ((len(vertices), 3), (len(faces), 3)):
         raise OmtwarpError(
             f"arrows need a vector per vertex [{len(vertices)}, 3] or per face [{len(faces)}, 3], "

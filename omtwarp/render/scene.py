@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_numbers
 from omtwarp.render.camera import Shot
 from omtwarp.render.colors import colormap_table, parse_color
 from omtwarp.render.light import Light
@@ -46,7 +47,7 @@ class ScalarField:
         Raises:
             OmtwarpError: there is no finite value, the range is empty, or a logarithmic range is not positive.
         """
-        values = np.asarray(self.values, dtype=np.float64)
+        values = numbers_of(self.values, "the scalar")
         if self.range is None:
             shown = values[np.isfinite(values) & (values > 0)] if self.logarithmic else values[np.isfinite(values)]
             if shown.size == 0:
@@ -68,7 +69,7 @@ class ScalarField:
     def normalised(self) -> NDArray[np.float64]:
         """Scale values to [0, 1] between the limits of the colour map; NaN stays."""
         low, high = self.limits()
-        values = np.asarray(self.values, dtype=np.float64)
+        values = numbers_of(self.values, "the scalar")
         if self.logarithmic:
             with np.errstate(divide="ignore", invalid="ignore"):
                 values = np.log(values)
@@ -78,6 +79,22 @@ class ScalarField:
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+
+def numbers_of(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return values to be drawn as float64; truth values count as 0 and 1.
+
+    Args:
+        values: an array of any shape.
+        name: what to call it in a message.
+
+    Raises:
+        OmtwarpError: the values are complex, text or objects.
+    """
+    array = np.asarray(values)
+    if not array.size:
+        return np.empty(array.shape)
+    return real_numbers(array.astype(np.uint8) if array.dtype.kind == "b" else array, name, None, finite=False)
 
 
 @dataclass(eq=False)
@@ -160,7 +177,7 @@ class SurfaceView:
     caption: str = ""
 
     def __post_init__(self) -> None:
-        self.vertices = np.asarray(self.vertices, dtype=np.float64)
+        self.vertices = numbers_of(self.vertices, "vertices")
         self.faces = np.asarray(self.faces)
         self._check_triangles()
         self.faces = self.faces.astype(np.int32)
@@ -319,7 +336,7 @@ def as_image(image: Image | ArrayLike) -> NDArray[np.uint8]:
     pixels = np.asarray(image)
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[:, :, None], 3, axis=2)
-    numbers = np.issubdtype(pixels.dtype, np.number)
+    numbers = pixels.dtype.kind in "iuf"
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0 or not numbers:
         raise OmtwarpError(f"an image needs the shape [height, width, 3], not {pixels.shape}")
     pixels = pixels[:, :, :3]
@@ -521,7 +538,7 @@ def _used(view: SurfaceView) -> NDArray[np.float64]:
 
 
 def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=np.float64)
+    array = numbers_of(values, name)
     if array.shape not in shapes:
         wanted = " or ".join(str(list(shape)) for shape in shapes)
         raise OmtwarpError(f"{name} needs the shape {wanted}, not {list(array.shape)}")
@@ -532,9 +549,8 @@ def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> NDA
 
 
 def _as_colors(colors: ArrayLike) -> NDArray[np.float64]:
-    values = np.asarray(colors)
-    scale = 255.0 if np.issubdtype(values.dtype, np.integer) else 1.0
-    values = values[..., :3] / scale
+    scale = 255.0 if np.issubdtype(np.asarray(colors).dtype, np.integer) else 1.0
+    values = numbers_of(colors, "colors")[..., :3] / scale
     return np.clip(values, 0.0, 1.0)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.location import Locator
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.texturing.image import PictureLike, as_floats, read_image
 from omtwarp.texturing.projection import direction_to_image
 
@@ -76,9 +77,10 @@ def vertex_density(
     Raises:
         OmtwarpError: arrays that do not fit together, or values that are no density.
     """
-    points = np.asarray(sphere, dtype=np.float64)
+    points = real_numbers(sphere, "the target's sphere", (None, 3))
     points = points / np.linalg.norm(points, axis=1, keepdims=True)
-    triangles, numbers = np.asarray(faces, dtype=np.int32), np.asarray(values, dtype=np.float64)
+    triangles = whole_numbers(faces, "the target's faces", (None, 3), below=len(points)).astype(np.int32)
+    numbers = real_numbers(values, "the target's values", None, finite=False)
     if numbers.shape != (len(points),):
         raise OmtwarpError(f"the target has {numbers.size} values: its sphere has {len(points)} vertices")
     locator = Locator(points, triangles, device=device)

@@ -1,0 +1,108 @@
+"""Formats of single precision hold the numbers that are written, or refuse them in one line."""
+
+import numpy as np
+import pytest
+
+import omtwarp
+from omtwarp.cli import main
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh import shapes
+from omtwarp.mesh.data import VertexData, read_data, write_data
+from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.write import write_mesh
+from omtwarp.render import preview
+from omtwarp.render.scene import Arrows
+
+BALL = shapes.icosphere(2)
+COUNT = BALL.vertex_count
+
+
+def data_of(values, table=None) -> VertexData:
+    return VertexData(np.asarray(values)[:, None], ("number",), table)
+
+
+@pytest.mark.parametrize("largest", [2**24, 2**24 + 1, 2**31 - 1, -(2**31)])
+@pytest.mark.parametrize("kind", [np.int64, np.float64])
+def test_whole_numbers_come_back_from_gifti(tmp_path, largest, kind):
+    pytest.importorskip("nibabel")
+    values = np.arange(COUNT).astype(kind)
+    values[3] = largest
+    write_data(tmp_path / "a.shape.gii", data_of(values))
+    np.testing.assert_array_equal(read_data(tmp_path / "a.shape.gii").values[:, 0], values)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("a.shape.gii", np.full(COUNT, 2**31)),
+        ("a.shape.gii", np.r_[np.nan, np.full(COUNT - 1, 2.0**24 + 1)]),
+        ("lh.thickness", np.full(COUNT, 2**24 + 1)),
+        ("lh.thickness", np.full(COUNT, 1.5e39)),
+        ("a.shape.gii", np.full(COUNT, 1.5e39) + 0.5),
+        ("a.label.gii", np.full(COUNT, 2**31)),
+    ],
+)
+def test_numbers_that_a_format_does_not_hold_are_refused(tmp_path, name, values):
+    pytest.importorskip("nibabel")
+    table = {2**31: ("far", (1.0, 0.0, 0.0, 1.0))} if name.endswith(".label.gii") else None
+    with pytest.raises(OmtwarpError, match="single precision"):
+        write_data(tmp_path / name, data_of(values, table))
+    assert not (tmp_path / name).exists()
+
+
+def test_other_numbers_are_single_precision(tmp_path):
+    pytest.importorskip("nibabel")
+    values = np.random.default_rng(1).normal(size=COUNT) * 1e20
+    values[5], values[6] = np.nan, np.inf
+    for name in ("a.shape.gii", "lh.curv"):
+        write_data(tmp_path / name, data_of(values))
+        np.testing.assert_array_equal(read_data(tmp_path / name).values[:, 0], values.astype(np.float32))
+
+
+@pytest.mark.parametrize("suffix", [".surf.gii", ".white", ".stl", ".glb"])
+def test_coordinates_out_of_the_range_of_single_precision_are_refused(tmp_path, suffix):
+    pytest.importorskip("nibabel")
+    for scale in (1e39, 1e-39):
+        with pytest.raises(OmtwarpError, match="out of range for single precision"):
+            write_mesh(tmp_path / f"a{suffix}", scale * BALL.vertices, BALL.faces)
+    write_mesh(tmp_path / f"a{suffix}", 1e30 * BALL.vertices, BALL.faces)
+    assert np.isfinite(read_mesh(tmp_path / f"a{suffix}").vertices).all()
+
+
+@pytest.mark.parametrize("radius", ["inf", "nan", "-1", "1e39"])
+def test_a_radius_is_a_finite_length(tmp_path, capsys, radius):
+    words = ["map", str(tmp_path / "a.ply"), "-o", str(tmp_path / "b.ply"), "--radius", radius]
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code and "--radius" in capsys.readouterr().err
+
+
+COMPLEX = np.ones(COUNT) + 1j
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        (BALL.vertices, BALL.faces, COMPLEX),
+        (BALL.vertices + 1j, BALL.faces, COMPLEX.real),
+        lambda points: points[:, 0] + 1j,
+    ],
+    ids=["values", "sphere", "function"],
+)
+def test_complex_targets_are_refused(target):
+    with pytest.raises(OmtwarpError, match="complex numbers"):
+        omtwarp.map_to_sphere(BALL, target=target, device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("subject", "options"),
+    [
+        ((BALL.vertices + 1j, BALL.faces), {}),
+        ((BALL.vertices, BALL.faces), {"scalar": COMPLEX}),
+        ((BALL.vertices, BALL.faces), {"arrows": Arrows(BALL.vertices + 1j)}),
+    ],
+    ids=["vertices", "scalar", "arrows"],
+)
+def test_complex_previews_are_refused(tmp_path, subject, options):
+    with pytest.raises(OmtwarpError, match="complex numbers"):
+        preview(subject, tmp_path / "a.png", size=(16, 16), backend="warp", **options)
