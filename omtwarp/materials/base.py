@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import whole_numbers
-from omtwarp.mesh.repair import WELD
+from omtwarp.mesh.arrays import WELD, whole_numbers
 from omtwarp.srgb import to_linear
 
 Floats = NDArray[np.float64]

@@ -23,6 +23,10 @@ TINY = 1e-300
 ROUND_OFF = 1e-12
 UNIT_LENGTH = 1e-5  # largest distance of a point from the sphere: many times the rounding of single precision
 
+# A repair merges vertices of boundaries that are nearer than this share of the mean length of the edges at both. Single
+# precision rounds a coordinate by 6e-8 of the extent, a thousandth of edges that are 6e-5 of it.
+WELD = 1e-3
+
 Shape = tuple[int | None, ...]
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
 
@@ -292,6 +296,7 @@ def require_unit_length(points: NDArray[np.generic], name: str) -> None:
 __all__ = [
     "ROUND_OFF",
     "TINY",
+    "WELD",
     "Layout",
     "edge_keys",
     "fitting_arrays",

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, edge_keys
+from omtwarp.mesh.arrays import TINY, WELD, edge_keys
 from omtwarp.mesh.validate import (
     MeshLike,
     Topology,
@@ -28,11 +28,6 @@ LARGEST_HOLE = 64
 CRUMBS = 8
 """Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners."""
 
-WELD = 1e-3
-"""Vertices nearer to each other than this share of the mean length of the edges at both are merged on boundaries.
-
-Single precision rounds a coordinate by 6e-8 of the extent, a thousandth of edges that are 6e-5 of it.
-"""
 NEIGHBOURS = 16  # places next to one that are compared with it: more than the faces around most vertices
 NOTED_LOSS = 0.01  # share of the area above which the repair says how much of it is gone
 
@@ -65,7 +60,7 @@ def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole:
     """Repair the defects that need no new shape; no vertex is moved but to one that it is merged with.
 
     In this order: faces with impossible vertices are dropped; vertices on the boundary or at faces of zero area are
-    merged with equal ones, and with those nearer than :data:`WELD` of the edges there; faces of zero area and
+    merged with equal ones, and with those nearer than a thousandth of the edges there; faces of zero area and
     duplicates are dropped or flipped away; where more than two faces meet in an edge, those connected to the surface
     by it alone are dropped, or else all of them; a vertex in which the surface touches itself is split; faces are
     turned to agree; unused vertices are dropped. A mesh without defects is returned unchanged. A repaired mesh can
@@ -469,4 +464,4 @@ def _patch(
     return patch
 
 
-__all__ = ["CRUMBS", "LARGEST_HOLE", "NOTED_LOSS", "WELD", "Repaired", "repair"]
+__all__ = ["CRUMBS", "LARGEST_HOLE", "NOTED_LOSS", "Repaired", "repair"]
