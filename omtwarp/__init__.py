@@ -49,6 +49,7 @@ _PUBLIC = {
     "read_mesh": "omtwarp.mesh.read",
     "read_painted_mesh": "omtwarp.materials",
     "refine_map": "omtwarp.optimal.refinement",
+    "register": "omtwarp.registration",
     "repair": "omtwarp.mesh.repair",
     "resample": "omtwarp.resampling",
     "texture": "omtwarp.texturing",
@@ -94,6 +95,7 @@ if TYPE_CHECKING:
     from omtwarp.painting import transfer_texture as transfer_texture
     from omtwarp.painting import unwrap_uv as unwrap_uv
     from omtwarp.pipeline import map_to_sphere as map_to_sphere
+    from omtwarp.registration import register as register
     from omtwarp.render import preview as preview
     from omtwarp.render.films import film as film
     from omtwarp.reporting import write_report as write_report

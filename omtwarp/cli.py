@@ -22,6 +22,7 @@ from omtwarp.commands.film import film_map
 from omtwarp.commands.group import group
 from omtwarp.commands.map import map_mesh
 from omtwarp.commands.preview import preview_mesh
+from omtwarp.commands.register import register_map
 from omtwarp.commands.report import report_on_map
 from omtwarp.commands.resample import resample_map
 from omtwarp.commands.spharm import spharm
@@ -56,6 +57,10 @@ EXAMPLES = {
         "omtwarp align left.npz --to right.npz -o aligned.npz\n"
         "omtwarp align lh.npz --to axes -o lh.sphere.surf.gii --radius 100"
     ),
+    "register": (
+        "omtwarp register left.npz --to right.npz -o registered.npz\n"
+        "omtwarp register lh.npz --to template.npz -o lh.sphere.reg.surf.gii --radius 100 --max-strain 1.5"
+    ),
     "resample": (
         "omtwarp resample left.npz --to right.npz -o resampled.ply\n"
         "omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o lh.shape.gii\n"
@@ -86,6 +91,7 @@ SUMMARIES = {
     "film": "Film the map: from conformal to optimal, and to the sphere.",
     "report": "Write a page about a map, with a 3D view, to open in a browser.",
     "align": "Turn a map so that it matches another, or the shape's own axes.",
+    "register": "Warp a map until its folds lie where another map has them.",
     "resample": "Carry data or a surface from one sphere to another.",
     "check": "List the defects of meshes, and repair them.",
     "cohort": "Map many surfaces, each in a process, to a table and a page.",
@@ -116,6 +122,7 @@ app.command("preview", cls=Command, short_help=SUMMARIES["preview"], epilog=EXAM
 app.command("film", cls=Command, short_help=SUMMARIES["film"], epilog=EXAMPLES["film"])(film_map)
 app.command("report", cls=Command, short_help=SUMMARIES["report"], epilog=EXAMPLES["report"])(report_on_map)
 app.command("align", cls=Command, short_help=SUMMARIES["align"], epilog=EXAMPLES["align"])(align_map)
+app.command("register", cls=Command, short_help=SUMMARIES["register"], epilog=EXAMPLES["register"])(register_map)
 app.command("resample", cls=Command, short_help=SUMMARIES["resample"], epilog=EXAMPLES["resample"])(resample_map)
 app.command("check", cls=Command, short_help=SUMMARIES["check"], epilog=EXAMPLES["check"])(check_mesh)
 app.command("cohort", cls=Command, short_help=SUMMARIES["cohort"], epilog=EXAMPLES["cohort"])(cohort)

@@ -127,6 +127,7 @@ class MapReport(ChosenOptions, total=False):
     warnings: list[Warned]
     surface: SurfaceReport
     alignment: Mapping[str, object]
+    registration: Mapping[str, object]
     parts: list[MapReport]
 
 

@@ -15,7 +15,7 @@ from omtwarp.alignment.features import (
     sphere_weights,
     varying_features,
 )
-from omtwarp.alignment.rotation_search import best_rotation, complex_coefficients, improved
+from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
 from omtwarp.mesh.arrays import TINY
@@ -297,15 +297,40 @@ def _by_features(
     ours, theirs = common_features(moving, fixed, features, to_features)
     if not ours:
         return _by_places(moving, fixed)
-    a = complex_coefficients(feature_coefficients(ours, moving, degree))
-    b = complex_coefficients(feature_coefficients(theirs, fixed, degree))
-    best = best_rotation(a, b)
-    if len(ours) > 1:  # all features determine the region; the exact rotation is that of the least noisy ones
-        errors = np.hypot(coefficient_errors(ours, moving), coefficient_errors(theirs, fixed))
-        best = improved(a, b, best, errors.min() / np.maximum(errors, np.finfo(float).tiny))
+    best = feature_rotations(moving, fixed, ours, theirs, degree, most=1)[0]
     turned = _own_turned(moving, best.rotation)
     basis = ", ".join(ours)
     return Alignment(best.rotation, turned, "features", best.score, best.runner_up, False, basis=basis)
+
+
+def feature_rotations(
+    moving: SpherePoints,
+    fixed: SpherePoints,
+    ours: Mapping[str, Floats],
+    theirs: Mapping[str, Floats],
+    degree: int = DEGREE,
+    *,
+    most: int,
+) -> list[Best]:
+    """Find the rotations of a sphere at which its features agree best with another's, the best first.
+
+    Args:
+        moving, fixed: the two spheres.
+        ours, theirs: their features, as :func:`omtwarp.alignment.features.checked_features` returns them.
+        degree: the highest degree of the harmonics.
+        most: how many rotations to return at most.
+
+    Raises:
+        OmtwarpError: a feature is constant.
+    """
+    a = complex_coefficients(feature_coefficients(ours, moving, degree))
+    b = complex_coefficients(feature_coefficients(theirs, fixed, degree))
+    found = best_rotations(a, b)[:most]
+    if len(ours) > 1:  # all features determine the region; the exact rotation is that of the least noisy ones
+        errors = np.hypot(coefficient_errors(ours, moving), coefficient_errors(theirs, fixed))
+        weights = errors.min() / np.maximum(errors, np.finfo(float).tiny)
+        found = [improved(a, b, best, weights) for best in found]
+    return found
 
 
 def _by_places(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
@@ -348,4 +373,4 @@ def common_features(
     return {name: ours[name] for name in names}, {name: theirs[name] for name in names}
 
 
-__all__ = ["Alignment", "align", "align_to_axes", "mirror_image"]
+__all__ = ["Alignment", "align", "align_to_axes", "feature_rotations", "mirror_image"]

@@ -132,18 +132,30 @@ def best_rotation(a: Complex, b: Complex) -> Best:
     Args:
         a, b: complex coefficients, shape [(L + 1)², K], weighted as features are to count.
     """
+    return best_rotations(a, b)[0]
+
+
+def best_rotations(a: Complex, b: Complex) -> list[Best]:
+    """Find the rotations at which two functions agree best, more than 5 degrees apart, the best first.
+
+    Args:
+        a, b: as for :func:`best_rotation`.
+    """
     a, b = a.copy(), b.copy()
     a[0] = b[0] = 0.0
     size = 4 * (degree_of(len(a)) + 1)
     norm = float(np.linalg.norm(a) * np.linalg.norm(b))
     if norm == 0.0:
-        return Best(np.eye(3), 0.0, -1.0, 0)
+        return [Best(np.eye(3), 0.0, -1.0, 0)]
     grid = correlation_grid(a, b, size)
     found = [_climb(a, b, start) for start in _starts(grid, size)]
     found.sort(key=lambda entry: -entry[1])
-    rotation, value, steps = found[0]
-    others = [v for r, v, _ in found[1:] if _apart(r, rotation) > DISTINCT]
-    return Best(rotation, value / norm, max(others) / norm if others else -1.0, steps)
+    distinct: list[tuple[Floats, float, int]] = []
+    for entry in found:
+        if all(_apart(entry[0], other[0]) > DISTINCT for other in distinct):
+            distinct.append(entry)
+    after = [value / norm for _, value, _ in distinct[1:]] + [-1.0]
+    return [Best(entry[0], entry[1] / norm, other, entry[2]) for entry, other in zip(distinct, after, strict=True)]
 
 
 def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
@@ -226,4 +238,13 @@ def _apart(one: Floats, other: Floats) -> float:
     return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))
 
 
-__all__ = ["Best", "best_rotation", "complex_coefficients", "correlation_grid", "derivatives", "improved", "rotated"]
+__all__ = [
+    "Best",
+    "best_rotation",
+    "best_rotations",
+    "complex_coefficients",
+    "correlation_grid",
+    "derivatives",
+    "improved",
+    "rotated",
+]

@@ -29,7 +29,7 @@ GROUPS = {
     ),
     "Method": (
         "to", "by", "aligned", "mirror", "grid", "degree", "scale", "fit", "permutations", "seed", "transport",
-        "resample method", "group components",
+        "resample method", "group components", "stiffness", "max_strain", "feature_weight",
     ),
     "Texture": (
         "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from omtwarp.commands._features import read_features
 from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption, output_option
 from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import input_file
@@ -15,8 +16,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from omtwarp.alignment import Alignment
 
 
@@ -93,12 +92,12 @@ def align_map(
         moving = file_points(source, surface)
         fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)
         notify(1)
-        names, mine, others = _features(feature or [], to_feature or [])
+        mine, others = read_features(feature or [], to_feature or [])
         found = align(
             moving,
             fixed,
-            features=dict(zip(names, mine, strict=True)) or None,
-            to_features=dict(zip(names, others, strict=True)) or None,
+            features=mine or None,
+            to_features=others or None,
             by=by,
             mirror=mirror,
             degree=degree,
@@ -118,25 +117,6 @@ def align_map(
             f"{output}: turned by {_degrees(found):.3f} degrees{mirrored}; by {found.method} ({found.basis}), "
             f"score {found.score:.6f}"
         )
-
-
-def _features(ours: list[Path], theirs: list[Path]) -> tuple[list[str], list[NDArray], list[NDArray]]:
-    """Read the data of both sides, and return their names and columns."""
-    from omtwarp.mesh.data import read_data
-
-    if len(ours) != len(theirs):
-        raise OmtwarpError(f"{len(ours)} features here and {len(theirs)} there: give as many --to-feature as --feature")
-    names: list[str] = []
-    mine: list[NDArray] = []
-    others: list[NDArray] = []
-    for here, there in zip(ours, theirs, strict=True):
-        one, other = read_data(here).values, read_data(there).values
-        if one.shape[1] != other.shape[1]:
-            raise OmtwarpError(f"'{here}' and '{there}' hold different numbers of features")
-        names += [f"{here} ({len(names) + k + 1})" for k in range(one.shape[1])]
-        mine += list(one.T)
-        others += list(other.T)
-    return names, mine, others
 
 
 def _degrees(found: Alignment) -> float:

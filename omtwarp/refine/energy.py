@@ -14,7 +14,9 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, scaled_areas
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
+from omtwarp.refine.strain import StrainBarrier
 from omtwarp.refine.sums import DistortionSums
+from omtwarp.refine.vertex_term import VertexDerivatives, VertexTerm, tangent_blocks
 from omtwarp.triangle_newton.frames import triangle_frames
 
 
@@ -31,6 +33,8 @@ class Terms:
             the device.
         d_volume: det[s0, s1, s2] of every triangle, float64, shape [F], on the device.
         needle: mean of the needle barrier weighted by original area; 0 for all but needles standing upright.
+        strain: the barrier of strain, where one is set.
+        at_vertices: the term at vertices and its derivatives, where there is one.
     """
 
     angle: float
@@ -40,6 +44,8 @@ class Terms:
     d_ratio: wp.array
     d_volume: wp.array
     needle: float
+    strain: float = 0.0
+    at_vertices: VertexDerivatives | None = None
 
     @property
     def ratio(self) -> NDArray[np.float64]:
@@ -47,8 +53,9 @@ class Terms:
         return self.d_ratio.numpy()
 
     def total(self, weight: float) -> float:
-        """Return angle + λ area less the value of a perfect map, plus the barrier against upright needles."""
-        return self.angle + weight * self.area + needle_weight(weight) * self.needle
+        """Return angle + λ area less the value of a perfect map, plus the barriers and the term at vertices."""
+        own = self.angle + weight * self.area + needle_weight(weight) * self.needle
+        return own + self.strain + (0.0 if self.at_vertices is None else self.at_vertices.value)
 
 
 Pressures = tuple[wp.float64, wp.float64, wp.float64]
@@ -155,12 +162,22 @@ class DistortionEnergy:
         surface: the original surface, V vertices and F faces.
         device: a Warp device.
         areas: what every triangle counts in the sums, scaled to 4π in all, shape [F]; its measure where left out.
+        most_strain: a limit of the strain of triangles (:mod:`omtwarp.refine.strain`), which a barrier keeps.
+        vertex_term: a further energy, at the vertices. This and the barrier need a device that is the host.
 
     Attributes:
         workspace: on the host, for Hessians and the fronts of factorisations.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device, areas: NDArray[np.float64] | None = None):
+    def __init__(
+        self,
+        surface: Surface,
+        device: wp.Device,
+        areas: NDArray[np.float64] | None = None,
+        *,
+        most_strain: float | None = None,
+        vertex_term: VertexTerm | None = None,
+    ):
         self.surface = surface
         self.device = device
         self.areas = surface.face_areas if areas is None else scaled_areas(areas, surface.face_count)
@@ -171,6 +188,15 @@ class DistortionEnergy:
         counted = mesh.face_areas if areas is None else wp.array(self.areas, dtype=wp.float64, device=device)
         self.triangles = TriangleKernels(mesh.faces, own, counted, mesh.vertex_corners, self.workspace)
         self._sums = None if shares_host_memory(device) else DistortionSums(count, device)
+        self._barrier: StrainBarrier | None = None
+        if most_strain is not None:
+            self._barrier = StrainBarrier(mesh.faces, own, counted, mesh.vertex_corners, most_strain)
+        self._vertex_term = vertex_term
+
+    @property
+    def extended(self) -> bool:
+        """Whether there is more in the energy than the distortion of triangles."""
+        return self._barrier is not None or self._vertex_term is not None
 
     def upload(self, sphere: NDArray[np.float64]) -> wp.array:
         """Copy points to the device as vec3d, shape [V].
@@ -194,20 +220,39 @@ class DistortionEnergy:
                 area = float(self.areas @ ((scaled - 1.0) ** 2 / scaled))
                 inverse_sum = float((self.areas / ratio).sum())
             angle, needle = float(self.areas @ angles), float(self.areas @ steepness)
-        return Terms(
-            angle / SPHERE_AREA, area / SPHERE_AREA, scale, inverse_sum, outputs[1], outputs[2], needle / SPHERE_AREA
-        )
+        strain = 0.0 if self._barrier is None else self._barrier.value(points)
+        further = None
+        if self._vertex_term is not None and np.isfinite(strain):
+            further = self._vertex_term.at(points.numpy())
+        angle, area, needle = angle / SPHERE_AREA, area / SPHERE_AREA, needle / SPHERE_AREA
+        return Terms(angle, area, scale, inverse_sum, outputs[1], outputs[2], needle, strain, further)
 
     def gradient(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
-        """Return the gradient of angle + λ area by the vertices, tangent to the sphere, vec3d, shape [V]."""
-        return self.triangles.gradient(points, self.pressures(terms, weight))
+        """Return the gradient of the energy by the vertices, tangent to the sphere, vec3d, shape [V]."""
+        gradient = self.triangles.gradient(points, self.pressures(terms, weight))
+        if not self.extended:
+            return gradient
+        total, here = gradient.numpy().copy(), points.numpy()
+        if self._barrier is not None:
+            total += self._barrier.gradient(points)
+        if terms.at_vertices is not None:
+            further = terms.at_vertices.gradient
+            total += further - (further * here).sum(axis=1, keepdims=True) * here
+        return vectors(total, self.device)
 
     def hessian(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
-        return self.triangles.hessian(points, self.pressures(terms, weight), curvature_share)
+        blocks = self.triangles.hessian(points, self.pressures(terms, weight), curvature_share)
+        if self._barrier is not None:
+            blocks.numpy()[:] += self._barrier.hessian(points)
+        return blocks
+
+    def vertex_blocks(self, points: wp.array, terms: Terms) -> NDArray[np.float64] | None:
+        """Return the Hessian of the term at vertices in their tangent bases, shape [V, 2, 2]; None without a term."""
+        return None if terms.at_vertices is None else tangent_blocks(points, terms.at_vertices.hessian)
 
     def pressures(self, terms: Terms, weight: float) -> Pressures:
         """Return the factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

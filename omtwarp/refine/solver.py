@@ -20,6 +20,7 @@ from omtwarp.options import Progress, Record
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
+from omtwarp.refine.vertex_term import VertexTerm
 from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.untangling.steps import FlipFreeSteps
 from omtwarp.untangling.untangle import RepairBudget
@@ -138,13 +139,21 @@ class Refiner:
     Args:
         surface: the original surface.
         device: a Warp device.
-        areas: as of :class:`omtwarp.refine.energy.DistortionEnergy`.
+        areas, most_strain, vertex_term: as of :class:`omtwarp.refine.energy.DistortionEnergy`.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device, areas: NDArray[np.float64] | None = None):
+    def __init__(
+        self,
+        surface: Surface,
+        device: wp.Device,
+        areas: NDArray[np.float64] | None = None,
+        *,
+        most_strain: float | None = None,
+        vertex_term: VertexTerm | None = None,
+    ):
         self.surface = surface
         self.device = device
-        self.energy = DistortionEnergy(surface, device, areas)
+        self.energy = DistortionEnergy(surface, device, areas, most_strain=most_strain, vertex_term=vertex_term)
         self._steps = steps_for(self.energy)
         # Half untangled patches made noise of 3e-9 in a bunny's map one of 4e-4. The optimal map of an octopus needs
         # them: without, its area distortion is 2.096 in place of 2.032.
@@ -165,7 +174,7 @@ class Refiner:
         tolerance: float,
         progress: Progress | None = None,
     ) -> RefineResult:
-        """Minimise angle + λ area from a flip-free map, shape [V, 3]."""
+        """Minimise angle + λ area, and what else is in the energy, from a flip-free map, shape [V, 3]."""
         matrix = _MatrixPolicy(self.surface.vertex_count)
         points = self.energy.upload(sphere)
         now = self._at(points, self.energy.terms(points), weight)
@@ -214,8 +223,11 @@ class Refiner:
     ) -> tuple[_Iterate, int]:
         """Give the stiffest vertices steps of their own; return the map and the number of these vertices.
 
-        ``gain`` is what the other steps are expected to gain, at the most.
+        ``gain`` is what the other steps are expected to gain, at the most. The kernel that moves them knows no terms
+        but the distortion: with others all vertices take the steps of the whole map.
         """
+        if self.energy.extended:
+            return now, 0
         decrements = self._steps.decrements(now.gradient)
         if decrements.sum() > tolerance:
             stiff = stiff_vertices(decrements, gain)

@@ -85,7 +85,10 @@ class HostSteps:
         self._pairs: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
 
     def assemble(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> None:
-        self._matrix.assemble(self._energy.hessian(points, terms, weight, curvature_share).numpy())
+        diagonal, _ = self._matrix.assemble(self._energy.hessian(points, terms, weight, curvature_share).numpy())
+        further = self._energy.vertex_blocks(points, terms)
+        if further is not None:
+            diagonal += further
         self._base = points
         self._pairs.clear()
 
@@ -228,8 +231,9 @@ class DeviceSteps:
 
 
 def steps_for(energy: DistortionEnergy) -> Steps:
-    """Return the steps on the host or on the device, whichever suits the surface."""
-    return (DeviceSteps if on_device(energy.device, energy.surface.vertex_count) else HostSteps)(energy)
+    """Return the steps on the host or on the device, whichever suits the surface; terms of NumPy's need the host."""
+    device = on_device(energy.device, energy.surface.vertex_count) and not energy.extended
+    return (DeviceSteps if device else HostSteps)(energy)
 
 
 def flat(vectors: wp.array) -> wp.array:

@@ -61,6 +61,19 @@ def test_align_to_another_map_and_back_again(desk, capsys):
     assert len(first) == len((desk / "out.npz").read_bytes()) and capsys.readouterr().out == ""
 
 
+def test_register_to_another_map(desk, capsys):
+    assert run("register", "lh.npz", "--to", "template.npz", "-o", "out.npz", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["certificate"]["bijective"] and not record["doubtful"]
+    found = MapResult.load("out.npz")
+    np.testing.assert_allclose(found.sphere, SPHERE.vertices @ random_rotation(2).T, atol=0.02)
+    assert found.report["registration"]["correlations"]["sulc"]["after"] > 0.99
+    sphere = ["register", "lh.sphere.ply", "--surface", "lh.white.ply", "--to", "template.npz", "-o", "lh.reg.ply"]
+    assert run(*sphere, "--radius", "100", "--max-strain", "0.5") == 0
+    assert "0 flips, degree 1" in capsys.readouterr().out
+    np.testing.assert_allclose(read_mesh("lh.reg.ply").vertices, 100.0 * found.sphere, atol=2.0)
+
+
 def test_align_by_axes_writes_a_sphere_of_radius_100(desk, capsys):
     assert run("align", "lh.sphere.ply", "--surface", "lh.white.ply", "-o", "lh.axes.ply", "--radius", "100") == 0
     assert "by axes" in capsys.readouterr().out
@@ -216,6 +229,10 @@ def test_fsaverage_sphere_in_the_fields_formats(desk, capsys):
             "feature 'holes.npy (1)' of the map",
         ),
         (["align", "lh.sphere.ply", "-o", "x.ply"], "has no axes"),
+        (["register", "lh.npz", "--to", "ico3", "-o", "x.npz"], "give the surface, or features"),
+        (["register", "lh.npz", "--to", "rh.template.ply", "-o", "x.npz"], "same hemisphere"),
+        (["register", "lh.npz", "--to", "template.npz", "-o", "x.npz", "--stiffness", "0"], "the stiffness"),
+        (["register", "lh.npz", "--to", "template.npz", "--feature", "thickness.npy", "-o", "x.npz"], "as many"),
         (["align", "lh.sphere.ply", "--to", "lh.npz", "-o", "x.npz"], "needs a map"),
         (["align", "lh.npz", "--to", "rh.template.ply", "-o", "x.npz"], "same hemisphere"),
         (["align", "lh.npz", "--to", "ico3", "-o", "x.npz"], "no features of its own"),

@@ -1,0 +1,124 @@
+"""``omtwarp register``: a map's sphere, warped until its surface's features lie where another map has them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from omtwarp.commands._features import read_features
+from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption, output_option
+from omtwarp.commands._progress import progress_bar
+from omtwarp.commands._streams import input_file
+from omtwarp.commands._work import load_map, report_text
+from omtwarp.errors import OmtwarpError
+from omtwarp.files import check_output
+
+if TYPE_CHECKING:
+    from omtwarp.registration import Registration
+
+
+def register_map(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MOVING", callback=input_file, help="A map (.npz), or a sphere as a mesh; - is standard input."
+        ),
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="TARGET",
+            callback=input_file,
+            help="Another map, or a sphere with --to-surface or --to-feature (- is standard input); or a grid's name.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        output_option(".npz for the whole map, or a mesh suffix for the sphere; - is standard output.", ".npz"),
+    ],
+    surface: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="The surface of MOVING, where MOVING is a sphere without one.")
+    ] = None,
+    to_surface: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="The surface of TARGET, where that is no .npz.")
+    ] = None,
+    feature: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Register by these data at MOVING's vertices, not by sulcal depth and curvature; repeat for more.",
+        ),
+    ] = None,
+    to_feature: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="The same data at TARGET's vertices, in this order."),
+    ] = None,
+    stiffness: Annotated[
+        float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
+    ] = 3.0,
+    max_strain: Annotated[
+        float,
+        typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
+    ] = 2.0,
+    radius: RadiusOption = 1.0,
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Warp a map's sphere until features of its surface lie where another map has them.
+
+    Features are sulcal depth and curvature of both surfaces, or those given. The warp begins at the rotation under
+    which they agree best, flips no triangle, and strains none more than --max-strain. Where the next best rotation
+    agrees nearly as well the start is doubtful: several are tried, and the output says so.
+    """
+    from omtwarp.mesh.neuro import require_same_structure
+    from omtwarp.mesh.write import SUFFIXES, write_mesh
+    from omtwarp.registration import register
+    from omtwarp.resampling import file_points
+    from omtwarp.spheres import is_named
+
+    check_output(output, (".npz", *SUFFIXES), source, surface)
+    if output.suffix.lower() == ".npz" and source.suffix.lower() != ".npz":
+        raise OmtwarpError(f"cannot write '{output}': a whole map needs a map (.npz) as input")
+    other = None if is_named(to) else Path(to)
+    for ours in (source, surface):
+        for theirs in (other, to_surface):
+            require_same_structure(ours, theirs)
+    with progress_bar(quiet, verbose) as progress:
+        moving, fixed = file_points(source, surface), file_points(to, to_surface)
+        mine, others = read_features(feature or [], to_feature or [])
+        found = register(
+            moving,
+            fixed,
+            features=mine or None,
+            to_features=others or None,
+            stiffness=stiffness,
+            max_strain=max_strain,
+            progress=progress,
+        )
+    if output.suffix.lower() == ".npz":
+        found.registered(load_map(source)).save(output)
+    else:
+        write_mesh(output, radius * found.sphere, moving.grid.own_triangles, spherical=True, like=source)
+    if as_json:
+        print(report_text({"output": str(output), **found.to_dict()}), end="")
+    elif not quiet:
+        print(f"{output}: {_line(found)}")
+
+
+def _line(found: Registration) -> str:
+    """Return how well the features agree, how much the warp strains, and what is to be known about its start."""
+    agreement = ", ".join(
+        f"{name} {values['before']:.3f} to {values['after']:.3f}" for name, values in found.correlations.items()
+    )
+    certificate = found.certificate
+    line = (
+        f"{agreement}; largest strain {found.largest_strain:.2f} of {found.most_strain:g}; {certificate.flips} flips, "
+        f"degree {certificate.degree}"
+    )
+    if found.doubtful:
+        scores = f"{found.start.score:.3f} against {found.start.runner_up:.3f}"
+        line += f"; the start is doubtful ({scores}): the best of {len(found.starts)} rotations was taken"
+    return line

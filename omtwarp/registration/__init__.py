@@ -1,0 +1,8 @@
+"""Registration: warps of the sphere that bring the same place of two surfaces to the same point."""
+
+from __future__ import annotations
+
+from omtwarp.registration.folding import folding_features
+from omtwarp.registration.register import Registration, register
+
+__all__ = ["Registration", "folding_features", "register"]

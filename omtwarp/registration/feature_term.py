@@ -1,0 +1,78 @@
+"""The energy of registration at vertices: squared differences between features that move and features that stay."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.location import Locator
+from omtwarp.mesh.surface import Surface
+from omtwarp.refine.vertex_term import VertexDerivatives
+
+Floats = NDArray[np.float64]
+
+
+class FeatureField:
+    """Features on a triangulated sphere, read anywhere on it: linear in each triangle, and so are their gradients.
+
+    Args:
+        grid: the sphere, N vertices.
+        features: shape [N, K].
+    """
+
+    def __init__(self, grid: Surface, features: Floats):
+        self._faces, self._features = grid.faces, features
+        self._locator = Locator(grid.vertices, grid.faces, device="cpu")
+        by_face = _slopes(grid, features)
+        weighted = by_face * grid.face_areas[:, None, None]
+        around = np.stack([grid.sum_to_vertices(column) for column in weighted.reshape(grid.face_count, -1).T], axis=1)
+        total = grid.sum_to_vertices(grid.face_areas)
+        self._gradients = (around / total[:, None]).reshape(grid.vertex_count, 3, -1)
+
+    def at(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return features, shape [P, K], and their gradients, [P, 3, K], at unit vectors, [P, 3]."""
+        found = self._locator.find(points)
+        corners, shares = self._faces[found.faces], found.coordinates
+        values = np.einsum("pk,pkc->pc", shares, self._features[corners])
+        return values, np.einsum("pk,pkdc->pdc", shares, self._gradients[corners])
+
+
+def _slopes(surface: Surface, values: Floats) -> Floats:
+    """Return the gradients of functions at vertices, [N, K], that are linear in each triangle, shape [F, 3, K]."""
+    corner = surface.vertices[surface.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    square = (normal * normal).sum(axis=1)[:, None, None]
+    slopes = np.zeros((surface.face_count, 3, values.shape[1]))
+    for k in range(3):
+        across = np.cross(normal, corner[:, k - 1] - corner[:, k - 2])
+        slopes += across[:, :, None] * values[surface.faces[:, k]][:, None, :] / square
+    return slopes
+
+
+class FeatureTerm:
+    """Σ_k weight_k mean (t_k(x) - m_k)²: features m of what moves against the field t where its vertices x are.
+
+    It is a :class:`omtwarp.refine.vertex_term.VertexTerm`. The Hessian is that of Gauss and Newton, without the
+    curvature of the field, and so has no negative part.
+
+    Args:
+        moving: features of the vertices that move, shape [V, K].
+        areas: what each counts, sum 1, shape [V].
+        field: of the sphere that stays.
+        weights: of the features, shape [K].
+    """
+
+    def __init__(self, moving: Floats, areas: Floats, field: FeatureField, weights: Floats):
+        self._moving, self._areas, self._field, self._weights = moving, areas, field, weights
+
+    def at(self, points: Floats) -> VertexDerivatives:
+        """Return the term and its derivatives at a map, unit vectors, shape [V, 3]."""
+        values, slopes = self._field.at(points)
+        apart, areas = values - self._moving, self._areas[:, None]
+        value = float((areas * self._weights * apart**2).sum())
+        gradient = 2.0 * areas * np.einsum("vk,vdk->vd", self._weights * apart, slopes)
+        hessian = 2.0 * areas[:, :, None] * np.einsum("vdk,vek->vde", self._weights * slopes, slopes)
+        return VertexDerivatives(value, gradient, hessian)
+
+
+__all__ = ["FeatureField", "FeatureTerm"]

@@ -1,0 +1,276 @@
+"""Registration of one map to another: the same place of two surfaces at the same point of the sphere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.alignment import Alignment
+from omtwarp.alignment.align import feature_rotations
+from omtwarp.alignment.features import checked_features, sphere_weights
+from omtwarp.device.threads import blas_threads
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import real_number
+from omtwarp.mesh.surface import Surface
+from omtwarp.metrics.certificate import Certificate, certify_triangles
+from omtwarp.options import Progress, Record
+from omtwarp.registration.folding import folding_features
+from omtwarp.registration.strain import kept_within, octaves
+from omtwarp.registration.warp import COARSE, FINE, Warping, feature_grid
+from omtwarp.resampling import Resampling, SpherePoints, as_points, resample
+from omtwarp.resampling.resample import PointsLike
+from omtwarp.result import MapResult
+from omtwarp.surface_map import SurfaceMap
+
+Floats = NDArray[np.float64]
+
+# A best rotation whose correlation is not this much above the next best one's may be the wrong one.
+CLEAR_MARGIN = 0.1
+# Then the best rotations of the lower degree are tried too: features that a warp moves by up to 30 degrees still agree
+# in their longest waves. Of two made cortices at 20 and 40 degrees degree 6 has the nearest rotation among its two best
+# each time, degree 16 once.
+LOW_DEGREE = 6
+STARTS = 3  # rotations of each degree that a doubtful start is tried from
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A map's sphere registered to another.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3].
+        start: the rotation that the warp started from, with its score and that of the next best one.
+        doubtful: whether the two scores were so near to each other that further rotations were tried.
+        starts: for each rotation that was tried its ``score`` and, where several were, the ``energy`` at the end of the
+            coarse levels; the one with the least was taken.
+        correlations: of every feature, at the target's vertices: ``before`` (after the rotation) and ``after``.
+        area_strain: log2 of the ratio of areas of every triangle on the spheres after and before, shape [F].
+        stretch_strain: log2 of the ratio of the larger to the smaller stretch of every triangle, shape [F].
+        most_strain: the bound of both that was asked for.
+        certificate: whether the registered map is one to one, decided exactly.
+        levels: a record for every level from coarse to fine.
+        closed_sphere: the sphere with what fills holes, shape [N, 3]; its first points are ``sphere``.
+    """
+
+    sphere: Floats
+    start: Alignment
+    doubtful: bool
+    starts: list[Record]
+    correlations: dict[str, dict[str, float]]
+    area_strain: Floats
+    stretch_strain: Floats
+    most_strain: float
+    certificate: Certificate
+    levels: list[Record] = field(default_factory=list)
+    closed_sphere: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @property
+    def largest_strain(self) -> float:
+        """The largest of both strains, in size."""
+        return float(max(np.abs(self.area_strain).max(), self.stretch_strain.max()))
+
+    def __repr__(self) -> str:
+        agreement = ", ".join(f"{name} {values['after']:.3f}" for name, values in self.correlations.items())
+        return f"Registration({agreement}, strain {self.largest_strain:.2f}, {self.certificate.flips} flips)"
+
+    def registered(self, result: MapResult) -> MapResult:
+        """Return the map with its sphere registered, and its other stages turned as at the start.
+
+        The report gains ``registration``, and its certificate is that of the registered map. What it says about
+        distance from the optimum is left out: that was the map's before. Save it as any map:
+        ``register(left, right).registered(left).save("left.npz")``.
+        """
+        turned = self.start.turned(result)
+        report = turned.report.copy()
+        report.pop("optimality", None)
+        report["registration"], report["certificate"] = self.to_dict(), self.certificate.to_dict()
+        turned = replace(turned, sphere=self.sphere, report=report)
+        if isinstance(turned, SurfaceMap) and turned.filled_sphere is not None:
+            return replace(turned, filled_sphere=self.closed_sphere)
+        return turned
+
+    def to_dict(self) -> dict[str, object]:
+        """Return what is no array as plain values, ready for JSON, with percentiles of the strains."""
+
+        def percentiles(strain: Floats) -> dict[str, float]:
+            sizes = np.abs(strain)
+            return {f"p{k}": float(np.percentile(sizes, k)) for k in (50, 95)} | {"max": float(sizes.max())}
+
+        return {
+            "score": self.start.score,
+            "runner_up": self.start.runner_up,
+            "doubtful": self.doubtful,
+            "starts": self.starts,
+            "correlations": self.correlations,
+            "area_strain": percentiles(self.area_strain),
+            "stretch_strain": percentiles(self.stretch_strain),
+            "most_strain": self.most_strain,
+            "certificate": self.certificate.to_dict(),
+            "levels": self.levels,
+        }
+
+
+@blas_threads(1)
+def register(
+    moving: PointsLike,
+    target: PointsLike,
+    *,
+    features: Mapping[str, ArrayLike] | None = None,
+    to_features: Mapping[str, ArrayLike] | None = None,
+    feature_weights: Mapping[str, float] | None = None,
+    stiffness: float = 3.0,
+    max_strain: float = 2.0,
+    progress: Progress | None = None,
+) -> Registration:
+    """Warp a map's sphere so that features of its surface lie where they lie on another sphere.
+
+    Minimised is the sum over features of weight times mean squared difference, plus ``stiffness`` / 2 times the mean
+    distortion of triangles between the sphere before and after, R + 1/R + D + 1/D - 4, with a barrier that keeps it
+    below what ``max_strain`` allows. It is minimised coarse to fine on grids, from the rotation under which the
+    features agree best; where the next best one agrees nearly as well, the coarse levels are run from several, and that
+    with the least energy is taken. The warp is then carried to the map's own vertices, where flips and strain over
+    the bound are removed.
+
+    Args:
+        moving: a map, with its surface where no features are given (:func:`omtwarp.resampling.as_points` lists the
+            forms), V vertices and F faces.
+        target: another map or sphere in any of the same forms.
+        features: numbers per vertex of the map, by name, shape [V] each; with ``to_features`` of the same names they
+            take the place of sulcal depth and curvature of the two surfaces.
+        to_features: the same for the target.
+        feature_weights: by name; 1 for those left out.
+        stiffness: λ. More leaves less strain and less agreement.
+        max_strain: bound of |log2| of the ratio of areas, and of the ratio of the two stretches, of every triangle.
+        progress: called as ``progress("register", step, steps, details)``.
+
+    Returns:
+        The registered sphere, its start, agreement, strain and certificate.
+
+    Raises:
+        OmtwarpError: something that is not a map or sphere, features that do not belong together or are constant, a
+            surface that is missing, or numbers out of range.
+
+    Example:
+        >>> import omtwarp
+        >>> target = omtwarp.shapes.icosphere(12)
+        >>> x, y, z = target.vertices.T
+        >>> found = omtwarp.register(
+        ...     target, target, features={"height": x * y + z}, to_features={"height": x * y + z}, max_strain=1.0
+        ... )
+        >>> found.certificate.bijective, found.largest_strain < 0.1
+        (True, True)
+    """
+    stiffness = real_number(stiffness, "the stiffness", above=0.0)
+    max_strain = real_number(max_strain, "max_strain", above=0.0)
+    here, there = as_points(moving, "the map"), as_points(target, "the target")
+    ours, theirs = _features_of(here, there, features, to_features)
+    weights = _weights_of(ours, feature_weights)
+    steps = 3
+    notify = progress or (lambda *_: None)
+    rotations = feature_rotations(here, there, ours, theirs, most=STARTS)
+    doubtful = rotations[0].score - rotations[0].runner_up < CLEAR_MARGIN
+    if doubtful:
+        rotations += feature_rotations(here, there, ours, theirs, LOW_DEGREE, most=STARTS)
+    notify("register", 1, steps, {})
+    grid = feature_grid()
+    to_grid = resample(there, (grid.vertices, grid.faces), device="cpu")
+    warping = Warping(_carried(to_grid, theirs), weights, stiffness, max_strain)
+    tried = []
+    for best in rotations if doubtful else rotations[:1]:
+        turned = _moved(here, here.grid.points @ best.rotation.T)
+        own = resample(turned, (grid.vertices, grid.faces), device="cpu")
+        given = _carried(own, ours)
+        tried.append((warping.run(given, (~own.empty).astype(np.float64), COARSE), best, turned, given, own))
+    coarse, best, turned, given, own = min(tried, key=lambda entry: entry[0].energy)
+    notify("register", 2, steps, {})
+    warp = warping.run(given, (~own.empty).astype(np.float64), FINE, coarse)
+    before = turned.grid.points
+    surface = Surface(before, turned.grid.triangles)
+    sphere = kept_within(surface, warp.carry(before), max_strain)
+    notify("register", 3, steps, {})
+    agreement = [_agreement(points, there, ours, theirs) for points in (turned, _moved(turned, sphere))]
+    correlations = {name: {"before": agreement[0][name], "after": agreement[1][name]} for name in ours}
+    count = here.grid.own_points
+    by_area, by_stretch = octaves(before, sphere, here.grid.own_triangles)
+    basis = ", ".join(ours)
+    start = Alignment(best.rotation, before[:count], "features", best.score, best.runner_up, False, basis=basis)
+    starts: list[Record] = [{"score": one.score, "energy": found.energy} for found, one, *_ in tried]
+    certificate = certify_triangles(here.grid.triangles, sphere, device="cpu")
+    return Registration(
+        sphere[:count], start, doubtful, starts, correlations, by_area, by_stretch, max_strain, certificate,
+        warp.levels, sphere,
+    )  # fmt: skip
+
+
+def _features_of(
+    moving: SpherePoints,
+    fixed: SpherePoints,
+    features: Mapping[str, ArrayLike] | None,
+    to_features: Mapping[str, ArrayLike] | None,
+) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Return the features of both sides, in the same order: those given, or the folding of the surfaces.
+
+    Raises:
+        OmtwarpError: names or lengths that do not fit, or a sphere without its surface.
+    """
+    if set(features or {}) != set(to_features or {}):
+        raise OmtwarpError("features have to be given for both sides, with the same names")
+    if features and to_features:
+        ours = checked_features(features, moving, "the map")
+        theirs = checked_features(to_features, fixed, "the target")
+        return ours, {name: theirs[name] for name in ours}
+    found = []
+    for points in (moving, fixed):
+        if points.vertices is None:
+            raise OmtwarpError(
+                f"{points.grid.name}: a sphere without its surface has no folds: give the surface, or features"
+            )
+        found.append(folding_features(points.vertices, points.grid.triangles))
+    return found[0], found[1]
+
+
+def _weights_of(features: Mapping[str, Floats], given: Mapping[str, float] | None) -> Floats:
+    """Return the weights of the features in their order, shape [K].
+
+    Raises:
+        OmtwarpError: a name that is no feature's, or a weight that is no number from 0 on.
+    """
+    unknown = [name for name in given or {} if name not in features]
+    if unknown:
+        raise OmtwarpError(f"there is no feature '{unknown[0]}' to weight: use {', '.join(features)}")
+    weights = [real_number((given or {}).get(name, 1.0), f"the weight of '{name}'", least=0.0) for name in features]
+    if not any(weights):
+        raise OmtwarpError("all weights of features are 0: nothing determines the registration")
+    return np.array(weights)
+
+
+def _moved(points: SpherePoints, sphere: Floats) -> SpherePoints:
+    """Return the same surface with another sphere."""
+    return replace(points, grid=replace(points.grid, points=sphere))
+
+
+def _carried(resampling: Resampling, features: Mapping[str, Floats]) -> Floats:
+    """Return features at the target points of a resampling, shape [T, K]; 0 in filled holes."""
+    columns = np.column_stack(list(features.values()))
+    return np.asarray(resampling.matrix @ columns[: resampling.matrix.shape[1]])
+
+
+def _agreement(
+    moving: SpherePoints, fixed: SpherePoints, ours: Mapping[str, Floats], theirs: Mapping[str, Floats]
+) -> dict[str, float]:
+    """Return the correlation of every feature at the points of the fixed sphere, weighted by their cells."""
+    to_points = resample(moving, fixed, device="cpu")
+    count = fixed.grid.own_points
+    weights = np.where(to_points.empty, 0.0, sphere_weights(fixed)[:count])
+    weights /= weights.sum()
+    found = {}
+    for name, one in zip(ours, _carried(to_points, ours).T, strict=True):
+        a, b = (values - weights @ values for values in (one, theirs[name][:count]))
+        found[name] = float((weights * a) @ b / np.sqrt(((weights * a) @ a) * ((weights * b) @ b)))
+    return found
+
+
+__all__ = ["Registration", "register"]

@@ -1,0 +1,74 @@
+"""Strain of a warp of the sphere: how far it changes areas and stretches of triangles, and what keeps it bounded."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.policy import resolve_device
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.patches import grow
+from omtwarp.mesh.surface import Surface
+from omtwarp.refine.energy import DistortionEnergy
+from omtwarp.refine.relaxation import relax
+from omtwarp.untangling.untangle import untangle
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 24  # of relaxing around triangles over the bound
+ROUNDS_PER_RING = 4  # after so many, a ring of vertices more is freed
+
+
+def octaves(before: Floats, after: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """Return log2 of the ratio of areas, and of that of the larger stretch to the smaller, of every triangle, [F] each.
+
+    Args:
+        before, after: positions of the vertices, shape [V, 3].
+        faces: triangles, shape [F, 3].
+    """
+    (p, q), (u, v) = ((x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]) for x in (before, after))
+    pp, pq, qq = ((a * b).sum(axis=1) for a, b in ((p, p), (p, q), (q, q)))
+    uu, uv, vv = ((a * b).sum(axis=1) for a, b in ((u, u), (u, v), (v, v)))
+    square = np.maximum(pp * qq - pq**2, TINY)
+    areas = np.sqrt(np.maximum(uu * vv - uv**2, TINY) / square)
+    # The squares of the stretches have this sum, and the square of the ratio of areas as their product.
+    total = (qq * uu - 2.0 * pq * uv + pp * vv) / square
+    half = np.maximum(total / (2.0 * areas), 1.0)  # of R + 1/R
+    return np.log2(areas), np.log2(half + np.sqrt(half**2 - 1.0))
+
+
+def kept_within(surface: Surface, sphere: Floats, bound: float) -> Floats:
+    """Return a warp without flips and within the bound of strain, moved only around triangles that are not.
+
+    Flips are untangled first. Then vertices around triangles with too much strain go to where they hold less
+    distortion, with more rings around them the longer it takes.
+
+    Args:
+        surface: the sphere before the warp.
+        sphere: the warp, unit vectors, shape [V, 3].
+        bound: of both numbers of :func:`octaves`, in size.
+
+    Returns:
+        Unit vectors, shape [V, 3]; where no more is gained some triangles may stay over the bound.
+    """
+    if flipped_faces(sphere, surface.faces).any():
+        sphere = untangle(surface, sphere, device="cpu").sphere
+    energy: DistortionEnergy | None = None
+    for done in range(ROUNDS):
+        by_area, by_stretch = octaves(surface.vertices, sphere, surface.faces)
+        over = np.maximum(np.abs(by_area), by_stretch) > bound
+        if not over.any():
+            break
+        energy = energy or DistortionEnergy(surface, resolve_device("cpu"))
+        chosen = np.zeros(surface.vertex_count, dtype=bool)
+        chosen[surface.faces[over]] = True
+        chosen = grow(surface.faces, chosen, done // ROUNDS_PER_RING)
+        points = energy.upload(np.ascontiguousarray(sphere))
+        moved = relax(energy, points, energy.terms(points), 1.0, 1.0, chosen)
+        if moved is not None:
+            sphere = moved[0].numpy().copy()
+    return sphere
+
+
+__all__ = ["kept_within", "octaves"]

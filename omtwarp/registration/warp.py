@@ -1,0 +1,130 @@
+"""The warp of registration: features that move onto others, coarse to fine, on grids that no mesh determines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.policy import resolve_device
+from omtwarp.location import Locator
+from omtwarp.mesh.shapes import icosphere
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.options import Record
+from omtwarp.refine.solver import Refiner
+from omtwarp.refine.strain import strain_limit
+from omtwarp.registration.feature_term import FeatureField, FeatureTerm
+from omtwarp.registration.folding import smoothed
+from omtwarp.registration.strain import kept_within
+
+Floats = NDArray[np.float64]
+
+FEATURE_GRID = 32  # frequency of the icosphere that features are read from: its edges are 2 degrees
+# Levels from coarse to fine: the frequency of the grid that moves, the width in degrees that features are smoothed to
+# (full width at half maximum), and how many times stiffer the grid is.
+COARSE = ((8, 40.0, 16.0), (8, 40.0, 4.0), (8, 40.0, 1.0), (16, 20.0, 1.0))
+FINE = ((16, 12.0, 1.0), (32, 7.0, 1.0), (32, 4.0, 1.0))
+ITERATIONS = 40  # at a level
+TOLERANCE = 1e-4  # of the mean distortion
+# Of the bound: between the grid's vertices a mesh is strained a little more than the grid.
+GRID_SHARE = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """A grid on the sphere, and where its vertices move.
+
+    Attributes:
+        grid: the vertices before.
+        points: after, unit vectors, shape [N, 3].
+        energy: at the end of the last level.
+        levels: one record for each.
+    """
+
+    grid: Surface
+    points: Floats
+    energy: float = np.inf
+    levels: list[Record] = field(default_factory=list)
+
+    def carry(self, points: Floats) -> Floats:
+        """Return where the warp moves points of the sphere, unit vectors, shape [P, 3]."""
+        found = Locator(self.grid.vertices, self.grid.faces, device="cpu").find(points)
+        moved = np.einsum("pk,pkd->pd", found.coordinates, self.points[self.grid.faces[found.faces]])
+        return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+
+
+class Warping:
+    """Warps features towards those of one sphere.
+
+    Args:
+        target: its features at the vertices of :attr:`grid`, shape [N, K].
+        weights: of the features, shape [K].
+        stiffness: λ, the weight of distortion.
+        most_strain: bound of :func:`omtwarp.registration.strain.octaves`.
+    """
+
+    def __init__(self, target: Floats, weights: Floats, stiffness: float, most_strain: float):
+        self.grid = feature_grid()
+        self._target, self._weights, self._stiffness = target, weights, stiffness
+        self._bound = GRID_SHARE * most_strain
+        self._fields: dict[float, FeatureField] = {}
+
+    def run(
+        self, moving: Floats, counted: Floats, levels: tuple[tuple[int, float, float], ...], start: Warp | None = None
+    ) -> Warp:
+        """Minimise feature differences and distortion at one level after another.
+
+        Args:
+            moving: features at the vertices of :attr:`grid` before the warp, shape [N, K].
+            counted: 1 where these are known, 0 in filled holes, shape [N].
+            levels: as of ``COARSE``.
+            start: a warp to go on from; none moves nothing.
+        """
+        warp = start
+        for frequency, width, stiffer in levels:
+            grid = self.grid if frequency == FEATURE_GRID else icosphere(frequency)
+            if warp is None:
+                points = grid.vertices
+            else:
+                points = kept_within(grid, warp.carry(grid.vertices), self._bound)
+            values = np.column_stack([self._smooth(moving, width), counted])
+            here = FeatureField(self.grid, values).at(grid.vertices)[0]
+            areas = here[:, -1] * grid.vertex_areas / SPHERE_AREA
+            # Energy over λ / 2: Refiner has 1 before the distortion of triangles.
+            scale = 2.0 / (stiffer * self._stiffness)
+            term = FeatureTerm(here[:, :-1], areas, self._field(width), scale * self._weights)
+            refiner = Refiner(grid, resolve_device("cpu"), most_strain=strain_limit(self._bound), vertex_term=term)
+            found = refiner.minimise(points, 1.0, iterations=ITERATIONS, tolerance=TOLERANCE)
+            energy = float(found.history[-1]["energy"]) / scale
+            record: Record = {
+                "vertices": grid.vertex_count,
+                "width": width,
+                "stiffness": stiffer * self._stiffness,
+                "energy": energy,
+                "iterations": len(found.history) - 1,
+                "converged": found.converged,
+            }
+            warp = Warp(grid, found.sphere, energy, [*(warp.levels if warp else []), record])
+        assert warp is not None
+        return warp
+
+    def _field(self, width: float) -> FeatureField:
+        if width not in self._fields:
+            self._fields[width] = FeatureField(self.grid, self._smooth(self._target, width))
+        return self._fields[width]
+
+    def _smooth(self, values: Floats, width: float) -> Floats:
+        """Smooth features, and scale them to mean 0 and standard deviation 1."""
+        out = smoothed(self.grid, self.grid.vertices, values, np.radians(width))
+        areas = self.grid.vertex_areas / SPHERE_AREA
+        out = out - areas @ out
+        return np.asarray(out / np.sqrt(areas @ out**2))
+
+
+def feature_grid() -> Surface:
+    """Return the grid that features are read from."""
+    return icosphere(FEATURE_GRID)
+
+
+__all__ = ["COARSE", "FINE", "Warp", "Warping", "feature_grid"]

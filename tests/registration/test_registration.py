@@ -1,0 +1,226 @@
+"""Registration of made cortices: known warps are found again, nothing flips, strain is bounded, starts do not count."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sphere_truths import random_rotation
+
+import omtwarp
+from omtwarp.errors import OmtwarpError
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.harmonics import real_harmonics
+from omtwarp.mesh import shapes
+from omtwarp.mesh.surface import Surface
+from omtwarp.registration.feature_term import FeatureField, FeatureTerm
+from omtwarp.registration.folding import HeatFlow, folding_features
+from omtwarp.registration.strain import kept_within, octaves
+from omtwarp.resampling import SpherePoints
+from omtwarp.result import MapResult
+from omtwarp.spheres import mesh_grid
+
+BALL = shapes.icosphere(16)
+EDGE = np.radians(3.9)  # of BALL's triangles
+FIRM = {"stiffness": 0.3, "max_strain": 2.0}
+
+
+def unit(points):
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def folded(ball: Surface, seed: int = 0, highest: int = 14) -> np.ndarray:
+    """A star-shaped surface whose folds have all wave lengths down to 360 / 14 degrees, shape [V, 3]."""
+    orders = np.floor(np.sqrt(np.arange((highest + 1) ** 2)))
+    shares = np.random.default_rng(seed).normal(size=len(orders)) * (orders > 0) / np.sqrt(2.0 * orders + 1.0)
+    height = real_harmonics(ball.vertices, highest) @ shares
+    return ball.vertices * np.exp(0.15 * np.tanh(height / height.std()))[:, None]
+
+
+def flowed(points: np.ndarray, degrees: float, seed: int = 1) -> np.ndarray:
+    """Points after the flow of a smooth tangent field that has no part of rotation and moves some so far."""
+    a, b = np.random.default_rng(seed).normal(size=(2, 3, 3))
+    stretch, swirl = (m + m.T - np.trace(m + m.T) / 3.0 * np.eye(3) for m in (a, b))
+
+    def field(x):
+        along = 0.5 * x @ stretch + np.cross(x, x @ swirl)
+        return along - (along * x).sum(axis=1, keepdims=True) * x
+
+    moved, length = points, 2e-3
+    while np.degrees(np.arccos(np.clip((moved * points).sum(axis=1), -1.0, 1.0))).max() < degrees:
+        middle = unit(moved + 0.5 * length * field(moved))
+        moved = unit(moved + length * field(middle))
+    return moved
+
+
+def points_of(sphere, vertices, ball=BALL):
+    return SpherePoints(mesh_grid(sphere, ball.faces), vertices)
+
+
+def rms(one, other):
+    return float(np.sqrt(((one - other) ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("degrees", [10.0, 20.0])
+def test_a_known_warp_is_found_again(degrees):
+    """The rms distance from the truth is below a triangle's size, of which the warp moved vertices by many."""
+    surface, truth = folded(BALL), flowed(BALL.vertices, degrees)
+    found = omtwarp.register(points_of(BALL.vertices, surface), points_of(truth, surface), **FIRM)
+    assert found.certificate.bijective and not flipped_faces(found.sphere, BALL.faces).any()
+    assert found.largest_strain <= 2.0
+    assert rms(found.sphere, truth) < EDGE < rms(found.start.sphere, truth)
+    for values in found.correlations.values():
+        assert values["after"] > max(0.95, values["before"])
+
+
+def test_the_bound_of_strain_is_kept_where_the_truth_is_beyond_it():
+    surface, truth = folded(BALL), flowed(BALL.vertices, 10.0)
+    by_area, by_stretch = octaves(BALL.vertices, truth, BALL.faces)
+    assert max(np.abs(by_area).max(), by_stretch.max()) > 0.45
+    found = omtwarp.register(
+        points_of(BALL.vertices, surface), points_of(truth, surface), stiffness=0.3, max_strain=0.3
+    )
+    assert found.certificate.bijective and 0.2 < found.largest_strain <= 0.3
+
+
+def test_the_position_at_the_start_does_not_count():
+    surface, truth = folded(BALL), flowed(BALL.vertices, 10.0)
+    target = points_of(truth, surface)
+    found = omtwarp.register(points_of(BALL.vertices, surface), target, **FIRM)
+    for seed in (1, 2):
+        turned = BALL.vertices @ random_rotation(seed).T
+        again = omtwarp.register(points_of(turned, surface), target, **FIRM)
+        assert rms(again.sphere, found.sphere) < 0.25 * EDGE
+        assert again.correlations["sulc"]["after"] == pytest.approx(found.correlations["sulc"]["after"], abs=0.002)
+
+
+def test_the_order_of_vertices_does_not_count():
+    surface, target = folded(BALL), points_of(flowed(BALL.vertices, 10.0), folded(BALL))
+    found = omtwarp.register(points_of(BALL.vertices, surface), target, **FIRM)
+    order = np.random.default_rng(3).permutation(BALL.vertex_count)
+    faces = np.argsort(order)[BALL.faces]
+    shuffled = SpherePoints(mesh_grid(BALL.vertices[order], faces), surface[order])
+    again = omtwarp.register(shuffled, target, **FIRM)
+    np.testing.assert_allclose(again.sphere, found.sphere[order], atol=1e-3)
+
+
+def test_a_doubtful_start_is_tried_from_several_rotations():
+    """A surface of revolution, but for a bump: the rotations about its axis agree nearly as well as the true one."""
+    x, y, z = BALL.vertices.T
+    height = np.cos(5.0 * np.arccos(z)) + 0.3 * np.exp(-8.0 * ((x - 1.0) ** 2 + y**2 + z**2))
+    found = omtwarp.register(
+        points_of(BALL.vertices @ random_rotation(5).T, None),
+        points_of(BALL.vertices, None),
+        features={"height": height},
+        to_features={"height": height},
+    )
+    assert found.doubtful and len(found.starts) > 1
+    assert found.starts[0]["score"] >= found.starts[1]["score"]
+    assert found.correlations["height"]["after"] > 0.99
+
+
+def test_folding_does_not_depend_on_size_place_or_order():
+    vertices = folded(BALL)
+    found = folding_features(vertices, BALL.faces)
+    order = np.random.default_rng(3).permutation(BALL.vertex_count)
+    other = folding_features((7.0 * vertices @ random_rotation(2).T + 3.0)[order], np.argsort(order)[BALL.faces])
+    for name, values in found.items():
+        np.testing.assert_allclose(other[name], values[order], atol=1e-7 * np.abs(values).max())
+    radius = np.linalg.norm(vertices, axis=1)
+    assert np.corrcoef(found["sulc"], radius)[0, 1] < -0.5  # deep is near to the centre
+    assert np.corrcoef(found["curv"], found["sulc"])[0, 1] < -0.5  # gyri are convex
+
+
+def test_heat_damps_harmonics_as_the_sphere_does():
+    """Of degree l by 1 / (1 + t l (l + 1)) in an implicit step."""
+    fine = shapes.icosphere(32)
+    flow = HeatFlow(fine, fine.vertices, 0.02)
+    x, y, z = fine.vertices.T
+    for values, degree in ((z, 1), (x * y, 2), (z * (x**2 - y**2), 3)):
+        ratio = (flow.step(values) @ values) / (values @ values)
+        assert ratio == pytest.approx(1.0 / (1.0 + 0.02 * degree * (degree + 1)), rel=2e-3)
+
+
+def test_the_term_is_what_it_says():
+    """Value by its sum, gradient by differences, with a matrix that has no negative part."""
+    fine = shapes.icosphere(64)
+    field = FeatureField(fine, np.column_stack([fine.vertices[:, 0] * fine.vertices[:, 1], fine.vertices[:, 2]]))
+    x, y, z = BALL.vertices.T
+    values = np.column_stack([x * y, z])
+    moved = flowed(BALL.vertices, 5.0)
+    areas, weights = np.full(BALL.vertex_count, 1.0 / BALL.vertex_count), np.array([2.0, 0.5])
+    term = FeatureTerm(values, areas, field, weights)
+    read, slopes = field.at(moved)
+    exact = np.column_stack([moved[:, 0] * moved[:, 1], moved[:, 2]])
+    np.testing.assert_allclose(read, exact, atol=3e-4)
+    found = term.at(moved)
+    assert found.value == pytest.approx((weights * (read - values) ** 2).sum() / BALL.vertex_count)
+    step = np.cross(moved, [0.3, 0.5, 0.8])
+    ahead, behind = (term.at(unit(moved + t * step)).value for t in (1e-3, -1e-3))
+    assert float((found.gradient * step).sum()) == pytest.approx((ahead - behind) / 2e-3, rel=0.02)
+    assert np.linalg.eigvalsh(found.hessian).min() > -1e-12
+    tangent = np.abs(np.einsum("vdk,vd->vk", slopes, moved)).max()
+    assert tangent < 0.1 * np.abs(slopes).max()
+
+
+def test_strain_is_that_of_the_singular_values():
+    moved = flowed(BALL.vertices, 20.0)
+    by_area, by_stretch = octaves(BALL.vertices, moved, BALL.faces)
+
+    def flat(points):
+        p, q = (points[BALL.faces[:, k]] - points[BALL.faces[:, 0]] for k in (1, 2))
+        along = p / np.linalg.norm(p, axis=1, keepdims=True)
+        up = unit(np.cross(np.cross(p, q), along))
+        return np.stack([np.stack([(e * along).sum(1), (e * up).sum(1)], axis=1) for e in (p, q)], axis=2)
+
+    s = np.linalg.svd(flat(moved) @ np.linalg.inv(flat(BALL.vertices)), compute_uv=False)
+    np.testing.assert_allclose(by_area, np.log2(s.prod(axis=1)), atol=1e-10)
+    np.testing.assert_allclose(by_stretch, np.log2(s[:, 0] / s[:, 1]), atol=1e-6)
+
+
+def test_flips_and_strain_are_taken_out_where_they_are():
+    """A vertex carried over others: only those around it move, to a map without flips and within the bound."""
+    moved = flowed(BALL.vertices, 5.0)
+    tangled = moved.copy()
+    tangled[700] = unit(moved[BALL.faces[BALL.faces == 700].max()][None] + 0.3 * moved[[701]])[0]
+    far = np.linalg.norm(moved - moved[700], axis=1) > 0.6
+    kept = kept_within(BALL, tangled, 1.0)
+    assert not flipped_faces(kept, BALL.faces).any()
+    by_area, by_stretch = octaves(BALL.vertices, kept, BALL.faces)
+    assert max(np.abs(by_area).max(), by_stretch.max()) <= 1.0
+    np.testing.assert_array_equal(kept[far], tangled[far])
+    np.testing.assert_array_equal(kept_within(BALL, moved, 2.0), moved)
+
+
+def test_a_registered_map_keeps_its_surface_and_says_what_was_done():
+    surface, truth = folded(BALL), flowed(BALL.vertices, 10.0)
+    ones = np.ones(BALL.vertex_count)
+    result = MapResult(surface, BALL.faces, BALL.vertices, BALL.vertices, ones, report={"optimality": {"gap": 0.1}})
+    found = omtwarp.register(result, points_of(truth, surface))
+    registered = found.registered(result)
+    np.testing.assert_array_equal(registered.sphere, found.sphere)
+    np.testing.assert_array_equal(registered.vertices, surface)
+    np.testing.assert_allclose(registered.conformal, found.start.sphere, atol=1e-12)
+    assert registered.report["registration"]["certificate"]["flips"] == 0 and "optimality" not in registered.report
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"stiffness": 0.0}, "the stiffness"),
+        ({"max_strain": -1.0}, "max_strain"),
+        ({"features": {"a": np.ones(3)}}, "both sides"),
+        ({"features": {"a": BALL.vertices[:, 0]}, "to_features": {"a": np.ones(3)}}, "the target"),
+        ({"features": {"a": np.ones(BALL.vertex_count)}, "to_features": {"a": BALL.vertices[:, 0]}}, "constant"),
+        ({"feature_weights": {"thickness": 1.0}}, "no feature 'thickness'"),
+        ({"feature_weights": {"sulc": 0.0, "curv": 0.0}}, "all weights"),
+    ],
+)
+def test_bad_input_is_one_line(options, words):
+    with pytest.raises(OmtwarpError, match=words) as caught:
+        omtwarp.register(points_of(BALL.vertices, folded(BALL)), points_of(BALL.vertices, folded(BALL)), **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sphere_alone_has_no_folds():
+    with pytest.raises(OmtwarpError, match="give the surface, or features"):
+        omtwarp.register(points_of(BALL.vertices, None), points_of(BALL.vertices, folded(BALL)))
