@@ -135,6 +135,15 @@ class Backend(StrEnum):
     WARP = "warp"
 
 
+class PatternName(StrEnum):
+    """The built-in patterns, each a file of :mod:`omtwarp.texturing.patterns`."""
+
+    CIRCLES = "circles"
+    PUZZLE = "puzzle"
+    GLOBE = "globe"
+    CHECKER = "checker"
+
+
 PICTURE_SIZE = (1024, 1024)  # pixels of a view where no size is given
 BACKGROUND = "white"
 FILM_RATE = 20.0  # frames per second; a .gif counts in hundredths of a second, of which this is a whole number

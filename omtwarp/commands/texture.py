@@ -33,7 +33,7 @@ from omtwarp.commands._streams import say
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import check_output
-from omtwarp.options import MapOptions, Refinement, TextureFormat
+from omtwarp.options import MapOptions, PatternName, Refinement, TextureFormat
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,13 +45,6 @@ if TYPE_CHECKING:
     from omtwarp.options import MapChoices
     from omtwarp.result import MapResult
     from omtwarp.torus.torus_map import TorusMap
-
-
-class PatternName(StrEnum):
-    CIRCLES = "circles"
-    PUZZLE = "puzzle"
-    GLOBE = "globe"
-    CHECKER = "checker"
 
 
 PatternOption = Annotated[PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")]

@@ -15,7 +15,7 @@ from omtwarp.mesh.surface import triangle_areas
 from omtwarp.painting.shelves import on_shelves
 from omtwarp.texturing.atlas import check_size, make_atlas
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.patterns import PATTERNS, Pattern
+from omtwarp.texturing.patterns import Pattern, is_name
 from omtwarp.texturing.textured import TexturedSurface, texture, vertex_normals
 from omtwarp.torus.torus_map import TorusMap
 
@@ -52,7 +52,7 @@ class Look:
     @property
     def given(self) -> tuple[PictureLike | None, str | Pattern | None]:
         """The picture and the pattern, one of which is None."""
-        if isinstance(self.source, Pattern) or (isinstance(self.source, str) and self.source in PATTERNS):
+        if isinstance(self.source, Pattern) or is_name(self.source):
             return None, self.source
         return self.source, None
 

@@ -32,7 +32,6 @@ from omtwarp.texturing.rasterizing import rasterize
 from omtwarp.torus.torus_map import TorusMap
 
 MOST_EDGES = 60_000  # faces: with more, edges would hide the surface between them
-TEXTURES = {"circles": "Circles of equal size", "puzzle": "A jigsaw puzzle", "globe": "A globe", "checker": "A checker"}
 PICTURE_WIDTH = 1536  # texels around the sphere of the texture of still pictures: three for each pixel of the surface
 PICTURE_SAMPLES = 2  # along the side of a texel: pictures average over several texels besides
 
@@ -117,7 +116,7 @@ def report_page(
     if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal", "distortion", "report")):
         raise OmtwarpError(f"cannot report on a {type(result).__name__}: give a result of map_to_sphere")
     texture = read_image(image) if image is not None else pattern_by_name(pattern)
-    shown = "The picture" if image is not None else TEXTURES.get(pattern, "The pattern")
+    shown = "The picture" if image is not None else pattern_by_name(pattern).title
     stages = stages_of(result)
     pose = posed(SurfaceView(result.vertices, result.faces), up)
     background = ThreadPoolExecutor(1)

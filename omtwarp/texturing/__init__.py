@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from omtwarp.texturing.baking import resample as resample
     from omtwarp.texturing.baking import sample as sample
     from omtwarp.texturing.image import read_image as read_image
-    from omtwarp.texturing.patterns import PATTERNS as PATTERNS
     from omtwarp.texturing.patterns import Pattern as Pattern
     from omtwarp.texturing.patterns import pattern as pattern
     from omtwarp.texturing.projection import direction_to_image as direction_to_image
@@ -33,7 +32,6 @@ _HOMES = {
     "pattern": "patterns",
     "rasterize": "rasterizing",
     "Pattern": "patterns",
-    "PATTERNS": "patterns",
     "make_atlas": "atlas",
     "ATLASES": "atlas",
     "unwrap": "seams",
@@ -50,7 +48,6 @@ _HOMES = {
 
 __all__ = [
     "ATLASES",
-    "PATTERNS",
     "Pattern",
     "TexturedSurface",
     "VertexValues",

@@ -1,7 +1,7 @@
 """Baking: any function on the sphere into a picture, and pictures back onto the sphere.
 
 A *source* assigns values to directions: the name of a pattern or a
-:class:`~omtwarp.texturing.patterns.Pattern`, an equirectangular (or sinusoidal) picture, or a Python callable from
+:class:`~omtwarp.texturing.patterns.base.Pattern`, an equirectangular (or sinusoidal) picture, or a Python callable from
 directions [N, 3] to values [N] or [N, C]. Numbers at the vertices of a mesh are baked through that mesh
 (:func:`bake_vertex_values`).
 
@@ -27,7 +27,7 @@ from omtwarp.limits import LONGEST_SIDE
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.image import PictureLike, as_floats, read_image
-from omtwarp.texturing.patterns import Pattern, pattern
+from omtwarp.texturing.patterns import Pattern, is_name, pattern
 from omtwarp.texturing.projection import check_projection
 from omtwarp.texturing.seams import Unwrapped, unwrap
 
@@ -121,7 +121,7 @@ def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource:
         return given
     if isinstance(given, Pattern):
         return PatternSource(given)
-    if isinstance(given, str) and given in ("circles", "puzzle", "globe", "checker"):
+    if is_name(given):
         return PatternSource(pattern(given))
     if callable(given) and not hasattr(given, "__array__"):
         return _CallableSource(given)

@@ -120,7 +120,8 @@ def texture(
             as a tuple; or a :class:`omtwarp.TorusMap`, whose texture repeats both ways.
         image: a path, a PIL image or an array [H, W, 3]; its left and right borders are longitude -180 and 180 degrees,
             its top is the north pole (+z).
-        pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``, or a :class:`~omtwarp.texturing.patterns.Pattern`.
+        pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``, or a
+            :class:`~omtwarp.texturing.patterns.base.Pattern`.
             With neither image nor pattern: circles of equal size, which show at a glance whether areas are preserved.
         projection: of the image: ``equirectangular``, or ``sinusoidal`` for the paper's correction of the longitude by
             cos(latitude), for pictures that were not made for a sphere.

@@ -15,7 +15,7 @@ from omtwarp.mesh.surface import triangle_areas
 from omtwarp.painting import paint, unwrap_uv
 from omtwarp.painting.bakes import area_ratio, mean_curvature
 from omtwarp.painting.texels import over, tiled_copies
-from omtwarp.texturing.patterns import Checker
+from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.textured import texture, vertex_normals
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "materials"))

@@ -11,7 +11,7 @@ from omtwarp.mesh.surface import plane_areas
 from omtwarp.painting import paint, unwrap_uv
 from omtwarp.painting.bakes import area_ratio
 from omtwarp.render.colors import colormap_table
-from omtwarp.texturing.patterns import Checker
+from omtwarp.texturing.patterns.checker import Checker
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import trimesh
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.materials import PaintedMesh
 from omtwarp.painting import paint, transfer_texture, unwrap_uv
-from omtwarp.texturing.patterns import Checker
+from omtwarp.texturing.patterns.checker import Checker
 
 AXES = np.array([1.0, 0.7, 1.3])
 

@@ -8,15 +8,16 @@ from PIL import Image
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.options import PatternName
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import make_atlas
 from omtwarp.texturing.baking import bake
 from omtwarp.texturing.bending import Look
 from omtwarp.texturing.image import MOST_FOR_ONE_CORE, as_bytes, png_bytes
-from omtwarp.texturing.patterns import PATTERNS, pattern
+from omtwarp.texturing.patterns import pattern
 
 
-@pytest.mark.parametrize("name", sorted(PATTERNS))
+@pytest.mark.parametrize("name", sorted(PatternName))
 @pytest.mark.parametrize("atlas", ["equirectangular", "cube", "octahedral"])
 def test_blocks_filled_at_once_look_as_texel_by_texel(name, atlas):
     """At most a texel in two thousand differs by more than a level: where an edge only just touches it."""
@@ -27,7 +28,7 @@ def test_blocks_filled_at_once_look_as_texel_by_texel(name, atlas):
     assert (apart > 1).mean() < 5e-4
 
 
-@pytest.mark.parametrize("name", sorted(PATTERNS))
+@pytest.mark.parametrize("name", sorted(PatternName))
 def test_no_edge_within_the_reach(name):
     """Colours at random points within a direction's reach differ from its own by no more than a gradient's."""
     rng = np.random.default_rng(5)

@@ -1,5 +1,7 @@
 """The built-in patterns against what they are defined to be."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pattern_areas import cell_areas
@@ -7,9 +9,14 @@ from scipy import ndimage
 from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing import pattern, rasterize
+from omtwarp.options import PatternName
+from omtwarp.texturing import pattern, patterns, rasterize
 from omtwarp.texturing.coastlines import coastline_segments
-from omtwarp.texturing.patterns import PATTERNS, STORED, Checker, Circles, Globe, Puzzle, stored_circles
+from omtwarp.texturing.patterns.base import Pattern
+from omtwarp.texturing.patterns.checker import Checker
+from omtwarp.texturing.patterns.circles import STORED, Circles, stored_circles
+from omtwarp.texturing.patterns.globe import Globe
+from omtwarp.texturing.patterns.puzzle import Puzzle
 from omtwarp.texturing.projection import direction_from_angles
 
 
@@ -21,7 +28,7 @@ def degrees(lon, lat):
     return direction_from_angles(np.deg2rad(lon), np.deg2rad(lat)).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("name", PATTERNS)
+@pytest.mark.parametrize("name", PatternName)
 def test_colours_are_colours_and_do_not_depend_on_length(name):
     d = directions()
     colours = pattern(name)(d)
@@ -31,7 +38,7 @@ def test_colours_are_colours_and_do_not_depend_on_length(name):
     assert len(np.unique(colours.round(3), axis=0)) >= 2
 
 
-@pytest.mark.parametrize("name", PATTERNS)
+@pytest.mark.parametrize("name", PatternName)
 def test_no_seam_where_longitude_wraps_and_none_at_a_pole(name):
     """Two directions a hair apart have the same colour almost always, on both sides of the date line too."""
     lat = np.linspace(-88, 88, 3001) + 0.0137
@@ -224,3 +231,13 @@ def test_stored_circles_are_those_that_are_computed():
     centres, groups = Circles(STORED).spread(STORED)
     np.testing.assert_allclose(stored_circles()[0], centres, atol=1e-9)
     np.testing.assert_array_equal(stored_circles()[1], groups)
+
+
+def test_a_pattern_is_a_file_and_a_name():
+    """Every name has a file with a class of that name, a title, and no other file is there."""
+    folder = Path(patterns.__file__).parent
+    assert {file.stem for file in folder.glob("*.py")} - {"__init__", "base", "kernels"} == set(PatternName)
+    for name in PatternName:
+        made = pattern(name)
+        assert isinstance(made, Pattern) and type(made).__name__ == name.capitalize() and made.name == name
+        assert made.title != Pattern.title

@@ -13,7 +13,7 @@ from texturing_shapes import ellipsoid, unit
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import pattern, texture
 from omtwarp.texturing.image import read_image, webp_bytes
-from omtwarp.texturing.patterns import Checker
+from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.sharpness import LARGEST_UNASKED, sharp_size
 
 

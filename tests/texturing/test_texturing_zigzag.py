@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation, map_coordinates
 from omtwarp import map_to_sphere, preview, shapes, texture
 from omtwarp.render.camera import SIX_VIEWS
 from omtwarp.render.scene import SurfaceView
-from omtwarp.texturing.patterns import Circles
+from omtwarp.texturing.patterns.circles import Circles
 
 SIZE = 2048
 SMOOTHING = 1.0 / 30.0  # of an edge's length: standard deviation of the Gaussian
