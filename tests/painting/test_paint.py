@@ -249,7 +249,8 @@ def test_occlusion_of_a_ball_and_of_a_well():
     fans = np.flatnonzero((triangles == centre).any(axis=1))
     uv = np.zeros((len(triangles), 3, 2))  # the whole picture is the well's bottom
     uv[fans] = points[triangles[fans]][..., :2] + 0.5
-    painted = paint((points, triangles, points), PaintedMesh(points, triangles, uv), bake=["ao"], size=128)
+    sphere = points / np.linalg.norm(points, axis=1, keepdims=True)
+    painted = paint((points, triangles, sphere), PaintedMesh(points, triangles, uv), bake=["ao"], size=128)
     middle = painted.materials[0].occlusion_picture[60:68, 60:68, 0].mean() / 255
     assert middle == pytest.approx(radius**2 / (radius**2 + depth**2), abs=0.03)
 
