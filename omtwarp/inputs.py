@@ -13,6 +13,7 @@ import os
 import stat
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import IO, BinaryIO
 
 import numpy as np
@@ -77,6 +78,42 @@ def read_bytes(path: str | os.PathLike[str], most: int, kind: str = "file") -> b
             return stream.read(most)
         except OSError as error:
             raise OmtwarpError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def file_beside(file: str | os.PathLike[str], name: str) -> Path | None:
+    """Return the file that another one names, such as a picture or a buffer: a regular file in its folder or below.
+
+    A name that leads elsewhere, as that of a program which wrote the file on another machine, stands for the file of
+    the same name in the folder. Links are followed first, so that none leads out of it.
+
+    Args:
+        file: the file that names the other.
+        name: as it stands there.
+
+    Returns:
+        Its path; None where nothing is there.
+
+    Raises:
+        OmtwarpError: what is there is outside of the folder, or no regular file.
+    """
+    folder = Path(file).resolve().parent
+    words = name.replace("\\", "/").strip().strip('"')
+    if not words or "\0" in words:
+        return None
+    try:
+        there = (folder / words).resolve()
+        if not there.is_relative_to(folder):
+            there = (folder / Path(words).name).resolve()
+        if not os.path.lexists(there):
+            return None
+        regular = there.is_file()
+    except (OSError, RuntimeError):  # a name that is too long, links in a circle
+        return None
+    if not there.is_relative_to(folder):
+        raise OmtwarpError(f"names '{words}', which is outside of its folder")
+    if not regular:
+        raise OmtwarpError(f"names '{words}', which is not a regular file")
+    return there
 
 
 def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import read_bytes
+from omtwarp.inputs import file_beside, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.materials.base import Bytes, Floats, Ints, Material, corners_of
 from omtwarp.materials.painted import PaintedMesh
@@ -21,16 +22,13 @@ from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.read import read_mesh, utf8
-from omtwarp.mesh.scenes import gltf_header, load_scene, placed_meshes, scene_formats
+from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.srgb import to_linear, to_srgb
-from omtwarp.texturing.image import read_image
+from omtwarp.texturing.image import decoded, read_image
 
 if TYPE_CHECKING:
     import trimesh
-    from PIL.Image import Image
-
-Factors = dict[tuple[str | None, tuple[int, ...]], Floats]
 
 # Names under which programs write texture coordinates at the vertices of a PLY file.
 _PLY_COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
@@ -77,8 +75,8 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
             elif suffix == "ply":
                 found = _from_ply(data, file, triangulate)
             else:
-                factors = base_color_factors(gltf_header(data, suffix)) if suffix in ("glb", "gltf") else None
-                found = _from_scene(load_scene(data, file, suffix), factors)
+                scene = load_scene(data, file, suffix)
+                found = _from_scene(scene, gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else None)
     except OmtwarpError as error:
         raise OmtwarpError(str(error) if str(error).startswith(str(file)) else f"{file}: {error}") from None
     except MemoryError:
@@ -91,25 +89,13 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
     return replace(found, source_files=(file, *found.source_files))
 
 
-def _beside(file: Path, name: str) -> Path | None:
-    """Find the regular file that another file names, in its directory or below; None where there is none."""
-    folder = file.resolve().parent
-    words = name.replace("\\", "/").strip().strip('"')
-    if not words or "\0" in words:
-        return None
-    there = (folder / words).resolve()
-    if not there.is_relative_to(folder):
-        there = folder / there.name
-    return there if there.is_file() else None
-
-
 def _from_obj(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
     found = read_obj(utf8(data), triangulate)
     named: list[Path] = []
     notes = list(found.notes)
 
     def picture(name: str) -> Bytes | None:
-        there = _beside(file, name)
+        there = file_beside(file, name)
         if there is None:
             notes.append(f"the picture '{name}' is not there")
             return None
@@ -118,7 +104,7 @@ def _from_obj(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
 
     known: dict[str, Material] = {}
     for library in found.libraries:
-        there = _beside(file, library)
+        there = file_beside(file, library)
         if there is None:
             notes.append(f"the material library '{library}' is not there")
         else:
@@ -163,7 +149,7 @@ def _ply_pictures(data: bytes, file: Path) -> tuple[list[Bytes | None], list[Pat
     for line in data[: data.find(b"end_header")].decode("utf-8", "replace").splitlines():
         words = line.strip().split(None, 2)
         if len(words) == 3 and words[:2] == ["comment", "TextureFile"]:
-            there = _beside(file, words[2])
+            there = file_beside(file, words[2])
             if there is None:
                 notes.append(f"the picture '{words[2]}' is not there")
                 pictures.append(None)
@@ -215,12 +201,12 @@ def _numbers(column: Column) -> Floats:
     return np.asarray(column, dtype=np.float64)
 
 
-def _from_scene(scene: trimesh.Scene, factors: Factors | None) -> PaintedMesh:
+def _from_scene(scene: trimesh.Scene, looks: list[GltfLook] | None) -> PaintedMesh:
     """Take all geometries of a scene together, where the scene puts them.
 
     Args:
         scene: of trimesh's.
-        factors: of a glTF file's materials, whose colours are linear; None for other formats.
+        looks: of a glTF file's materials, whose colours are linear; None for other formats.
     """
     found = placed_meshes(scene)
     if not found:
@@ -230,7 +216,7 @@ def _from_scene(scene: trimesh.Scene, factors: Factors | None) -> PaintedMesh:
     vertices, faces, uvs, which, colors = [], [], [], [], []
     start = 0
     for _, one, points, triangles in found:
-        material, uv, color = _appearance(one, factors)
+        material, uv, color = _appearance(one, looks)
         key = id(getattr(one.visual, "material", one))
         if key not in numbers:
             numbers[key] = len(materials)
@@ -260,20 +246,45 @@ def _from_scene(scene: trimesh.Scene, factors: Factors | None) -> PaintedMesh:
     return joined_seams(mesh)
 
 
-def base_color_factors(header: object) -> Factors:
-    """Return the unrounded factors of a glTF file's materials, by name and by the values that trimesh has rounded."""
-    from trimesh.visual.color import to_rgba
+@dataclass(frozen=True)
+class GltfLook:
+    """What trimesh does not tell of a glTF material.
 
-    found: Factors = {}
-    for material in header.get("materials", []) if isinstance(header, dict) else []:
+    Attributes:
+        name: as the file has it.
+        factor: the base colour, unrounded, shape [4]; None for white.
+        pictures: by the names of their roles.
+    """
+
+    name: str
+    factor: Floats | None
+    pictures: dict[str, Bytes]
+
+
+def gltf_materials(data: bytes, file: Path, suffix: str) -> list[GltfLook]:
+    """Read names, colours and pictures of a glTF file's materials, in its order.
+
+    Raises:
+        OmtwarpError: a picture cannot be read, or is elsewhere than in the file's directory.
+    """
+    known: dict[int, Bytes] = {}  # by the identity of their content, which several materials may have
+
+    def picture(content: bytes) -> Bytes:
+        if id(content) not in known:
+            known[id(content)] = _as_bytes(decoded(io.BytesIO(content), "a picture in it"))
+        return known[id(content)]
+
+    materials = gltf_header(data, suffix).get("materials", [])
+    looks = []
+    for material, pictures in zip(materials, gltf_pictures(data, file, suffix), strict=True):
         factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
-        if factor is not None and len(factor) == 4:
-            exact = np.clip(np.asarray(factor, dtype=np.float64), 0.0, 1.0)
-            found[material.get("name"), tuple(to_rgba(exact).tolist())] = exact
-    return found
+        exact = np.clip(np.asarray(factor, dtype=np.float64), 0.0, 1.0) if factor and len(factor) == 4 else None
+        by_role = {role: picture(content) for role, content in pictures.items()}
+        looks.append(GltfLook(material.get("name") or "material", exact, by_role))
+    return looks
 
 
-def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Material, Floats | None, Bytes | None]:
+def _appearance(mesh: trimesh.Trimesh, looks: list[GltfLook] | None) -> tuple[Material, Floats | None, Bytes | None]:
     """Return the material, texture coordinates [V, 2] and colours [V, 4] of a mesh that trimesh read."""
     from trimesh.visual import ColorVisuals, TextureVisuals  # heavy, and loaded by whoever has a mesh of trimesh's
 
@@ -281,7 +292,7 @@ def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Materia
     kind = getattr(visual, "kind", None)
     if kind == "vertex" and isinstance(visual, ColorVisuals):
         colors = _opaque(np.asarray(visual.vertex_colors, dtype=np.uint8))
-        if factors is not None:
+        if looks is not None:
             colors[:, :3] = np.rint(255.0 * to_srgb(colors[:, :3] / 255.0))
         return Material(), None, colors
     if kind == "face" and isinstance(visual, ColorVisuals):
@@ -295,44 +306,37 @@ def _appearance(mesh: trimesh.Trimesh, factors: Factors | None) -> tuple[Materia
     name = str(getattr(source, "name", None) or "material")
     if not hasattr(source, "baseColorFactor"):  # of formats older than glTF
         diffuse = np.asarray(getattr(source, "diffuse", (255, 255, 255, 255)), dtype=np.float64) / 255.0
-        picture = _pil(getattr(source, "image", None))
-        return Material(name, _color(diffuse if picture is None else np.ones(4)), picture), coordinates, None
-    return _of_gltf(source, name, factors), coordinates, _vertex_colors(mesh)
+        return Material(name, _color(diffuse)), coordinates, None
+    look = looks[int(name)] if looks is not None and name.isdecimal() and int(name) < len(looks) else None
+    return _of_gltf(source, look or GltfLook(name, None, {})), coordinates, _vertex_colors(mesh)
 
 
-def _of_gltf(source: trimesh.visual.material.PBRMaterial, name: str, factors: Factors | None) -> Material:
-    """Return a material that trimesh read from glTF.
-
-    Args:
-        source: as trimesh has it.
-        name: how it is called.
-        factors: base colours as the file has them, by what trimesh makes of them.
-    """
-    factor = source.baseColorFactor
+def _of_gltf(source: trimesh.visual.material.PBRMaterial, look: GltfLook) -> Material:
+    """Return a material that trimesh read, with its look as the file has it."""
     color = (1.0, 1.0, 1.0, 1.0)
-    if factor is not None:
-        values = np.asarray(factor)
+    if source.baseColorFactor is not None:
+        values = np.asarray(source.baseColorFactor)
         scaled = values / 255.0 if values.dtype.kind in "iu" else values.astype(np.float64)
-        scaled = (factors or {}).get((source.name, tuple(values.tolist())), scaled)
+        scaled = scaled if look.factor is None else look.factor
         color = _color(np.concatenate([to_srgb(scaled[:3]), scaled[3:4]]))
-    picture = _pil(source.baseColorTexture)
+    picture = look.pictures.get("baseColorTexture")
     if picture is not None and picture.shape[:2] == (1, 1):  # one texel is a plain colour, which needs no coordinates
         texel = _opaque(picture[0]) / 255.0
         light = to_linear(np.array(color[:3])) * to_linear(texel[0, :3])
         color, picture = _color(np.append(to_srgb(light), color[3] * texel[0, 3])), None
     emission = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor, dtype=np.float64)
     return Material(
-        name=name,
+        name=look.name,
         color=color,
         picture=picture,
         metallic=1.0 if source.metallicFactor is None else float(source.metallicFactor),
         roughness=1.0 if source.roughnessFactor is None else float(source.roughnessFactor),
         emission=(float(emission[0]), float(emission[1]), float(emission[2])),
         two_sided=bool(source.doubleSided),
-        normal_picture=_pil(source.normalTexture),
-        occlusion_picture=_pil(source.occlusionTexture),
-        roughness_picture=_pil(source.metallicRoughnessTexture),
-        emission_picture=_pil(source.emissiveTexture),
+        normal_picture=look.pictures.get("normalTexture"),
+        occlusion_picture=look.pictures.get("occlusionTexture"),
+        roughness_picture=look.pictures.get("metallicRoughnessTexture"),
+        emission_picture=look.pictures.get("emissiveTexture"),
     )
 
 
@@ -352,10 +356,6 @@ def _vertex_colors(mesh: trimesh.Trimesh) -> Bytes | None:
 def _color(values: NDArray) -> tuple[float, float, float, float]:
     red, green, blue, *rest = np.clip(np.asarray(values, dtype=np.float64), 0.0, 1.0)
     return float(red), float(green), float(blue), float(rest[0]) if rest else 1.0
-
-
-def _pil(image: Image | None) -> Bytes | None:
-    return None if image is None else _as_bytes(read_image(image))
 
 
 def _as_bytes(picture: NDArray[np.generic]) -> Bytes:

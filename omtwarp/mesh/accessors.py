@@ -84,6 +84,42 @@ class _Buffer(TypedDict, total=False):
     byteLength: int
 
 
+class _Image(TypedDict, total=False):
+    """A picture: part of a buffer, or a file."""
+
+    bufferView: int
+    uri: str
+    mimeType: str
+
+
+class _Texture(TypedDict, total=False):
+    """A picture and how it repeats."""
+
+    source: int
+    extensions: dict[str, _Texture]
+
+
+class _UsedTexture(TypedDict, total=False):
+    """A material's texture."""
+
+    index: int
+
+
+class _Metallic(TypedDict, total=False):
+    """A material's colour and shine."""
+
+    baseColorFactor: list[float]
+    baseColorTexture: _UsedTexture
+    metallicRoughnessTexture: _UsedTexture
+
+
+class GltfMaterial(TypedDict, total=False):
+    """A material, as far as it is read here."""
+
+    name: str
+    pbrMetallicRoughness: _Metallic
+
+
 class Document(TypedDict, total=False):
     """A glTF file's JSON, as far as its arrays are concerned."""
 
@@ -92,6 +128,9 @@ class Document(TypedDict, total=False):
     buffers: list[_Buffer]
     meshes: list[_Mesh]
     extensionsRequired: list[str]
+    images: list[_Image]
+    textures: list[_Texture]
+    materials: list[GltfMaterial]
 
 
 def with_plain_accessors(data: bytes, document: Document, binary: bool, named: Callable[[str], bytes]) -> bytes:
@@ -138,6 +177,11 @@ def with_plain_accessors(data: bytes, document: Document, binary: bool, named: C
         content += array.tobytes() + bytes(-array.nbytes % 4)
     uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode("ascii")
     document["buffers"].append({"byteLength": len(content), "uri": uri})
+    return with_document(data, document, binary)
+
+
+def with_document(data: bytes, document: Document, binary: bool) -> bytes:
+    """Return a glTF file with other JSON; arguments are those of :func:`with_plain_accessors`."""
     text = json.dumps(document).encode("utf-8")
     if not binary:
         return text
@@ -158,6 +202,31 @@ def _binary_chunk(data: bytes) -> bytes:
             return data[place : place + length]
         place += length
     return b""
+
+
+def pictures_of(
+    data: bytes, document: Document, binary: bool, named: Callable[[str], bytes]
+) -> Callable[[int], bytes | None]:
+    """Return a function that gives the bytes of a picture of a glTF file by its number, None for unread formats.
+
+    Args:
+        data: the file.
+        document: its JSON.
+        binary: whether the file is a ``.glb``.
+        named: reads a file that the document names.
+    """
+    buffers = _Buffers(document, _binary_chunk(data) if binary else b"", named)
+
+    def picture(number: int) -> bytes | None:
+        found = document["images"][number]
+        uri = found.get("uri", "")
+        if found.get("mimeType") == "image/ktx2" or not ("bufferView" in found or uri):
+            return None
+        if "bufferView" in found:
+            return buffers.view(found["bufferView"])[0]
+        return base64.b64decode(uri.partition("base64,")[2]) if uri.startswith("data:") else named(uri)
+
+    return picture
 
 
 class _Buffers:
@@ -243,4 +312,4 @@ def _unit_range(array: Numbers) -> NDArray[np.float32]:
     return np.maximum(array.astype(np.float64) / most, -1.0).astype(np.float32)
 
 
-__all__ = ["Document", "with_plain_accessors"]
+__all__ = ["Document", "pictures_of", "with_document", "with_plain_accessors"]

@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import re
 import warnings
+import zlib
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
+from xml.parsers.expat import ParserCreate
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.inputs import file_beside, read_bytes
+from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import single_precision
 
 if TYPE_CHECKING:
@@ -65,6 +69,7 @@ def gifti_image(path: Path) -> GiftiImage:
     """
     nibabel = nibabel_module()
     try:
+        require_files_beside(path)
         with warnings.catch_warnings(action="ignore"):
             image = nibabel.load(path)
         if isinstance(image, nibabel.gifti.GiftiImage):
@@ -72,9 +77,32 @@ def gifti_image(path: Path) -> GiftiImage:
         detail = f"it is {type(image).__name__}"
     except MemoryError:
         raise
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{path}: {error}") from None
     except Exception as error:  # nibabel, expat and zlib raise many kinds on a damaged file
         detail = " ".join(str(error).split())[:160] or type(error).__name__
     raise OmtwarpError(f"{path}: cannot be read as GIFTI: {detail}")
+
+
+def require_files_beside(path: Path) -> None:
+    """Make sure that a GIFTI file names no other file than regular ones in its folder, where arrays may be stored.
+
+    Raises:
+        OmtwarpError: it names another one, or inflates to more than a mesh file may have.
+        Exception: what expat or zlib raise on a damaged file.
+    """
+    data = read_bytes(path, LARGEST_MESH_FILE, "mesh file")
+    if data.startswith(b"\x1f\x8b"):
+        data = zlib.decompressobj(31).decompress(data, LARGEST_MESH_FILE)
+
+    def begun(name: str, attributes: dict[str, str]) -> None:
+        named = attributes.get("ExternalFileName")
+        if named and (path.absolute().parent / named).resolve() != file_beside(path, named):
+            raise OmtwarpError(f"names '{named}', which is not a file in its folder")
+
+    parser = ParserCreate()
+    parser.StartElementHandler = begun
+    parser.Parse(data, True)
 
 
 def require_same_structure(one: Path | None, other: Path | None) -> None:

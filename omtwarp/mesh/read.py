@@ -24,7 +24,7 @@ from omtwarp.files import as_path
 from omtwarp.inputs import read_arrays, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.arrays import whole_numbers
-from omtwarp.mesh.neuro import nibabel_module
+from omtwarp.mesh.neuro import nibabel_module, require_files_beside
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
@@ -238,6 +238,7 @@ def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 def _read_gifti(data: bytes, file: Path, triangulate: bool) -> _Read:
     nibabel = nibabel_module()
+    require_files_beside(file)
     image = nibabel.load(file)
     points, triangles = image.get_arrays_from_intent("pointset"), image.get_arrays_from_intent("triangle")
     if len(points) != 1 or len(triangles) != 1:

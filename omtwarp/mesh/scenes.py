@@ -7,26 +7,34 @@ import json
 import logging
 import struct
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import read_bytes
+from omtwarp.inputs import file_beside, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, amount
-from omtwarp.mesh.accessors import Document, with_plain_accessors
+from omtwarp.mesh.accessors import Document, pictures_of, with_document, with_plain_accessors
 
 if TYPE_CHECKING:
     import trimesh
 
 # Drawings without surfaces, points without triangles, and archives of unknown content.
-_NOT_MESHES = {"dxf", "xyz", "zip", "bz2", "tar.gz", "tar.bz2"}
+# Readers of the last two open pictures of their archives themselves.
+_NOT_MESHES = {"dxf", "xyz", "zip", "bz2", "tar.gz", "tar.bz2", "3dxml", "zae"}
+ROLES = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture", "occlusionTexture", "emissiveTexture")
 # Parts of glTF that are read, or that change nothing about triangles and little about their look.
 _READ = ("KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_", "KHR_lights_")
 # Parts that change where a picture lies or how it is stored, and nothing about triangles.
 _OF_PICTURES = ("KHR_texture_", "EXT_texture_", "MSFT_texture_")
+
+
+class MissingFile(OmtwarpError):
+    """A file that a mesh file names is not there."""
 
 
 def scene_formats() -> set[str]:
@@ -46,7 +54,8 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         pictures: whether its pictures matter, so that a part that they need and that is not read is refused.
 
     Returns:
-        A ``trimesh.Scene`` with vertices as the file has them.
+        A ``trimesh.Scene`` with vertices as the file has them, and without any picture: trimesh would have them opened
+        in every format there is, some of them by programs of the system. glTF materials are called by their numbers.
 
     Raises:
         OmtwarpError: a part of glTF that the file requires and that is not read, such as compressed geometry; an
@@ -56,20 +65,19 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
     import trimesh
     from trimesh.resolvers import Resolver
 
-    class Beside(Resolver):
-        """Regular files of bounded size in the scene's directory, and nowhere else."""
+    class Buffers(Resolver):
+        """The files that a glTF file names as its arrays; no other format may ask for a file."""
 
-        def __init__(self, folder: Path):
-            self.folder = folder.resolve()
+        def __init__(self) -> None:
+            """Begin with no file, as trimesh asks for them by name."""
 
         def get(self, name: str) -> bytes:
-            path = (self.folder / name.strip()).resolve()
-            if not path.is_relative_to(self.folder):
-                path = self.folder / path.name
-            return read_bytes(path, LARGEST_MESH_FILE)
+            if suffix != "gltf":
+                raise OmtwarpError(f"names '{name}', which is not read with a .{suffix}")
+            return named(name)
 
-        def namespaced(self, namespace: str) -> Beside:
-            return Beside(self.folder / namespace)
+        def namespaced(self, _namespace: str) -> Buffers:
+            return self
 
         def keys(self) -> list[str]:
             return []
@@ -77,18 +85,75 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         def write(self, name: str, data: object) -> None:
             raise OmtwarpError(f"{name}: not written, as the scene is only read")
 
-    beside = Beside(file.parent)
+    named = reader_beside(file)
     if suffix in ("glb", "gltf"):
         header = gltf_header(data, suffix)
         _require_read(header, (*_READ, *(() if pictures else _OF_PICTURES)))
-        data = with_plain_accessors(data, header, suffix == "glb", beside.get)
+        data = with_plain_accessors(data, header, suffix == "glb", named)
+        if header.pop("images", None) or header.get("materials"):
+            for number, material in enumerate(header.get("materials", [])):
+                material["name"] = str(number)
+            data = with_document(data, header, suffix == "glb")
     if data.startswith(b"PK"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             total = sum(entry.file_size for entry in archive.infolist())
         if total > LARGEST_MESH_FILE:
             raise OmtwarpError(f"inflates to {amount(total)}, and {amount(LARGEST_MESH_FILE)} is the most")
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its errors contain the same information
-    return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=beside, process=False)
+    return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Buffers(), process=False)
+
+
+def reader_beside(file: Path) -> Callable[[str], bytes]:
+    """Return a function that reads a file that a mesh file names, in its directory or below.
+
+    The function raises an OmtwarpError where the file is elsewhere, is no regular file, or is not there.
+    """
+
+    def read(name: str) -> bytes:
+        there = file_beside(file, unquote(name))
+        if there is None:
+            raise MissingFile(f"names '{name}', which is not there")
+        return read_bytes(there, LARGEST_MESH_FILE)
+
+    return read
+
+
+def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[dict[str, bytes]]:
+    """Return the encoded pictures of every material of a glTF file by the names of their roles.
+
+    Pictures that are not there are left out, and so are those of formats that glTF 2.0 does not know.
+
+    Raises:
+        OmtwarpError: the file names one that is elsewhere than in its directory, or is no regular file.
+        LookupError: the document refers to what is not there.
+    """
+    document = gltf_header(data, suffix)
+    picture = pictures_of(data, document, suffix == "glb", reader_beside(file))
+    known: dict[int, bytes | None] = {}
+    found: list[dict[str, bytes]] = []
+    for material in document.get("materials", []):
+        uses: dict[str, object] = {**material.get("pbrMetallicRoughness", {}), **material}
+        found.append({})
+        for role in ROLES:
+            used = uses.get(role)
+            number = _image_of(document, used["index"]) if isinstance(used, dict) and "index" in used else None
+            if number is None:
+                continue
+            if number not in known:
+                try:
+                    known[number] = picture(number)
+                except MissingFile:
+                    known[number] = None
+            content = known[number]
+            if content:
+                found[-1][role] = content
+    return found
+
+
+def _image_of(document: Document, texture: int) -> int | None:
+    """Return the number of a texture's picture, as WebP where it has it so; None where it has none."""
+    found = document["textures"][texture]
+    return found.get("extensions", {}).get("EXT_texture_webp", found).get("source")
 
 
 def gltf_header(data: bytes, suffix: str) -> Document:
@@ -149,4 +214,4 @@ def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, NDAr
     return found
 
 
-__all__ = ["gltf_header", "load_scene", "placed_meshes", "scene_formats"]
+__all__ = ["gltf_header", "gltf_pictures", "load_scene", "placed_meshes", "scene_formats"]

@@ -12,11 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import holds_array, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.inputs import holds_array
 from omtwarp.materials.base import WHITE
-from omtwarp.mesh.read import read_mesh as read_triangles
-from omtwarp.mesh.scenes import load_scene, scene_formats
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
 from omtwarp.srgb import to_srgb
 from omtwarp.texturing.image import PictureLike
@@ -214,10 +211,7 @@ def _file_view(path: Path) -> SurfaceView:
     """Return a view of a mesh file; of one with several materials, every triangle in its own."""
     from omtwarp.materials.read import read_painted_mesh
 
-    if path.suffix.lower() in (".obj", ".glb", ".gltf"):
-        return painted_view(read_painted_mesh(path, triangulate=True))
-    found = read_mesh(path)
-    return painted_view(read_painted_mesh(path, triangulate=True)) if found is None else _from_trimesh(found)
+    return painted_view(read_painted_mesh(path, triangulate=True))
 
 
 def painted_view(mesh: PaintedMesh) -> SurfaceView:
@@ -235,51 +229,6 @@ def painted_view(mesh: PaintedMesh) -> SurfaceView:
     if not any(material.image is not None for material in materials):
         uv = None
     return SurfaceView(mesh.vertices, mesh.faces, uv=uv, materials=materials, face_material=mesh.material_of)
-
-
-def read_mesh(path: Path) -> trimesh.Trimesh | None:
-    """Read a mesh file with its texture and colours as one ``trimesh.Trimesh``, with vertices as in the file.
-
-    Returns:
-        None for a scene of several geometries, which differ in their materials.
-
-    Raises:
-        OmtwarpError: the file is missing, unreadable, or holds no triangles.
-    """
-    import trimesh
-
-    suffix = path.suffix.lower().lstrip(".")
-    if suffix not in scene_formats():  # one without colours or textures
-        mesh = read_triangles(path, triangulate=True)
-        return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    data = read_bytes(path, LARGEST_MESH_FILE, "mesh file")
-    loaded: trimesh.Scene | trimesh.Geometry
-    try:
-        loaded = load_scene(data, path, suffix)
-    except OmtwarpError as error:
-        raise OmtwarpError(f"{path}: {error}") from None
-    except MemoryError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
-        raise OmtwarpError(f"{path}: cannot be read as {suffix}: {reason}") from None
-    if isinstance(loaded, trimesh.Scene):
-        nodes = [
-            name
-            for name in loaded.graph.nodes_geometry
-            if isinstance(loaded.geometry[loaded.graph[name][1]], trimesh.Trimesh)
-        ]
-        if len(nodes) == 1:  # joining would repack the texture
-            transform, name = loaded.graph[nodes[0]]
-            loaded = loaded.geometry[name]
-            if not np.array_equal(transform, np.eye(4)):
-                loaded = loaded.copy()
-                loaded.apply_transform(transform)
-        elif nodes:
-            return None
-    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
-        raise OmtwarpError(f"{path}: no triangles in it, so nothing to draw")
-    return loaded
 
 
 def _from_trimesh(mesh: trimesh.Trimesh) -> SurfaceView:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 PictureLike: TypeAlias = "str | os.PathLike[str] | Image | ArrayLike"
 """A picture in any of the forms that public functions take: a path, a PIL image, or an array [H, W] or [H, W, C]."""
-# Formats that Pillow decodes itself; it would pass others, such as EPS, to programs of the system.
-FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")
+# Formats that textures come in and Pillow decodes itself; it would pass others, such as EPS, to programs of the system.
+FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA")
 
 # Bytes of an image above which it is compressed on all cores: below, Pillow takes a tenth of a second or two.
 MOST_FOR_ONE_CORE = 4_000_000
@@ -57,21 +57,34 @@ def read_image(source: PictureLike) -> NDArray[np.generic]:
     if isinstance(source, (str, os.PathLike)):
         path = Path(source)
         with open_input(path, LARGEST_PICTURE_FILE, "picture") as stream:
-            try:
-                # Pillow warns of damage that it tolerates.
-                with warnings.catch_warnings(action="ignore"), _open(stream) as opened:
-                    return _from_pil(opened, str(path))
-            except (OmtwarpError, MemoryError):
-                raise
-            except pil.UnidentifiedImageError:
-                raise OmtwarpError(
-                    f"{path}: not a picture in a format that can be read ({', '.join(FORMATS)})"
-                ) from None
-            except Exception as error:  # damaged files end in many kinds of error inside the decoders
-                raise OmtwarpError(f"{path}: cannot be read as a picture: {_first_line(error)}") from None
+            return decoded(stream, str(path))
     if isinstance(source, pil.Image):
         return _from_pil(source, "image")
     return _from_array(source)
+
+
+def decoded(stream: BinaryIO, name: str) -> NDArray[np.generic]:
+    """Decode a picture; the one place where Pillow opens a file, as no other library may.
+
+    Args:
+        stream: the file, of one of :data:`FORMATS`.
+        name: what messages call it.
+
+    Raises:
+        OmtwarpError: it is damaged, too large, or of another format.
+    """
+    from PIL import Image as pil
+
+    try:
+        # Pillow warns of damage that it tolerates.
+        with warnings.catch_warnings(action="ignore"), _open(stream) as opened:
+            return _from_pil(opened, name)
+    except (OmtwarpError, MemoryError):
+        raise
+    except pil.UnidentifiedImageError:
+        raise OmtwarpError(f"{name}: not a picture in a format that can be read ({', '.join(FORMATS)})") from None
+    except Exception as error:  # damaged files end in many kinds of error inside the decoders
+        raise OmtwarpError(f"{name}: cannot be read as a picture: {_first_line(error)}") from None
 
 
 def _open(stream: BinaryIO) -> Image:

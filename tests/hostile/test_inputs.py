@@ -72,7 +72,7 @@ def test_what_is_no_file_is_one_line(tmp_path, name, monkeypatch):
     assert "no such file" in error_of(lambda: read(tmp_path / f"none-{name}"))
     assert "no such file" in error_of(lambda: read(tmp_path / name / name))
     assert "cannot be read: File name too long" in error_of(lambda: read(tmp_path / ("a" * 300 + name)))
-    readers = ("materials.read", "mesh.read", "mesh.scenes", "render.subject", "result")
+    readers = ("materials.read", "mesh.read", "mesh.scenes", "result")
     for module in (f"omtwarp.{reader}" for reader in readers):
         monkeypatch.setattr(f"{module}.LARGEST_MESH_FILE", 4000)
     monkeypatch.setattr("omtwarp.texturing.image.LARGEST_PICTURE_FILE", 4000)

@@ -14,7 +14,7 @@ from omtwarp.materials import read_painted_mesh
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
-from omtwarp.render.subject import read_mesh as drawn_mesh
+from omtwarp.render.subject import as_surface_view as drawn_mesh
 
 BALL = shapes.icosphere(3)
 TYPES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
