@@ -31,7 +31,7 @@ GL_PACKAGES = ("libegl1", "libgl1")
 NODE = ROOT / ".node"
 READERS = {"gltf-validator": "2.0.0-dev.3.10", "three": "0.187.0"}  # packages of node that tests read GLB with
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-EXTRAS = {"test": "test", "gpu": "test"}  # of every other command: preview
+EXTRAS = {"test": "test", "gpu": "test,cuda"}  # of every other command: preview
 WHEELS = ROOT / "wheels"  # what `gpu` installs from without a network, where it is there; see docs/performance.md
 NO_CARD = 3  # exit status of `gpu` without a card
 
@@ -129,7 +129,8 @@ def install(extras: str) -> None:
     def stamp(extras: str) -> Path:
         return VENV / f".installed-{extras.replace(',', '-')}"
 
-    if any(mark.exists() and mark.read_text() == state for mark in (stamp(extras), stamp("test"))):
+    marks = [stamp(extras), stamp("test")] if extras == "preview" else [stamp(extras)]  # the tests install it too
+    if any(mark.exists() and mark.read_text() == state for mark in marks):
         return
     say(f"installing omtwarp[{extras}] and its dependencies (the first time only; a minute or so)")
     command = [PYTHON, "-m", "pip", "install", "-qq", "--disable-pip-version-check", "-e", f".[{extras}]"]

@@ -11,7 +11,7 @@ from typing import TypedDict, TypeVar, Unpack, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.policy import solving_with
+from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order
 from omtwarp.input_order import in_input_order, torus_in_input_order
@@ -426,7 +426,8 @@ def _on_torus(part: Part, progress: Progress | None, options: MapKeywords) -> To
     for name in ("method", "until", "cost", "scheme"):
         if asked.get(name, getattr(standard, name)) != getattr(standard, name):
             raise OmtwarpError(f"'{name}' is an option of maps to the sphere: a map to a torus has none")
-    with solving_with(choose(Solver, options.get("solver", standard.solver))):
+    device = str(resolve_device(options.get("device")))
+    with solving_with(choose(Solver, options.get("solver", standard.solver)), device):
         result = map_to_torus(
             Surface(ordered.vertices, ordered.faces),
             refine=parse_refinement(options.get("refine")),

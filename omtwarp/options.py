@@ -119,12 +119,13 @@ class CutAlong(StrEnum):
 
 
 class Solver(StrEnum):
-    """How sparse systems are solved: by SciPy, or faster by a built-in solver; ``auto`` takes the fastest."""
+    """How sparse systems are solved: by SciPy, a built-in solver or, on a GPU, cuDSS; ``auto`` takes a built-in one."""
 
     AUTO = "auto"
     SCIPY = "scipy"
     CHOLESKY = "cholesky"
     MULTIGRID = "multigrid"
+    CUDSS = "cudss"
 
 
 class Backend(StrEnum):

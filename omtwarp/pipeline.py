@@ -300,7 +300,7 @@ def map_to_sphere(
         raise OmtwarpError("exact areas are for the uniform sphere: leave the target density out")
     surface = weighted_surface(as_surface(mesh), weights, weights_at)
     ordered = in_space_order(surface)
-    with solving_with(options.solver):
+    with solving_with(options.solver, str(where)):
         result = _Run(ordered.surface, options, str(where), progress, density).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
@@ -327,8 +327,8 @@ def map_double(
     Raises:
         OmtwarpError: the mesh cannot be mapped.
     """
-    with solving_with(options.solver):
-        where = str(resolve_device(options.device))
+    where = str(resolve_device(options.device))
+    with solving_with(options.solver, where):
         result = _Run(as_surface(surface), options, where, progress, mirror=double).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=stacklevel + 1)

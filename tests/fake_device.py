@@ -13,6 +13,7 @@ import inspect
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -39,6 +40,11 @@ class FakeDevice(wp.Device):
 
     def __hash__(self) -> int:
         return id(self)
+
+    @property
+    def stream(self) -> SimpleNamespace:
+        """What a library that works on the device's stream is given."""
+        return SimpleNamespace(cuda_stream=0)
 
 
 @cache

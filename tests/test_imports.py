@@ -22,6 +22,7 @@ HEAVY = {
     "imageio_ffmpeg",
     "matplotlib",
     "nibabel",
+    "nvmath",
     "ot",
     "polyscope",
     "pyarrow",

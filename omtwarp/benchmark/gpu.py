@@ -18,6 +18,7 @@ from pathlib import Path
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
+from omtwarp.options import parse_device
 from omtwarp.reporting.markup import Markup, element
 from omtwarp.reporting.plain import table, write_plain_page
 
@@ -26,7 +27,15 @@ LEAST_SECONDS = 5.0  # a part is not begun with less left
 SIZES = (2_000, 70_000, 300_000, 1_000_000)  # faces: to compare all kinds of maps, to compare the default, to time
 TESTS_LIMIT = 120.0  # seconds of the tests that need CUDA
 # Seconds that a part may take; the last ones may take all that is left.
-LIMITS = {"device": 60.0, "kernels compiled": 150.0, "agreement": 90.0, "copies": 30.0, "graphs": 60.0, "kernels": 60.0}
+LIMITS = {
+    "device": 60.0,
+    "kernels compiled": 150.0,
+    "agreement": 90.0,
+    "copies": 30.0,
+    "graphs": 60.0,
+    "kernels": 60.0,
+    "solvers": 60.0,
+}
 
 
 @dataclass(frozen=True)
@@ -65,6 +74,8 @@ def plan(device: str, sizes: Sequence[int], tests: Path | None) -> list[Part]:
         command = [sys.executable, "-m", "pytest", "-m", "cuda", "--continue-on-collection-errors", "--tb=line"]
         parts.append(Part("tests", [*command, "-p", "no:cacheprovider", str(tests)], TESTS_LIMIT))
     parts += [part("agreement", middle), part("copies"), part("stages", middle)]
+    if parse_device(device).startswith("cuda"):
+        parts.append(part("solvers", middle))
     parts += [part("graphs", small), part("kernels", middle)]
     return parts + [part("stages", faces) for faces in large]
 

@@ -156,6 +156,25 @@ def compare_graphs(device: str, faces: int) -> Iterator[Record]:
     yield {"same bits": all(largest_difference(recorded, launched, stage) == 0.0 for stage in STAGES)}
 
 
+def compare_solvers(device: str, faces: int) -> Iterator[Record]:
+    """Compare maps whose systems cuDSS solves with those of the built-in solvers; times are those of a second map."""
+    surface = made("blob", faces)
+    built_in = map_to_sphere(surface, device=device)
+    record: Record = {}
+    for solver in (Solver.CHOLESKY, Solver.CUDSS):
+        one = map_to_sphere(surface, device=device, solver=solver)
+        start = time.perf_counter()
+        two = map_to_sphere((surface.vertices, surface.faces), device=device, solver=solver)
+        whole = time.perf_counter() - start
+        record[str(solver)] = {
+            "same bits twice": all(largest_difference(one, two, stage) == 0.0 for stage in STAGES),
+            "from the default": largest_difference(built_in, two, "sphere"),
+            **{stage["name"]: stage["seconds"] for stage in two.report["stages"]},
+            "whole map": whole,
+        }
+        yield record
+
+
 def time_kernels(device: str, faces: int) -> Iterator[Record]:
     """Time every kernel of a map by itself."""
     surface = made("blob", faces)
@@ -179,6 +198,7 @@ PARTS: dict[str, Callable[[str, int], Iterator[Record]]] = {
     "agreement": compare,
     "copies": time_copies,
     "graphs": compare_graphs,
+    "solvers": compare_solvers,
     "kernels": time_kernels,
     "stages": time_stages,
 }

@@ -56,15 +56,28 @@ def asks_for_cuda(device: object) -> bool:
 
 
 _wanted: ContextVar[Solver] = ContextVar("solver", default=Solver.AUTO)
+_device: ContextVar[str] = ContextVar("device", default="cuda:0")  # where cuDSS solves
 
 
 @contextlib.contextmanager
-def solving_with(solver: Solver) -> Iterator[None]:
-    """Select the solver of sparse systems for a computation; ``auto`` does not change the selection."""
+def solving_with(solver: Solver, device: str | None = None) -> Iterator[None]:
+    """Select the solver of sparse systems for a computation; ``auto`` does not change the selection.
+
+    Args:
+        solver: the solver.
+        device: that of the computation, where cuDSS then solves.
+
+    Raises:
+        OmtwarpError: cuDSS is asked for on the CPU.
+    """
     token = _wanted.set(wanted_solver() if solver is Solver.AUTO else solver)
+    place = _device.set(device if asks_for_cuda(device) and device is not None else _device.get())
     try:
+        if solves_with_cudss() and device is not None and not asks_for_cuda(device):
+            raise OmtwarpError("the solver cudss runs on a GPU: use --device cuda, or another solver")
         yield
     finally:
+        _device.reset(place)
         _wanted.reset(token)
 
 
@@ -90,6 +103,20 @@ def on_device(device: wp.Device, vertices: int) -> bool:
 def solves_with_scipy() -> bool:
     """Return whether the host factorises by SciPy rather than by the built-in, several times faster solver."""
     return wanted_solver() is Solver.SCIPY
+
+
+def solves_with_cudss() -> bool:
+    """Return whether systems on whole surfaces are factorised on a GPU by cuDSS; the host keeps small patches."""
+    return wanted_solver() is Solver.CUDSS
+
+
+def solver_device() -> wp.Device:
+    """Return the device on which cuDSS solves: that of the computation.
+
+    Raises:
+        OmtwarpError: it does not exist.
+    """
+    return resolve_device(_device.get())
 
 
 def adds_on_device(device: wp.Device, vertices: int) -> bool:
@@ -132,6 +159,8 @@ __all__ = [
     "records_graphs",
     "resolve_device",
     "shares_host_memory",
+    "solver_device",
+    "solves_with_cudss",
     "solves_with_scipy",
     "solving_with",
     "wanted_solver",

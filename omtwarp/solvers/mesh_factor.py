@@ -1,4 +1,4 @@
-"""Direct factorisations of matrices whose pattern is the edges of a mesh: SciPy's, or the built-in one.
+"""Direct factorisations of matrices whose pattern is the edges of a mesh: SciPy's, the built-in one, or cuDSS.
 
 The functions at the end make one of them, chosen by :mod:`omtwarp.device.policy`. SciPy's takes the same blocks, makes
 an ordinary sparse matrix of them and passes it to SuperLU.
@@ -15,12 +15,14 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
-from omtwarp.device.policy import solves_with_scipy
+from omtwarp.device.policy import solves_with_cudss, solves_with_scipy
 from omtwarp.device.threads import pool
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, surface_dissection
 from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
+from omtwarp.solvers.cholesky.multifrontal import SymmetricFactor
 from omtwarp.solvers.cholesky.saddle import SaddleFactor, expand
+from omtwarp.solvers.cudss import CudssFactor
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
@@ -193,6 +195,8 @@ def mesh_factor(
 
 def surface_factor(surface: Surface, block: int = 1, workspace: Workspace | None = None) -> MeshFactor:
     """Factorise a matrix on the edges of a surface, which keeps the order of elimination."""
+    if solves_with_cudss():
+        return CudssFactor(surface_dissection(surface), block)
     return mesh_factor(
         surface.vertex_count, surface.edges, lambda: surface_dissection(surface), block, workspace=workspace
     )
@@ -205,7 +209,12 @@ def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) 
         return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])
     order = surface.kept("saddle-point order", lambda: begin_saddle_order(surface).result())
     surface.let_go(BEGUN_ORDER)
-    return SaddleFactor(surface_dissection(surface), workspace, order)
+    return SaddleFactor(surface_dissection(surface), workspace, order, _surface_factor_maker())
+
+
+def _surface_factor_maker() -> SymmetricFactor:
+    """Return what makes factorisations of whole surfaces: cuDSS where it is asked for, and the built-in one."""
+    return CudssFactor if solves_with_cudss() else MultifrontalCholesky
 
 
 def begin_saddle_order(surface: Surface) -> Future[Dissection]:
@@ -251,7 +260,7 @@ def saddle_factor_of_cells(
     if solves_with_scipy():
         multipliers = np.repeat(np.arange(len(cells)), cells.shape[1])
         return SparseSaddleFactor(len(points), edges, multipliers, cells.ravel())
-    return CellSaddleFactor(points, edges, cells)
+    return CellSaddleFactor(points, edges, cells, factor=_surface_factor_maker())
 
 
 __all__ = [

@@ -9,8 +9,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from fake_cudss import FakeCudss
 
 from omtwarp.benchmark import gpu, gpu_parts
+from omtwarp.solvers import cudss
 
 ROOT = Path(__file__).parents[2]
 
@@ -53,6 +55,18 @@ def test_parts_on_the_fake_device(fake):
     *_, times = gpu_parts.time_stages("cuda:0", 320)
     assert list(times) == ["cuda:0", "cpu"]
     assert fake.downloads
+
+
+@pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
+def test_solvers_are_compared_on_cuda_alone(fake, monkeypatch):
+    library = FakeCudss()
+    monkeypatch.setattr(cudss, "load_library", lambda: library)
+    *_, record = gpu_parts.compare_solvers("cuda:0", 320)
+    assert list(record) == ["cholesky", "cudss"]
+    for kind in record.values():
+        assert kind["same bits twice"] and kind["from the default"] < 1e-10
+    names = [[part.name for part in gpu.plan(device, (320, 400), None)] for device in ("cpu", "cuda:0")]
+    assert set(names[1]) - set(names[0]) == {"solvers, 400 faces"}
 
 
 def test_a_part_that_fails_hangs_or_crashes_leaves_what_it_had_found():

@@ -92,6 +92,7 @@ def stages(solver: Solver, moser: np.ndarray, start: np.ndarray) -> dict[str, np
     tangled = moser.copy()
     corner, across = SURFACE.faces[0, :2]
     tangled[corner] = 2.0 * moser[across] - moser[corner]
+    tangled[corner] /= np.linalg.norm(tangled[corner])
     with solving_with(solver):
         return {
             "conformal": omtwarp.conformal_map(SURFACE, device="cpu").sphere,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect, edge_blocks, of_unknowns
-from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
+from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky, SymmetricFactor
 
 COORDINATES = 2  # unknowns of a vertex; a cell has one
 
@@ -24,6 +24,7 @@ class CellSaddleFactor:
         edges: of the mesh, shape [E, 2].
         cells: the vertices of every cell, shape [N, K].
         workspace: see :class:`MultifrontalCholesky`.
+        factor: makes the factorisation of the matrices of all unknowns.
     """
 
     def __init__(
@@ -32,6 +33,7 @@ class CellSaddleFactor:
         edges: NDArray[np.int32],
         cells: NDArray[np.int32],
         workspace: Workspace | None = None,
+        factor: SymmetricFactor = MultifrontalCholesky,
     ):
         self._vertices, self._cells = len(points), len(cells)
         places = np.concatenate([points, points[cells].mean(axis=1)])
@@ -39,7 +41,7 @@ class CellSaddleFactor:
         joints = np.stack([cells.ravel(), numbers], axis=1)
         nodes = dissect(places, np.concatenate([edges, joints]).astype(np.int32))
         unknowns, negative = expand_nodes(nodes, self._vertices, edges, joints)
-        self._factor = MultifrontalCholesky(unknowns, workspace=workspace, negative=negative)
+        self._factor = factor(unknowns, workspace=workspace, negative=negative)
         sizes = np.cumsum([4 * len(edges), COORDINATES * len(joints), self._vertices])
         self._couplings = np.empty(sizes[-1])
         self._blocks = self._couplings[: sizes[0]].reshape(-1, 2, 2)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Hashable
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -275,6 +276,25 @@ class MultifrontalCholesky:
         out = np.empty_like(flat)
         out[d.order] = self._x.transpose(1, 2, 0)
         return out.reshape(np.shape(right))
+
+
+class QuasiDefiniteFactor(Protocol):
+    """A factorisation of symmetric matrices with known signs of their pivots, made again for every matrix."""
+
+    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+        """Factorise the matrix with these blocks of vertices and edges; see :class:`MultifrontalCholesky`."""
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve for right-hand sides."""
+
+
+class SymmetricFactor(Protocol):
+    """What makes such a factorisation: :class:`MultifrontalCholesky`, or :class:`omtwarp.solvers.cudss.CudssFactor`."""
+
+    def __call__(
+        self, dissection: Dissection, *, workspace: Workspace | None, negative: NDArray[np.int32] | None
+    ) -> QuasiDefiniteFactor:
+        """Make it for an order of elimination."""
 
 
 class _Launches:

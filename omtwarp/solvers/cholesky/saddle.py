@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
 from omtwarp.solvers.cholesky.dissection import Dissection, edge_blocks, of_unknowns
-from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
+from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky, SymmetricFactor
 
 UNKNOWNS = 3  # of a vertex: two coordinates, one multiplier
 
@@ -27,13 +27,20 @@ class SaddleFactor:
         dissection: the order of elimination of the mesh's V vertices; E edges.
         workspace: see :class:`MultifrontalCholesky`.
         expanded: the order of the unknowns, where it is known: :func:`expand` of the dissection.
+        factor: makes the factorisation of the matrices of all unknowns.
     """
 
-    def __init__(self, dissection: Dissection, workspace: Workspace | None = None, expanded: Dissection | None = None):
+    def __init__(
+        self,
+        dissection: Dissection,
+        workspace: Workspace | None = None,
+        expanded: Dissection | None = None,
+        factor: SymmetricFactor = MultifrontalCholesky,
+    ):
         self._count = dissection.vertex_count
         expanded = expand(dissection) if expanded is None else expanded
         negative = (expanded.owned // UNKNOWNS).astype(np.int32)
-        self._factor = MultifrontalCholesky(expanded, workspace=workspace, negative=negative)
+        self._factor = factor(expanded, workspace=workspace, negative=negative)
         edges = len(dissection.edges)
         self._diagonal = np.empty((self._count, UNKNOWNS))
         self._couplings = np.empty(8 * edges + self._count)

@@ -39,7 +39,7 @@ def test_large_meshes_on_cuda_are_solved_on_the_device(monkeypatch):
         chosen = [policy.on_device(where, size) for where in (cpu, cuda) for size in (limit, limit + 1)]
         assert chosen == expected
     monkeypatch.setenv("OMTWARP_SOLVER", "gpu")
-    with pytest.raises(OmtwarpError, match="unknown solver 'gpu': use auto, scipy, cholesky, multigrid"):
+    with pytest.raises(OmtwarpError, match="unknown solver 'gpu': use auto, scipy, cholesky, multigrid, cudss"):
         policy.on_device(cpu, 5)
 
 
