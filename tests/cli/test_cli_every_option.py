@@ -135,6 +135,7 @@ ELSEWHERE = {
     "benchmark --device auto", "benchmark --cold", "cohort --executor dask", "cohort --executor slurm",
     "cohort --executor submitit-local", "benchmark --kernels", "texture --size auto",
     "demo --json", "demo --verbose", "demo --quiet",
+    *(f"{command} --solver cudss" for command in LINES),
 }  # fmt: skip
 
 
