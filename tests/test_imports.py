@@ -21,6 +21,7 @@ HEAVY = {
     "fcntl",  # not on Windows, and so is resource
     "imageio_ffmpeg",
     "matplotlib",
+    "meshio",
     "nibabel",
     "nvmath",
     "ot",

@@ -21,7 +21,7 @@ from omtwarp.materials.wavefront import read_mtl, read_obj
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
-from omtwarp.mesh.read import read_mesh, utf8
+from omtwarp.mesh.read import mesh_content, read_mesh, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.srgb import to_linear, to_srgb
@@ -62,9 +62,8 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
         (True, (64, 96, 3))
     """
     file = Path(path)
-    suffix = file.suffix.lower().lstrip(".")
+    data, suffix = mesh_content(file)
     plain = suffix not in ("obj", "ply") and (suffix not in scene_formats() or suffix in ("stl", "off"))
-    data = b"" if plain else read_bytes(file, LARGEST_MESH_FILE, "mesh file")
     try:
         with warnings.catch_warnings(action="ignore"):  # of what parsers guess
             if plain:
@@ -122,12 +121,12 @@ def _from_obj(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
 
 
 def _from_ply(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
-    columns = ply_columns(utf8(data))
+    columns, decided = ply_columns(utf8(data))
     points, corners, sizes = polygons_of(columns)
     rows, notes = fans(np.arange(len(corners)), sizes, triangulate)
     face = np.repeat(np.arange(len(sizes)), sizes)[rows[:, 0]]
     faces = corners_of(corners[rows], len(points))
-    vertex, sides = columns["vertex"], columns["face"]
+    vertex, sides = columns["vertex"], columns.get("face", {})
     pictures, named, missing = _ply_pictures(data, file)
     uv, doubled = _ply_coordinates(vertex, sides, sizes, rows, faces)
     number = np.zeros(len(faces), dtype=np.int32)
@@ -136,7 +135,14 @@ def _from_ply(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
         number = np.clip(named_picture, 0, len(pictures) - 1).astype(np.int32)
     materials = tuple(Material(f"material-{k}", picture=one) for k, one in enumerate(pictures)) or (Material(),)
     mesh = PaintedMesh(
-        points, faces, uv, materials, number, _ply_colors(vertex), (*notes, *missing), source_files=tuple(named)
+        points,
+        faces,
+        uv,
+        materials,
+        number,
+        _ply_colors(vertex),
+        (*decided, *notes, *missing),
+        source_files=tuple(named),
     )
     return joined_seams(mesh) if doubled else mesh
 

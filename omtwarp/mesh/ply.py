@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.polygons import parts_of_strips, triangles_of_strips
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -46,29 +47,42 @@ class _Element:
     properties: tuple[_Property, ...]
 
 
-def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.generic], NDArray[np.int64]]:
+def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.generic], NDArray[np.int64], list[str]]:
     """Read the vertices and polygons of a PLY file, in the file's order.
 
     Returns:
         Vertices, float64 [V, 3]; the corners of all polygons one after another, of the file's type; how many each has,
-        int64 [F].
+        int64 [F]; notes about what was decided.
 
     Raises:
         OmtwarpError: the file is not as long as its header says, or has no vertices or no faces.
         ValueError: it is no PLY file.
     """
-    return polygons_of(ply_columns(data))
+    columns, notes = ply_columns(data)
+    return *polygons_of(columns), notes
 
 
-def ply_columns(data: bytes) -> dict[str, dict[str, Column]]:
+def ply_columns(data: bytes) -> tuple[dict[str, dict[str, Column]], list[str]]:
     """Read every property of every element of a PLY file; a list as its lengths and its values one after another.
+
+    Returns:
+        Columns by element and property, and notes about what was decided.
 
     Raises:
         OmtwarpError: the file is not as long as its header says.
         ValueError: it is no PLY file.
     """
     elements, order, body = _header(data)
-    return _text_columns(body, elements) if order is None else _binary_columns(body, elements, order)
+    if order is not None:
+        return _binary_columns(body, elements, order), []
+    try:
+        return _text_columns(body, elements), []
+    except OmtwarpError:
+        announced, longer = _announced_words(body, elements)
+        if not longer:
+            raise
+        note = f"left out the numbers at the ends of {longer} lines that the header does not announce"
+        return _text_columns(announced, elements), [note]
 
 
 def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float64], NDArray, NDArray]:
@@ -80,7 +94,14 @@ def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float
     if not {"x", "y", "z"} <= set(columns.get("vertex", {})):
         raise OmtwarpError("not a triangle mesh: no vertices with x, y and z in it")
     points = np.stack([np.asarray(columns["vertex"][axis], dtype=np.float64) for axis in "xyz"], axis=1)
-    corners = next((columns["face"][name] for name in _CORNERS if name in columns.get("face", {})), None)
+    faces, strips = (columns.get(element, {}) for element in ("face", "tristrips"))
+    corners = next((faces[name] for name in _CORNERS if name in faces), None)
+    strip = next((strips[name] for name in _CORNERS if name in strips), None)
+    if corners is None and strip is not None:
+        triangles = triangles_of_strips(
+            *parts_of_strips(strip[1], whole_numbers(strip[0], "lengths of strips", (None,)))
+        )
+        return points, triangles.reshape(-1), np.full(len(triangles), 3)
     if corners is None:
         raise OmtwarpError("not a triangle mesh: it holds points and no faces")
     sizes, flat = corners
@@ -132,8 +153,47 @@ def _property(words: list[str]) -> _Property:
 
 
 def _cut(elements: list[_Element]) -> OmtwarpError:
-    announced = " and ".join(f"{element.count} of '{element.name}'" for element in elements)
-    return OmtwarpError(f"the file is not as long as its header says, cut short or damaged: {announced} announced")
+    return OmtwarpError(
+        f"the file is not as long as its header says, cut short or damaged: {_counts(elements)} announced"
+    )
+
+
+def _longer(elements: list[_Element], rest: int, what: str) -> OmtwarpError:
+    return OmtwarpError(f"the file is longer than its header says: {rest} {what} after {_counts(elements)}")
+
+
+def _counts(elements: list[_Element]) -> str:
+    return " and ".join(f"{element.count} of '{element.name}'" for element in elements)
+
+
+def _announced_words(body: bytes, elements: list[_Element]) -> tuple[bytes, int]:
+    """Take from every line of a text what its row announces, and count the lines that have more.
+
+    Returns:
+        The text without the rest of its lines, and their number: 0 where a line has fewer numbers than its row.
+
+    Raises:
+        OmtwarpError: there are fewer lines than rows.
+    """
+    lines = [line.split() for line in body.replace(b"\r", b"\n").split(b"\n")]
+    lines = [line for line in lines if line]
+    if sum(element.count for element in elements) > len(lines):
+        raise _cut(elements)
+    longer, row = 0, 0
+    for element in elements:
+        for number in range(row, row + element.count):
+            line, end = lines[number], 0
+            for part in element.properties:
+                length = 0
+                if part.length is not None:
+                    length = int(line[end]) if end < len(line) and line[end].isdigit() else len(line)
+                end += 1 + length if part.length is not None else 1
+            if end > len(line):
+                return body, 0
+            longer += end < len(line)
+            lines[number] = line[:end]
+        row += element.count
+    return b"\n".join(b" ".join(line) for line in lines), longer
 
 
 def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[str, dict[str, Column]]:
@@ -164,7 +224,7 @@ def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[s
                 continue
         place, columns[element.name] = _binary_rows(body, place, element, order, elements)
     if place != len(body):
-        raise _cut(elements)
+        raise _longer(elements, len(body) - place, "bytes") if place < len(body) else _cut(elements)
     return columns
 
 
@@ -242,7 +302,7 @@ def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, 
             at = at + 1 + sizes
         columns[element.name] = found
     if place != len(numbers):
-        raise _cut(elements)
+        raise _longer(elements, len(numbers) - place, "numbers") if place < len(numbers) else _cut(elements)
     return columns
 
 

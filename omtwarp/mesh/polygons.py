@@ -66,6 +66,24 @@ def triangles_of_strips(flat: NDArray[np.generic], lengths: NDArray[np.int64]) -
     return found[~repeated]
 
 
+def parts_of_strips(
+    flat: NDArray[np.generic], lengths: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Split strips at negative numbers, with which the Stanford scans' PLY files begin a new strip.
+
+    Args:
+        flat: all corners, one strip after another.
+        lengths: how many each strip has, shape [S].
+
+    Returns:
+        The corners without the negative numbers, and the length of every part.
+    """
+    corners = whole_numbers(flat, "corners of strips", (None,))
+    part = np.repeat(np.arange(len(lengths)), lengths) + np.cumsum(corners < 0)
+    kept = corners >= 0
+    return corners[kept], np.unique(part[kept], return_counts=True)[1]
+
+
 def counted_lists(entries: NDArray[np.generic], count: int) -> tuple[NDArray[np.generic], NDArray[np.int64]]:
     """Split numbers in which the length of every list stands before its entries.
 
@@ -94,4 +112,4 @@ def counted_lists(entries: NDArray[np.generic], count: int) -> tuple[NDArray[np.
     return numbers[:place][is_corner], numbers[starts[:count]]
 
 
-__all__ = ["counted_lists", "fans", "triangles_of_strips"]
+__all__ = ["counted_lists", "fans", "parts_of_strips", "triangles_of_strips"]

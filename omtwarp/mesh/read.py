@@ -7,10 +7,12 @@ triangulate, the readers here keep the file's own mesh or raise an error.
 from __future__ import annotations
 
 import codecs
+import gzip
 import io
 import os
 import re
 import warnings
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,14 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path
+from omtwarp.files import as_path, scratch
 from omtwarp.inputs import read_arrays, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
+from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES, amount
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.neuro import nibabel_module, require_files_beside
+from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND, read_by_meshio
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
+from omtwarp.mesh.small_formats import read_freesurfer_text, read_mni, read_mz3, read_plates
 from omtwarp.mesh.vtk import read_vtk, read_vtk_xml
 
 if TYPE_CHECKING:
@@ -54,8 +58,8 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
 
     Args:
         path: a file of any format that trimesh reads (ply, obj, off, stl, glb, gltf, ...), a map or mesh in ``.npz``
-            (``vertices``, ``faces``), GIFTI (``.gii``, ``.gii.gz``) or a FreeSurfer surface of any name; the last two
-            need nibabel.
+            (``vertices``, ``faces``), VTK, GIFTI or a FreeSurfer surface of any name (both need nibabel), and those of
+            :data:`omtwarp.mesh.other_formats.MESHIO_FORMATS` (which need meshio); compressed by gzip or not.
         triangulate: cut faces with more than three corners into triangles instead of refusing them.
         together: take several geometries of a scene together instead of refusing them; None does as ``triangulate``.
 
@@ -77,13 +81,13 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
         ('float64', True)
     """
     file = as_path(path)
-    data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
-    suffix = _suffix(file)
+    data, suffix = mesh_content(file)
     try:
         with warnings.catch_warnings(action="ignore"):  # about guesses of parsers; results are checked below
-            reader = _reader(suffix, data)
-            split = triangulate if together is None or reader is not _read_scene else together
-            vertices, faces, notes = reader(data, file, split)
+            if suffix in _OWN:
+                vertices, faces, notes = _OWN[suffix](data, file, triangulate)
+            else:
+                vertices, faces, notes = _read_scene(data, file, suffix, triangulate if together is None else together)
         if np.ndim(vertices) != 2 or np.shape(vertices)[1] != 3 or np.ndim(faces) != 2 or np.shape(faces)[1] != 3:
             raise OmtwarpError("not a triangle mesh: no list of triangles in it")
         corners = whole_numbers(faces, "faces", (None, 3))
@@ -103,30 +107,38 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
 _Read = tuple[NDArray[np.generic], NDArray[np.generic], list[str]]
 
 
-def _suffix(file: Path) -> str:
-    """Return the suffix that determines the format, in lower case, without the dot."""
+_FREESURFER = (b"\xff\xff\xfe", b"\xff\xff\xff", b"\xff\xff\xfd")  # triangles, and the two old kinds of quads
+
+
+def mesh_content(file: Path) -> tuple[bytes, str]:
+    """Read a file of a mesh, and inflate it where it is compressed by gzip.
+
+    Returns:
+        Its bytes, and the suffix that determines the format, in lower case, without the dot: that of the name, or one
+        of ours where the first bytes say more: ``freesurfer``, ``freesurfer text``, ``mni``.
+
+    Raises:
+        OmtwarpError: the file cannot be read, or inflates too far.
+    """
+    data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
     name = file.name.lower()
-    return "gii" if name.endswith(".gii.gz") else name.rpartition(".")[2] if "." in name else ""
-
-
-def _reader(suffix: str, data: bytes) -> Callable[[bytes, Path, bool], _Read]:
-    """Return the function that reads a format, known by its suffix or, for FreeSurfer, by its first bytes."""
-    own = {
-        "npz": _read_npz,
-        "ply": _read_ply,
-        "obj": _read_obj,
-        "off": _read_off,
-        "stl": _read_stl,
-        "gii": _read_gifti,
-        "vtk": _read_vtk,
-        "vtp": _read_vtk_xml,
-        "vtu": _read_vtk_xml,
-    }
-    if suffix in own:
-        return own[suffix]
-    if data[:3] in (b"\xff\xff\xfe", b"\xff\xff\xff", b"\xff\xff\xfd"):  # triangles, and the two old kinds of quads
-        return _read_freesurfer
-    return _read_scene
+    if data.startswith(b"\x1f\x8b"):
+        name = name.removesuffix(".gz")
+        try:
+            with gzip.open(io.BytesIO(data)) as stream:
+                data = stream.read(LARGEST_MESH_FILE + 1)
+        except (OSError, EOFError, zlib.error) as error:
+            raise OmtwarpError(f"{file}: cut short or damaged: {error}") from None
+        if len(data) > LARGEST_MESH_FILE:
+            raise OmtwarpError(f"{file}: inflates to more than {amount(LARGEST_MESH_FILE)}, which is the most")
+    suffix = name.rpartition(".")[2] if "." in name else ""
+    if data.startswith(b"#!ascii"):
+        suffix = "freesurfer text"
+    elif data.startswith(_FREESURFER) and suffix not in _OWN:
+        suffix = "freesurfer"
+    elif suffix == "obj" and data.lstrip()[:2] in (b"P ", b"P\t"):
+        suffix = "mni"
+    return data, suffix
 
 
 def _read_npz(data: bytes, file: Path, triangulate: bool) -> _Read:
@@ -139,8 +151,9 @@ def _read_npz(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
-    vertices, corners, sizes = read_ply(utf8(data))
-    return vertices, *fans(corners, sizes, triangulate)
+    vertices, corners, sizes, notes = read_ply(utf8(data))
+    faces, cut = fans(corners, sizes, triangulate)
+    return vertices, faces, [*notes, *cut]
 
 
 def utf8(data: bytes) -> bytes:
@@ -154,8 +167,9 @@ def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
     """Read the Object File Format by its lines; values after coordinates and corners, such as colours, are ignored."""
     lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", utf8(data)).replace(b"\r", b"\n").split(b"\n")]
     lines = [line for line in lines if line]
-    if lines and lines[0][0].endswith(b"OFF"):
-        lines[0].pop(0)  # the counts may be on the line of the keyword
+    if lines:
+        lines[0][0] = re.sub(rb"^(ST|C|N|4|n)*OFF", b"", lines[0][0])  # the counts may follow it, even without a space
+        lines[0] = [word for word in lines[0] if word]
         lines = lines if lines[0] else lines[1:]
     vertex_count, face_count = (int(word) for word in lines[0][:2])
     if vertex_count < 0 or face_count < 0:
@@ -220,20 +234,39 @@ def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
         raise OmtwarpError(f"cut short: {count} triangles announced, {(len(data) - 84) // 50} there")
     if not binary and b"\0" in data:
         raise OmtwarpError("neither a binary STL file nor one of text")
-    if not binary and b"endsolid" not in data.lower():
-        raise OmtwarpError("cut short, or not an STL file: it does not end with 'endsolid'")
+    notes: list[str] = []
     if binary:
         record = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])  # a normal, three corners
         corners = np.frombuffer(data, record, count, 84)["numbers"][:, 1:].reshape(-1, 3).astype(np.float64)
     else:
-        points, faces, _ = _single_geometry(load_scene(data, file, "stl_ascii"), triangulate)
-        corners = points[faces.ravel()]
+        corners, solids = _stl_text(data)
+        notes += [f"took {solids} solids together"] if solids > 1 else []
     corners = corners + 0.0  # plus zero: makes -0 and 0 the same bits
     _, first, inverse = np.unique(corners, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)  # vertices in the order of their first appearance
     place = np.argsort(order)
     note = f"STL stores no shared vertices: {len(corners)} corners became {len(first)} vertices where equal"
-    return corners[first[order]], place[inverse.reshape(-1)].reshape(-1, 3), [note]
+    return corners[first[order]], place[inverse.reshape(-1)].reshape(-1, 3), [*notes, note]
+
+
+def _stl_text(data: bytes) -> tuple[NDArray[np.float64], int]:
+    """Read the corners of all facets in an STL file of text, shape [3 F, 3], and how many solids it has.
+
+    Raises:
+        OmtwarpError: the file does not end where a solid does, or a facet has not three corners.
+    """
+    text = data.replace(b"\r", b"\n").lower()
+    solids = re.findall(rb"^[ \t]*(end)?solid\b", text, re.M)
+    facets = re.findall(rb"^[ \t]*(end)?facet\b", text, re.M)
+    ends = [sum(kind == b"end" for kind in kinds) for kinds in (solids, facets)]
+    if not solids or 2 * ends[0] != len(solids):
+        raise OmtwarpError("cut short, or not an STL file: it does not end with 'endsolid'")
+    words = re.findall(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", text, re.M)
+    if 2 * ends[1] != len(facets) or len(words) != 3 * ends[1]:
+        raise OmtwarpError(f"damaged: {len(words)} corners of {ends[1]} facets")
+    if not words:
+        raise OmtwarpError("not a triangle mesh: no triangles in it")
+    return np.array(words, dtype=np.float64), ends[0]
 
 
 def _read_gifti(data: bytes, file: Path, triangulate: bool) -> _Read:
@@ -257,16 +290,64 @@ def _read_vtk_xml(data: bytes, file: Path, triangulate: bool) -> _Read:
 
 
 def _read_freesurfer(data: bytes, file: Path, triangulate: bool) -> _Read:
-    vertices, faces = nibabel_module().freesurfer.read_geometry(file)[:2]
+    nibabel = nibabel_module()
+    with scratch() as folder:  # nibabel reads it from a file
+        (folder / "surface").write_bytes(data)
+        vertices, faces = nibabel.freesurfer.read_geometry(folder / "surface")[:2]
     return vertices, faces, []
 
 
-def _read_scene(data: bytes, file: Path, triangulate: bool) -> _Read:
-    suffix = _suffix(file)
-    known = {*scene_formats(), "npz", "gii", "vtk", "vtp", "vtu"}
+def _read_mz3(data: bytes, file: Path, triangulate: bool) -> _Read:
+    return *read_mz3(data), []
+
+
+def _read_freesurfer_text(data: bytes, file: Path, triangulate: bool) -> _Read:
+    return *read_freesurfer_text(data), []
+
+
+def _read_mni(data: bytes, file: Path, triangulate: bool) -> _Read:
+    points, corners, sizes = read_mni(data)
+    return points, *fans(corners, sizes, triangulate)
+
+
+def _read_plates(data: bytes, file: Path, triangulate: bool) -> _Read:
+    return *read_plates(data), []
+
+
+def _read_by_meshio(data: bytes, file: Path, triangulate: bool) -> _Read:
+    points, corners, sizes = read_by_meshio(
+        data, MESHIO_FORMATS[file.name.lower().removesuffix(".gz").rpartition(".")[2]]
+    )
+    return points, *fans(corners, sizes, triangulate)
+
+
+_OWN: dict[str, Callable[[bytes, Path, bool], _Read]] = {
+    "npz": _read_npz,
+    "ply": _read_ply,
+    "obj": _read_obj,
+    "off": _read_off,
+    "stl": _read_stl,
+    "gii": _read_gifti,
+    "vtk": _read_vtk,
+    "vtp": _read_vtk_xml,
+    "vtu": _read_vtk_xml,
+    "mz3": _read_mz3,
+    "tab": _read_plates,
+    "freesurfer": _read_freesurfer,
+    "freesurfer text": _read_freesurfer_text,
+    "mni": _read_mni,
+    **dict.fromkeys(MESHIO_FORMATS, _read_by_meshio),
+}
+"""The formats that are not read through trimesh, by suffix."""
+
+
+def _read_scene(data: bytes, file: Path, suffix: str, together: bool) -> _Read:
+    known = {*scene_formats(), *(name for name in _OWN if " " not in name)} - {"freesurfer", "mni"}
+    if suffix not in known and suffix in WAYS_ROUND:
+        raise OmtwarpError(f"'.{suffix}' is not read: {WAYS_ROUND[suffix]}")
     if suffix not in known:
         raise OmtwarpError(f"unknown format '.{suffix}': known are {', '.join(sorted(known))}")
-    return _single_geometry(load_scene(data, file, suffix, pictures=False), triangulate)
+    return _single_geometry(load_scene(data, file, suffix, pictures=False), together)
 
 
 def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
@@ -289,4 +370,4 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
     return np.concatenate(vertices), np.concatenate(faces), notes
 
 
-__all__ = ["MeshFile", "read_mesh", "require_counted_from_one", "utf8"]
+__all__ = ["MeshFile", "mesh_content", "read_mesh", "require_counted_from_one", "utf8"]

@@ -18,9 +18,9 @@ from omtwarp.mesh.read import MeshFile, read_mesh
 
 Ints = NDArray[np.int64]
 
-# Formats that double vertices only if the surface itself has them: in these, equal positions that remain open when they
-# are joined may be intended.
-_SHARED = (".ply", ".obj", ".off", ".stl", ".npz", ".vtk", ".gii")
+# Formats that double vertices along seams of a texture. In others equal positions that remain open when they are joined
+# may be intended.
+_DOUBLED = (".glb", ".gltf", ".dae", ".3mf", ".zae", ".json")
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def compressed(number: Ints) -> tuple[NDArray[np.bool_], Ints]:
     return stays, (np.cumsum(stays) - 1)[number]
 
 
-def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> JoinedMesh:
+def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, together: bool = False) -> JoinedMesh:
     """Read a mesh, and join the copies of vertices that its format makes along seams.
 
     Several geometries of a scene, a material each, are one mesh where they close one another's boundaries.
@@ -97,11 +97,12 @@ def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False)
     Args:
         path: a file that :func:`omtwarp.read_mesh` reads.
         triangulate: as there.
+        together: whether geometries that do not belong together are taken too, each a part of the surface.
 
     Raises:
         OmtwarpError: the file cannot be read, as for :func:`omtwarp.read_mesh`.
     """
-    shared = Path(path).suffix.lower() in _SHARED
+    shared = not Path(path).name.lower().removesuffix(".gz").endswith(_DOUBLED)
     try:
         file, one_mesh = read_mesh(path, triangulate=triangulate), True
     except OmtwarpError as error:
@@ -119,7 +120,7 @@ def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False)
         open_still = bool(_boundary_vertices(len(file.vertices), joined).any())
         if open_still and shared:
             number, joined = None, file.faces
-    if not one_mesh and not _in_one_piece(joined):
+    if not one_mesh and not together and not _in_one_piece(joined):
         raise refused  # the user has to choose among geometries that do not belong together
     if number is None or stays is None:
         return JoinedMesh(file.vertices, file.faces, file, None, file.notes)

@@ -44,7 +44,7 @@ def ply(form: str, line_end: str = "\n", index: str = "int", count: str = "uchar
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize(("index", "count"), [("int", "uchar"), ("ushort", "int")])
 def test_every_form_holds_the_same_mesh(form, line_end, index, count):
-    points, corners, sizes = read_ply(ply(form, line_end, index, count))
+    points, corners, sizes, _ = read_ply(ply(form, line_end, index, count))
     np.testing.assert_array_equal(points, BALL.vertices.astype(np.float32))
     np.testing.assert_array_equal(corners.reshape(-1, 3), BALL.faces)
     assert (sizes == 3).all()
@@ -54,7 +54,7 @@ def test_every_form_holds_the_same_mesh(form, line_end, index, count):
 def test_the_mesh_is_that_of_another_reader(form):
     content = ply(form).replace(b"element nothing 99999999999\n", b"")
     other = trimesh.load_mesh(io.BytesIO(content), file_type="ply", process=False)
-    points, corners, _ = read_ply(content)
+    points, corners, *_ = read_ply(content)
     np.testing.assert_array_equal(points, other.vertices)
     np.testing.assert_array_equal(corners.reshape(-1, 3), other.faces)
 

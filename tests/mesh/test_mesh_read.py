@@ -160,7 +160,7 @@ def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygo
         ("line.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "face 0 has fewer than three corners"),
         ("points.ply", ply(CUBE_VERTICES, []).encode(), "not a triangle mesh"),
         ("mesh.xyz", b"0 0 0\n1 1 1\n", "unknown format '.xyz'"),
-        ("mesh.blend", b"BLENDER", "unknown format '.blend': known are"),
+        ("mesh.other", b"OTHER", "unknown format '.other': known are"),
         ("mesh", b"nothing", "unknown format"),
         ("brain.gii", b"<not gifti>", "cannot be read as gii"),
     ],
