@@ -6,6 +6,8 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import TYPE_CHECKING, ClassVar
 
+from omtwarp.options import PatternLike
+
 if TYPE_CHECKING:
     import polyscope
     import pyvista
@@ -26,7 +28,7 @@ class Shown:
         """Return the view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""
         return Shown.viewers().notebook_view(self)
 
-    def plot(self, *, pattern: str = "circles", size: tuple[int, int] = (640, 480), **options: object) -> Image:
+    def plot(self, *, pattern: PatternLike = "circles", size: tuple[int, int] = (640, 480), **options: object) -> Image:
         """Draw the map: the surface, with a pattern carried to it.
 
         Args:

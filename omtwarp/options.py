@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NotRequired, TypeAlias, TypedDict, TypeVar
+from typing import Literal, NotRequired, TypeAlias, TypedDict, TypeVar
 
 from omtwarp.errors import OmtwarpError
 
@@ -145,6 +145,61 @@ class PatternName(StrEnum):
     CHECKER = "checker"
 
 
+class AtlasName(StrEnum):
+    """Layouts of a texture of the sphere."""
+
+    EQUIRECTANGULAR = "equirectangular"
+    CUBE = "cube"
+    OCTAHEDRAL = "octahedral"
+
+
+class ProjectionName(StrEnum):
+    """Projections of pictures of the sphere."""
+
+    EQUIRECTANGULAR = "equirectangular"
+    SINUSOIDAL = "sinusoidal"
+
+
+class Coordinates(StrEnum):
+    """Whose texture coordinates a mesh gets: those of an atlas, or its own."""
+
+    ATLAS = "atlas"
+    OWN = "own"
+
+
+class Keep(StrEnum):
+    """Where a picture goes among a mesh's own materials."""
+
+    OVER = "over"
+    UNDER = "under"
+
+
+class AlignBy(StrEnum):
+    """What two maps are aligned by."""
+
+    AUTO = "auto"
+    FEATURES = "features"
+    VERTICES = "vertices"
+
+
+# What functions take for an option: a member, or its text, which editors offer.
+MethodLike: TypeAlias = Method | Literal["omt", "haker", "moser", "tutte", "mean-value"]
+StageLike: TypeAlias = Stage | Literal["conformal", "moser", "omt", "refine"]
+CostLike: TypeAlias = Cost | Literal["squared", "geodesic"]
+SchemeLike: TypeAlias = Scheme | Literal["default", "plain", "paper"]
+SolverLike: TypeAlias = Solver | Literal["auto", "scipy", "cholesky", "multigrid"]
+BackendLike: TypeAlias = Backend | Literal["auto", "pyrender", "warp"]
+InterpolationLike: TypeAlias = Interpolation | Literal["barycentric", "nearest", "adaptive", "conservative"]
+DomainLike: TypeAlias = Domain | Literal["auto", "sphere", "hemisphere", "disk", "cap", "torus"]
+FillAreaLike: TypeAlias = FillArea | Literal["natural", "small"]
+CutAlongLike: TypeAlias = CutAlong | Literal["auto", "handles", "holes"]
+PatternLike: TypeAlias = PatternName | Literal["circles", "puzzle", "globe", "checker"]
+AtlasLike: TypeAlias = AtlasName | Literal["equirectangular", "cube", "octahedral"]
+CoordinatesLike: TypeAlias = Coordinates | Literal["atlas", "own"]
+KeepLike: TypeAlias = Keep | Literal["over", "under"]
+AlignByLike: TypeAlias = AlignBy | Literal["auto", "features", "vertices"]
+ProjectionLike: TypeAlias = ProjectionName | Literal["equirectangular", "sinusoidal"]
+
 PICTURE_SIZE = (1024, 1024)  # pixels of a view where no size is given
 BACKGROUND = "white"
 FILM_RATE = 20.0  # frames per second; a .gif counts in hundredths of a second, of which this is a whole number
@@ -164,6 +219,7 @@ _NAMES: dict[type[StrEnum], str] = {
     Domain: "domain",
     FillArea: "fill area",
     CutAlong: "loops to cut along",
+    AlignBy: "way to align",
 }
 
 
@@ -254,15 +310,15 @@ class ChosenOptions(TypedDict):
 class MapChoices(TypedDict, total=False):
     """The options of :func:`omtwarp.map_to_sphere` by name, for functions that pass them on, without the device."""
 
-    method: str
-    until: str
-    cost: str
-    scheme: str
+    method: MethodLike
+    until: StageLike
+    cost: CostLike
+    scheme: SchemeLike
     refine: str | float | AreaMatch | None
     exact: bool
     keep_edges: bool
     optimality: bool
-    solver: str
+    solver: SolverLike
     strict: bool
 
 
@@ -275,12 +331,12 @@ class MapKeywords(MapChoices, total=False):
 class SurfaceKeywords(TypedDict, total=False):
     """The options of :func:`omtwarp.map_surface` in addition to those of a map to the sphere."""
 
-    domain: str
-    fill_area: str
+    domain: DomainLike
+    fill_area: FillAreaLike
     components: bool
     together: bool
     cut: bool
-    cut_along: str
+    cut_along: CutAlongLike
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,12 @@
 """Options are parsed once, with the same words on the command line and in Python."""
 
+import inspect
+from typing import get_args
+
 import pytest
 
+import omtwarp
+from omtwarp import options
 from omtwarp.cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import Cost, MapOptions, Method, Refinement, Scheme, Stage, choose, parse_device
@@ -53,3 +58,28 @@ def test_what_a_report_says():
     assert options.to_dict() == {"method": "omt", "cost": "geodesic", "scheme": "default", "refine": "angle"}
     assert all(type(value) is str for value in options.to_dict().values())
     assert MapOptions(method=Method.TUTTE).to_dict() == {"method": "tutte", "cost": "", "scheme": "", "refine": None}
+
+
+def test_editors_offer_every_value_of_an_option():
+    """What functions take for an option names its members' texts."""
+    names = [name for name in vars(options) if name.endswith("Like")]
+    assert len(names) > 10
+    for name in names:
+        kind, texts = get_args(getattr(options, name))
+        assert get_args(texts) == tuple(kind), name
+
+
+@pytest.mark.parametrize(
+    ("function", "option", "name"),
+    [
+        (omtwarp.texture, "atlas", "AtlasLike"),
+        (omtwarp.paint, "uv", "CoordinatesLike"),
+        (omtwarp.align, "by", "AlignByLike"),
+        (omtwarp.resample, "method", "InterpolationLike"),
+        (omtwarp.preview, "backend", "BackendLike"),
+        (omtwarp.film, "pattern", "PatternLike"),
+        (omtwarp.write_report, "pattern", "PatternLike"),
+    ],
+)
+def test_functions_offer_the_values_of_their_options(function, option, name):
+    assert name in str(inspect.signature(function).parameters[option].annotation)

@@ -19,6 +19,7 @@ from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coef
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
 from omtwarp.mesh.arrays import TINY
+from omtwarp.options import AlignBy, AlignByLike, choose
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.resampling.resample import PointsLike
 from omtwarp.result import MapResult
@@ -161,7 +162,7 @@ def align(
     *,
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
-    by: str = "auto",
+    by: AlignByLike = "auto",
     mirror: bool = False,
     degree: int = DEGREE,
 ) -> Alignment:
@@ -240,8 +241,7 @@ def _check_options(by: str, degree: int) -> None:
     Raises:
         OmtwarpError: the way is unknown, or the degree is out of range.
     """
-    if not isinstance(by, str) or by not in ("auto", "features", "vertices"):
-        raise OmtwarpError(f"cannot align by '{by}': use auto, features or vertices")
+    choose(AlignBy, by)
     if not 1 <= check_degree(degree) <= 64:
         raise OmtwarpError(f"the degree is {degree}: give a whole number from 1 to 64")
 

@@ -14,6 +14,7 @@ from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import load_map, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import check_output
+from omtwarp.options import AlignBy
 
 if TYPE_CHECKING:
     from omtwarp.alignment import Alignment
@@ -53,12 +54,9 @@ def align_map(
         typer.Option(metavar="FILE", help="The same data at the other sphere's vertices, in this order."),
     ] = None,
     by: Annotated[
-        str,
-        typer.Option(
-            metavar="auto|features|vertices",
-            help="What to compare; vertices needs equal faces, and auto takes it for two maps of one surface.",
-        ),
-    ] = "auto",
+        AlignBy,
+        typer.Option(help="What to compare; vertices needs equal faces; auto takes it for two maps of one surface."),
+    ] = AlignBy.AUTO,
     mirror: Annotated[
         bool, typer.Option("--mirror", help="Also try the mirror image, and take it if it fits better.")
     ] = False,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypedDict, Unpack
 
@@ -33,7 +32,16 @@ from omtwarp.commands._streams import say
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import check_output
-from omtwarp.options import MapOptions, PatternName, Refinement, TextureFormat
+from omtwarp.options import (
+    AtlasName,
+    Coordinates,
+    Keep,
+    MapOptions,
+    PatternName,
+    ProjectionName,
+    Refinement,
+    TextureFormat,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,27 +56,6 @@ if TYPE_CHECKING:
 
 
 PatternOption = Annotated[PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")]
-
-
-class ProjectionName(StrEnum):
-    EQUIRECTANGULAR = "equirectangular"
-    SINUSOIDAL = "sinusoidal"
-
-
-class Coordinates(StrEnum):
-    ATLAS = "atlas"
-    OWN = "own"
-
-
-class Keep(StrEnum):
-    OVER = "over"
-    UNDER = "under"
-
-
-class AtlasName(StrEnum):
-    EQUIRECTANGULAR = "equirectangular"
-    CUBE = "cube"
-    OCTAHEDRAL = "octahedral"
 
 
 def texture_width(text: str | None) -> str | None:
@@ -180,9 +167,9 @@ def texture_mesh(
         "solver": solver,
     }
     looks: LookKeywords = {
-        "pattern": pattern.value if pattern else None,
-        "projection": projection.value,
-        "atlas": atlas.value,
+        "pattern": pattern,
+        "projection": projection,
+        "atlas": atlas,
         "rotate": rotation(rotate),
     }
     if uv is Coordinates.OWN or keep_materials is not None or bake:
@@ -209,8 +196,8 @@ def texture_mesh(
                 verbose,
                 mapping,
                 image=image,
-                uv=uv.value,
-                keep=keep_materials.value if keep_materials else None,
+                uv=uv,
+                keep=keep_materials,
                 opacity=opacity,
                 bake=bake or (),
                 device=device,
@@ -324,18 +311,18 @@ def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tup
 class LookKeywords(TypedDict):
     """The options that :func:`omtwarp.texture` and :func:`omtwarp.paint` share."""
 
-    pattern: str | None
-    projection: str
-    atlas: str
+    pattern: PatternName | None
+    projection: ProjectionName
+    atlas: AtlasName
     rotate: str | list[float] | None
 
 
 class PaintKeywords(LookKeywords):
     """The options of :func:`omtwarp.paint` that the command line passes on."""
 
-    uv: str
+    uv: Coordinates
     size: int | None
-    keep: str | None
+    keep: Keep | None
     opacity: float
     bake: Sequence[str]
 

@@ -18,6 +18,7 @@ from omtwarp.materials.base import WHITE, Bytes, Floats, Ints, Material
 from omtwarp.materials.painted import PaintedMesh
 from omtwarp.materials.tangents import corner_tangents
 from omtwarp.mesh.surface import plane_areas, triangle_areas
+from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.painting import bakes
 from omtwarp.painting.sheets import SIZE, Look, Sheet, sheet_of_parts, sphere_sheet, torus_picture, torus_sheet
 from omtwarp.painting.texels import PADDING, bake_materials, covered, over, overlap, tiled_copies, tinted
@@ -47,14 +48,14 @@ def paint(
     mesh: PaintedMesh | None = None,
     image: PictureLike | None = None,
     *,
-    pattern: str | Pattern | None = None,
-    uv: str = "own",
-    keep: str | None = None,
+    pattern: PatternLike | Pattern | None = None,
+    uv: CoordinatesLike = "own",
+    keep: KeepLike | None = None,
     opacity: float = OPACITY,
     bake: Sequence[str | os.PathLike[str]] = (),
     detail: tuple[ArrayLike, ArrayLike] | None = None,
-    projection: str = "equirectangular",
-    atlas: str = "cube",
+    projection: ProjectionLike = "equirectangular",
+    atlas: AtlasLike = "cube",
     rotate: ArrayLike | str | None = None,
     size: int | None = None,
     device: str | None = "auto",

@@ -12,6 +12,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.materials.base import Bytes, Floats, Ints
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import triangle_areas
+from omtwarp.options import AtlasLike, PatternLike, ProjectionLike
 from omtwarp.painting.shelves import on_shelves
 from omtwarp.texturing.atlas import check_size, make_atlas
 from omtwarp.texturing.image import PictureLike
@@ -43,14 +44,14 @@ class Look:
     """
 
     source: PictureLike | Pattern | None
-    projection: str
-    atlas: str
+    projection: ProjectionLike
+    atlas: AtlasLike
     rotate: ArrayLike | str | None
     size: int | None
     device: wp.Device
 
     @property
-    def given(self) -> tuple[PictureLike | None, str | Pattern | None]:
+    def given(self) -> tuple[PictureLike | None, PatternLike | Pattern | None]:
         """The picture and the pattern, one of which is None."""
         if isinstance(self.source, Pattern) or is_name(self.source):
             return None, self.source

@@ -13,6 +13,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.materials.base import Floats, Material
 from omtwarp.materials.painted import PaintedMesh
+from omtwarp.options import AtlasLike
 from omtwarp.painting.painter import SIZE
 from omtwarp.painting.texels import PADDING, bake_materials
 from omtwarp.resampling import SpherePoints, as_points
@@ -35,7 +36,7 @@ def transfer_texture(
     onto: PaintedMesh | None = None,
     aligned: bool = False,
     mirror: bool = False,
-    atlas: str = "cube",
+    atlas: AtlasLike = "cube",
     size: int | None = None,
     device: str | None = "auto",
 ) -> PaintedMesh:

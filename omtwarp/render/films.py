@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
-from omtwarp.options import Backend, Progress, choose
+from omtwarp.options import Backend, BackendLike, PatternLike, Progress, choose
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_view, frame
 from omtwarp.render.colors import backdrop
@@ -56,7 +56,7 @@ def film(
     result: FinishedMap | TorusMap,
     path: str | os.PathLike[str],
     *,
-    pattern: str = "circles",
+    pattern: PatternLike = "circles",
     image: PictureLike | None = None,
     size: tuple[int, int] | None = None,
     fps: float | None = None,
@@ -66,7 +66,7 @@ def film(
     front: str | None = None,
     background: str | ArrayLike = "white",
     captions: bool = True,
-    backend: str = "auto",
+    backend: BackendLike = "auto",
     device: str = "auto",
     progress: Progress | None = None,
 ) -> Path:
@@ -146,7 +146,7 @@ def _require_room(frames: int, width: int, height: int, suffix: str) -> None:
 def film_frames(
     result: FinishedMap | TorusMap,
     *,
-    pattern: str = "circles",
+    pattern: PatternLike = "circles",
     image: PictureLike | None = None,
     size: tuple[int, int] = SMALL,
     fps: float = 20.0,
@@ -156,7 +156,7 @@ def film_frames(
     front: str | None = None,
     background: str | ArrayLike = "white",
     captions: bool = True,
-    backend: str = "auto",
+    backend: BackendLike = "auto",
     device: str = "auto",
 ) -> Iterator[Image.Image]:
     """Return the frames of :func:`film`, one after another, with the same arguments."""

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.mesh.arrays import real_number, whole_number
-from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, choose
+from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike, choose
 from omtwarp.render import gl_client
 from omtwarp.render.camera import Camera, as_views, turntable
 from omtwarp.render.colors import backdrop
@@ -52,7 +52,7 @@ class PanelOptions(TypedDict, total=False):
     color_bar: bool
     arrows: Arrows | ArrayLike | None
     samples: int | None
-    backend: str
+    backend: BackendLike
     device: str
 
 

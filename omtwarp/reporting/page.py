@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, check_output, staged
+from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView
 from omtwarp.render.pictures import draw_in_background
 from omtwarp.render.upright import posed
@@ -42,7 +43,7 @@ def write_report(
     *,
     title: str | None = None,
     image: PictureLike | None = None,
-    pattern: str = "circles",
+    pattern: PatternLike = "circles",
     up: str | None = None,
     picture_size: int = 720,
     device: str = "auto",
@@ -103,7 +104,7 @@ def report_page(
     *,
     title: str | None = None,
     image: PictureLike | None = None,
-    pattern: str = "circles",
+    pattern: PatternLike = "circles",
     up: str | None = None,
     picture_size: int = 720,
     device: str = "auto",

@@ -20,7 +20,7 @@ from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
-from omtwarp.options import Domain, Interpolation, choose
+from omtwarp.options import Domain, Interpolation, InterpolationLike, choose
 from omtwarp.resampling import weights
 from omtwarp.result import OF_MAPS, MapResult
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
@@ -265,7 +265,7 @@ def resample(
     source: PointsLike,
     target: PointsLike,
     *,
-    method: str = Interpolation.BARYCENTRIC,
+    method: InterpolationLike = Interpolation.BARYCENTRIC,
     source_areas: ArrayLike | None = None,
     target_areas: ArrayLike | None = None,
     device: str | None = "auto",

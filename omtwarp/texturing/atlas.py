@@ -28,11 +28,12 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.limits import LONGEST_SIDE, MOST_TEXELS
 from omtwarp.mesh.arrays import TINY
+from omtwarp.options import AtlasName
 from omtwarp.texturing.cutting import ON_CUT, Arc, normalised
 
 Floats = NDArray[np.float64]
 
-ATLASES = ("equirectangular", "cube", "octahedral")
+ATLASES = tuple(AtlasName)
 NORTH, SOUTH = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 QUARTER = np.pi / 4.0
 

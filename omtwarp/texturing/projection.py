@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.options import ProjectionName
 
 Floats = NDArray[np.float64]
 
-PROJECTIONS = ("equirectangular", "sinusoidal")
+PROJECTIONS = tuple(ProjectionName)
 
 ORTHONORMAL = 1e-6  # of a rotation's entries: matrices written with seven digits pass
 

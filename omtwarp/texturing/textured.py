@@ -16,7 +16,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import real_number, real_numbers
 from omtwarp.mesh.checks import as_faces, as_unit_vectors
-from omtwarp.options import TextureFormat
+from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, TextureFormat
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
 from omtwarp.texturing.bending import Bending, BentLook, Look
@@ -104,9 +104,9 @@ def texture(
     result: SphereMap | TexturesItself | tuple[ArrayLike, ArrayLike, ArrayLike],
     image: PictureLike | None = None,
     *,
-    pattern: str | Pattern | None = None,
-    projection: str = "equirectangular",
-    atlas: str = "cube",
+    pattern: PatternLike | Pattern | None = None,
+    projection: ProjectionLike = "equirectangular",
+    atlas: AtlasLike = "cube",
     rotate: ArrayLike | str | None = None,
     seam_longitude: float | str = 180.0,
     size: int | tuple[int, int] | str | None = None,

@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TypeGuard, cast
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import PatternName
+from omtwarp.options import PatternLike, PatternName
 from omtwarp.texturing.patterns.base import Pattern
 
 
@@ -31,7 +31,7 @@ def _default(name: str) -> Pattern:
     return _class(name)()
 
 
-def is_name(given: object) -> TypeGuard[str]:
+def is_name(given: object) -> TypeGuard[PatternLike]:
     """Return whether a text is the name of a pattern."""
     return isinstance(given, str) and given in tuple(PatternName)
 
