@@ -32,9 +32,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> FakeDevice:
-    """Make ``cuda:0`` a device that is a CPU to Warp and CUDA to the package."""
+    """Make ``cuda:0`` a device that is a CPU to Warp and CUDA to the package, where there is none."""
     from fake_device import install
 
+    from omtwarp.device.start import wp
+
+    if wp.is_cuda_available():
+        pytest.skip("this machine has a CUDA device")  # of the same name, under which surfaces keep their arrays
     return install(monkeypatch)
 
 

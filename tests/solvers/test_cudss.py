@@ -1,7 +1,9 @@
 """The member for GPUs gives what the host's gives: on a fake device, with cuDSS by SciPy."""
 
 import gc
+import inspect
 import sys
+from enum import EnumType
 from itertools import pairwise
 
 import numpy as np
@@ -158,3 +160,17 @@ def test_a_library_that_does_not_start_is_an_error(library, monkeypatch):
     monkeypatch.setattr(library, "create", create)
     with solving_with(Solver.CUDSS), pytest.raises(OmtwarpError, match="cuDSS does not start: no libcublas"):
         surface_factor(SURFACE)
+
+
+def test_the_stand_in_has_the_binding_s_values_and_arguments():
+    """Where NVIDIA's binding is installed, with or without a GPU."""
+    binding = pytest.importorskip("nvmath.bindings.cudss")
+    kinds = [kind for kind in vars(FakeCudss).values() if isinstance(kind, EnumType)]
+    assert len(kinds) == 9
+    for kind in kinds:
+        for member in kind:
+            assert getattr(binding, kind.__name__)[member.name] == member
+    for name in ("execute", "matrix_create_csr", "matrix_create_dn", "data_get", "data_set", "config_set"):
+        arguments = getattr(binding, name).__doc__.partition("(")[2].partition(")")[0].count(",") + 1
+        called = inspect.signature(getattr(FakeCudss, name)).parameters
+        assert any(p.kind is p.VAR_POSITIONAL for p in called.values()) or len(called) - 1 == arguments, name
