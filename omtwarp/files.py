@@ -2,13 +2,17 @@
 
 Every file that the package writes for a user goes through :func:`staged`, from Python and from the command line alike:
 links are followed and kept, an existing file's mode is kept, directories, devices, pipes and read-only files are
-refused, and companions of the named file never replace a file of the user's.
+refused, and so are inputs of the command. What is not named by the user, companions of a named file and the files in a
+folder of results, replaces only what the package wrote there before and nobody changed: a record in the folder
+(:data:`RECORD`) has the digests of these.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
+import json
 import os
 import secrets
 import shutil
@@ -27,12 +31,16 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 PREFIX = ".omtwarp-"  # of the directories that files are written in before they are moved
-MARK = b"omtwarp"  # near the beginning of every companion of a named file
-MARK_WITHIN = 4096  # bytes of the beginning that are searched for it
+MARKER = "omtwarp-staging"  # the file in these directories that tells them from all others
+RECORD = ".omtwarp.json"  # what the package wrote in a folder: names of files, and the digests of their content
+LARGEST_RECORD = 1 << 24  # bytes
 STALE_SECONDS = 3600.0  # age from which a staging directory that no process holds is removed
 STALE_UNKNOWN_SECONDS = 86400.0  # the same where it is unknown whether a process holds it
 
 _places: dict[Path, Path] = {}  # staging directories of this process, and the files that they are for
+_kept: list[Path] = []  # inputs of the command, which nothing replaces
+_noting = False  # whether files that are read become such inputs
+_results: list[Path] = []  # folders of results, all of whose files are the package's own
 
 
 def as_path(given: str | os.PathLike[str]) -> Path:
@@ -67,8 +75,7 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *
         raise OmtwarpError(f"cannot write '{path}': unknown suffix '{given.suffix}', use {', '.join(suffixes)}")
     try:
         target = _destination(given)
-        if _is_one_of(target, inputs):
-            raise OmtwarpError(f"cannot write '{path}': it is the input; choose another name")
+        _require_no_input(given, target, inputs)
         if target.parent not in _places:
             with _new_folder(target.parent):
                 pass
@@ -125,6 +132,64 @@ def _destination(path: Path) -> Path:
     return target
 
 
+def _require_no_input(given: Path, target: Path, inputs: Iterable[Path | None] = ()) -> None:
+    """Refuse to write what a command reads.
+
+    Raises:
+        OmtwarpError: the file is one of some inputs, or of those of :func:`keeping`.
+    """
+    if _is_one_of(target, (*inputs, *_kept)):
+        raise OmtwarpError(f"cannot write '{given}': it is the input; choose another name")
+
+
+@contextlib.contextmanager
+def keeping(inputs: Iterable[Path]) -> Iterator[None]:
+    """Keep files, and all that are read in the meantime, from being replaced by what is written in the meantime."""
+    global _noting
+    before, noting = list(_kept), _noting
+    _kept.extend(inputs)
+    _noting = True
+    try:
+        yield
+    finally:
+        _kept[:], _noting = before, noting
+
+
+def note_input(path: str | os.PathLike[str]) -> None:
+    """Keep a file that is read from being replaced, inside of :func:`keeping`: also one that another file names."""
+    if _noting:
+        _kept.append(Path(path))
+
+
+@contextlib.contextmanager
+def folder_of_results(folder: Path, *names: str) -> Iterator[None]:
+    """Replace nothing in a folder in the meantime but what the package wrote there before.
+
+    Args:
+        folder: where results go; it need not exist yet.
+        names: of files that will be written, which are looked at before the work.
+
+    Raises:
+        OmtwarpError: a file that would be replaced is not the package's.
+    """
+    place = Path(os.path.realpath(folder))
+    for name in names:
+        _require_own(folder / name, place / name)
+    _results.append(place)
+    try:
+        yield
+    finally:
+        _results.remove(place)
+
+
+def _require_own(given: Path, target: Path) -> None:
+    if os.path.lexists(target) and not written_by_omtwarp(target):
+        raise OmtwarpError(
+            f"cannot write '{given}': omtwarp did not write what is there, or it was changed; move it away or choose "
+            "another directory"
+        )
+
+
 def _cannot_write(path: Path, error: OSError) -> OmtwarpError:
     """Make the error for an output that failed, in the system's words."""
     return OmtwarpError(f"cannot write '{path}': {error.strerror or error}")
@@ -140,15 +205,51 @@ def _is_one_of(path: Path, others: Iterable[Path | None]) -> bool:
 
 
 def written_by_omtwarp(path: Path) -> bool:
-    """Return whether a file has the mark of companions that the package writes.
+    """Return whether the record of a file's folder has the file as it is now.
 
     Raises:
         OSError: the file cannot be read.
     """
-    if not path.is_file():
+    if path.is_symlink() or not path.is_file():
         return False
+    return _recorded(path.parent).get(path.name) == _digest(path)
+
+
+def _content(path: Path) -> bytes:
+    """Read a small file of the package's own; nothing of what is no regular file, for which it does not wait.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    with open(descriptor, "rb") as stream:
+        return stream.read(LARGEST_RECORD) if stat.S_ISREG(os.fstat(descriptor).st_mode) else b""
+
+
+def _digest(path: Path) -> str:
     with open(path, "rb") as stream:
-        return MARK in stream.read(MARK_WITHIN)
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _recorded(folder: Path) -> dict[str, object]:
+    """Return the record of a folder; empty where there is none, or none that can be read."""
+    try:
+        found = json.loads(_content(folder / RECORD))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _record(folder: Path, names: Iterable[str]) -> None:
+    """Add files to the record of their folder, as they are now."""
+    known = _recorded(folder) | {name: _digest(folder / name) for name in names}
+    there = {name: digest for name, digest in known.items() if os.path.lexists(folder / name)}
+    part = folder / f"{RECORD}.{secrets.token_hex(4)}"
+    try:
+        part.write_text(json.dumps(there, indent=1) + "\n", "utf-8")
+        os.replace(part, folder / RECORD)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path:
@@ -175,7 +276,7 @@ def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path
         while True:
             ending = ("", "-texture")[number] if number < 2 else f"-texture-{number}"
             there = folder / f"{stem}{ending}{suffix}"
-            if not os.path.lexists(there) or (written_by_omtwarp(there) and not _is_one_of(there, kept)):
+            if not os.path.lexists(there) or (written_by_omtwarp(there) and not _is_one_of(there, (*kept, *_kept))):
                 return path.with_name(there.name)
             number += 1
     except OSError as error:
@@ -209,6 +310,9 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
     folder: Path | None = None
     try:
         target = _destination(given)
+        _require_no_input(given, target)
+        if target.parent in _results:
+            _require_own(given, target)
         _sweep(target.parent)
         with _new_folder(target.parent) as folder:
             _places[folder] = target
@@ -234,10 +338,11 @@ def _move(folder: Path, target: Path, given: Path, keep: tuple[Path | None, ...]
         OmtwarpError: a companion would replace a file of the user's.
     """
     moves = []
-    for file in sorted(folder.iterdir(), key=lambda file: file.name == target.name):
+    written = [file for file in folder.iterdir() if file.name != MARKER]
+    for file in sorted(written, key=lambda file: file.name == target.name):
         place = target.parent / file.name
         if place != target:
-            foreign = os.path.lexists(place) and (not written_by_omtwarp(place) or _is_one_of(place, keep))
+            foreign = os.path.lexists(place) and (not written_by_omtwarp(place) or _is_one_of(place, (*keep, *_kept)))
             if foreign:
                 name = given.with_name(place.name)
                 raise OmtwarpError(f"cannot write '{given}': '{name}' would be replaced, which omtwarp did not write")
@@ -250,6 +355,10 @@ def _move(folder: Path, target: Path, given: Path, keep: tuple[Path | None, ...]
                     os.chown(file, old.st_uid, old.st_gid)
             os.chmod(file, stat.S_IMODE(old.st_mode))
         os.replace(file, place)
+    own = [place.name for _, place in moves if place != target or target.parent in _results]
+    if own:
+        with contextlib.suppress(OSError):  # without a record they are only not replaced the next time
+            _record(target.parent, own)
 
 
 @contextlib.contextmanager
@@ -268,6 +377,7 @@ def _new_folder(parent: Path) -> Iterator[Path]:
     with removed_at_the_end(folder):
         try:
             folder.mkdir(mode=0o700)
+            (folder / MARKER).write_text(folder.name, "utf-8")
             with _held(folder):
                 yield folder
         finally:
@@ -290,7 +400,7 @@ def _held(folder: Path) -> Iterator[None]:
 
 
 def _sweep(parent: Path) -> None:
-    """Remove staging directories of processes that were killed: the user's own, old, and held by nobody."""
+    """Remove staging directories of processes that were killed: marked, the user's own, old, and held by nobody."""
     with contextlib.suppress(OSError):
         for entry in os.scandir(parent):
             if entry.name.startswith(PREFIX) and entry.is_dir(follow_symlinks=False):
@@ -300,13 +410,15 @@ def _sweep(parent: Path) -> None:
 
 
 def _abandoned(folder: Path) -> bool:
-    """Return whether a staging directory is this user's, was left alone for long, and no process holds it.
+    """Return whether a directory is marked as one for staging, is this user's, old, and no process holds it.
 
     Raises:
         OSError: it cannot be looked at, for instance because it is gone.
     """
     status = os.stat(folder, follow_symlinks=False)
     if hasattr(os, "getuid") and status.st_uid != os.getuid():
+        return False
+    if _content(folder / MARKER) != folder.name.encode():
         return False
     changed = [status.st_mtime, *(os.stat(file, follow_symlinks=False).st_mtime for file in folder.iterdir())]
     age = time.time() - max(changed)

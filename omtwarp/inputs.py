@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, staged
+from omtwarp.files import as_path, note_input, staged
 from omtwarp.limits import LARGEST_ARRAYS, LARGEST_DIRECTORY, LARGEST_MESH_FILE, LARGEST_REPORT, amount
 
 _LONGEST_END = 22 + 2**16 + 76  # bytes in which a zip archive's last records stand, with the longest comment
@@ -61,6 +61,7 @@ def open_input(path: str | os.PathLike[str], most: int, kind: str = "file") -> I
             raise OmtwarpError(f"{path}: {amount(status.st_size)}, and a {kind} may have {amount(most)} at most")
         if not status.st_size:
             raise OmtwarpError(f"{path}: an empty file, not a {kind}")
+        note_input(path)
         with open(descriptor, "rb", closefd=False) as stream:
             yield stream
     finally:

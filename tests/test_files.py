@@ -7,7 +7,7 @@ import os
 import pytest
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
+from omtwarp.files import RECORD, check_output, staged
 
 
 def test_staging_leaves_nothing_after_an_error(tmp_path):
@@ -21,7 +21,7 @@ def test_staging_leaves_nothing_after_an_error(tmp_path):
         file.write_text("new")
         file.with_suffix(".mtl").write_text("beside")
     assert target.read_text() == "new" and (tmp_path / "it.mtl").read_text() == "beside"
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) == 3  # with the record
 
 
 def test_a_full_disk_is_one_line(tmp_path):
@@ -52,14 +52,14 @@ def test_staging_inside_of_staging(tmp_path):
             inner.write_text("surface")
             inner.with_suffix(".mtl").write_text("material")
         assert not target.exists() and outer.read_text() == "surface"
-    assert sorted(os.listdir(tmp_path)) == ["it.mtl", "it.obj"]
+    assert sorted(os.listdir(tmp_path)) == [RECORD, "it.mtl", "it.obj"]
 
 
 def test_companions_of_a_hidden_file_come_along(tmp_path):
     with staged(tmp_path / ".it.obj") as file:
         file.write_text("surface")
         file.with_name(".it.mtl").write_text("material")
-    assert sorted(os.listdir(tmp_path)) == [".it.mtl", ".it.obj"]
+    assert sorted(os.listdir(tmp_path)) == [".it.mtl", ".it.obj", RECORD]
 
 
 def test_nothing_written_is_nothing_moved(tmp_path):

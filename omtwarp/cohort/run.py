@@ -16,8 +16,10 @@ from omtwarp.cohort.manifest import Item
 from omtwarp.cohort.table import write_table
 from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import folder_of_results
 from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, choose
 
+RESULTS = ("table.parquet", "table.csv", "report.html")
 TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
 
 
@@ -103,7 +105,8 @@ def run_cohort(
     if fill_area is not None:
         asked["fill_area"] = str(choose(FillArea, fill_area))
     target = Path(folder).absolute()
-    make_folders(target)
+    with folder_of_results(target, *RESULTS):  # refused before the work, not after it
+        make_folders(target)
     jobs = [
         Job(
             item.id,
@@ -116,6 +119,7 @@ def run_cohort(
         )
         for item in items
     ]
+    _require_other_inputs(jobs, target)
     mine = [] if collect else jobs[part - 1 :: parts]
     todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]
     if todo:
@@ -129,9 +133,23 @@ def run_cohort(
     from omtwarp.cohort.page import write_page  # loads Warp, which a driver does not need while it waits
 
     rows = [_row(item, job) for item, job in zip(items, jobs, strict=True)]
-    table = write_table(rows, target)
-    page = write_page(rows, target)
+    with folder_of_results(target, *RESULTS):
+        table = write_table(rows, target)
+        page = write_page(rows, target)
     return CohortResult(dict(Counter(str(row["status"]) for row in rows)), len(todo), table, page)
+
+
+def _require_other_inputs(jobs: Sequence[Job], folder: Path) -> None:
+    """Refuse items whose mesh is a file that the run writes.
+
+    Raises:
+        OmtwarpError: an item is a map, a record, the table or the page of this cohort.
+    """
+    written = {os.path.realpath(folder / name) for name in RESULTS}
+    written.update(os.path.realpath(file) for job in jobs for file in (job.map_file, job.record_file))
+    for job in jobs:
+        if os.path.realpath(job.path) in written:
+            raise OmtwarpError(f"'{job.path}' is an item and would be replaced as a result: choose another folder")
 
 
 def _asked(options: MapKeywords) -> dict[str, object]:

@@ -11,6 +11,8 @@ from typing import Protocol, cast
 
 import typer
 
+from omtwarp.files import keeping
+
 GROUPS = {
     "Input": (
         "finished", "map_of_source", "map_of_target", "surface", "to_surface", "data", "labels", "feature",
@@ -46,6 +48,9 @@ GROUPS = {
 }  # fmt: skip
 """Options by the heading that help shows them under; others are shown last."""
 
+
+OUTPUTS = ("output", "report", "sphere", "matrix", "reconstruction", "json_output", "title")
+"""Options that name no input; a title may be the name of a file."""
 
 _USUAL = object()  # in place of a value that typer is to read
 
@@ -114,6 +119,12 @@ class Command(typer.core.TyperCommand):
             error.message = error.message.removeprefix("Value error, ")
             raise
 
+    def invoke(self, ctx: object) -> object:
+        """Run the command, which replaces nothing that it reads."""
+        given = cast(typer.Context, ctx).params
+        with keeping(path for name, value in given.items() if name not in OUTPUTS for path in _named_files(value)):
+            return super().invoke(cast(typer.Context, ctx))
+
     def collect_usage_pieces(self, ctx: object) -> list[str]:
         """Return the words of the usage line; names of arguments that are needed stand without braces."""
         pieces = super().collect_usage_pieces(cast(typer.Context, ctx))
@@ -125,6 +136,20 @@ class Command(typer.core.TyperCommand):
             with formatter.section("Examples"):
                 for line in self.epilog.splitlines():
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+
+
+def _named_files(value: object) -> list[Path]:
+    """Return the files that an option or argument names."""
+    values = value if isinstance(value, list | tuple) else [value]
+    paths = [Path(one) for one in values if isinstance(one, str | Path) and "\0" not in str(one)]
+    return [path for path in paths if _is_file(path)]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a text that is too long for a name
+        return False
 
 
 def _read_plainly(parameters: Sequence[object]) -> None:

@@ -13,7 +13,7 @@ from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, Ver
 from omtwarp.commands._work import make_map, report_text, say_stages, start_device
 from omtwarp.commands.map import save
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged, written_by_omtwarp
+from omtwarp.files import check_output, folder_of_results, staged
 from omtwarp.limits import MOST_DEMO_FACES
 from omtwarp.options import MapOptions
 
@@ -21,6 +21,9 @@ UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)
 """The creature stands on its feet and looks past the viewer's right shoulder."""
 
 PICTURE_WIDTH = 2048  # texels around the sphere, as textures have by default
+
+
+NAMES = ("creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "circles.png", "comparison.png")
 
 
 def demo(
@@ -34,18 +37,22 @@ def demo(
     quiet: QuietOption = False,
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
-    from omtwarp.mesh.shapes import demo_shape
-    from omtwarp.mesh.write import write_mesh
-
     start_device(device)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OmtwarpError(f"cannot make the directory '{output}': {error.strerror or error}") from None
-    names = ["creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "circles.png", "comparison.png"]
-    files = [output / name for name in names]
+    with folder_of_results(output, *NAMES):
+        _make(output, faces, device, as_json, verbose, quiet)
+
+
+def _make(output: Path, faces: int, device: str, as_json: bool, verbose: bool, quiet: bool) -> None:
+    """Make the files of the demo; arguments are those of the command."""
+    from omtwarp.mesh.shapes import demo_shape
+    from omtwarp.mesh.write import write_mesh
+
+    files = [check_output(output / name) for name in NAMES]
     mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = files
-    _refuse_other_files(files)
     start = time.perf_counter()
 
     def notify(text: str) -> None:
@@ -79,21 +86,3 @@ def demo(
     notify(f"{comparison_file}: the conformal and the area-preserving map")
     if as_json:
         print(report_text(facts | {"output": str(output), "files": [str(file) for file in files]}), end="")
-
-
-def _refuse_other_files(files: list[Path]) -> None:
-    """Make sure that the results replace nothing but those of an earlier demo, recognised by its mesh.
-
-    Args:
-        files: what will be written, the mesh first.
-
-    Raises:
-        OmtwarpError: a file of one of these names is not from an earlier demo, or cannot be written.
-    """
-
-    for file in files:
-        check_output(file)
-    if not written_by_omtwarp(files[0]):
-        for file in files:
-            if file.exists():
-                raise OmtwarpError(f"'{file}' exists and is not from an earlier demo: choose another directory with -o")

@@ -13,7 +13,7 @@ from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import STREAM, input_file, input_table, say
 from omtwarp.commands._work import load_whole_map, report_text, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.files import check_folder
+from omtwarp.files import check_folder, folder_of_results
 
 
 def group(
@@ -59,6 +59,8 @@ def group(
     if labels is not None:
         two_groups(labels, len(paths))
     start_device(device)
+    with folder_of_results(output, "table.csv", "distances.csv", "report.html"):  # refused before the work
+        pass
     with progress_bar(quiet, verbose) as progress, warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # said below, with the names
         found = study_group(
@@ -74,7 +76,8 @@ def group(
             device=device,
             progress=progress,
         )
-        files = write_group_report(found, output, names, labels)
+        with folder_of_results(output):
+            files = write_group_report(found, output, names, labels)
     mirrored = mirrored_words(found.alignment, names)
     if mirrored:
         say(f"warning: {mirrored}")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import MARK, companion, staged
+from omtwarp.files import companion, staged
 from omtwarp.materials.base import Bytes, PaintedArrays
 from omtwarp.materials.gltf import glb_bytes
 from omtwarp.options import TextureFormat
@@ -70,7 +70,7 @@ def obj_files(mesh: PaintedArrays, place: Path, *, keep: Iterable[Path | None] =
     kept = tuple(keep)
     materials = np.unique(mesh.material_of)
     names = _names([mesh.materials[number].name for number in materials])
-    library = [f"# {MARK.decode()}"]
+    library = ["# omtwarp"]
     pictures: dict[int, tuple[Path, bytes]] = {}
     for number, name in zip(materials, names, strict=True):
         material = mesh.materials[number]

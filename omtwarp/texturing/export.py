@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import MARK, as_path, companion, staged
+from omtwarp.files import as_path, companion, staged
 from omtwarp.options import TextureFormat, choose
 from omtwarp.texturing.gltf import GltfFile, flipped_rows, single_precision
 from omtwarp.texturing.image import png_bytes
@@ -175,7 +175,7 @@ def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] 
         ]
     )
     lines = [
-        f"# {MARK.decode()}",
+        "# omtwarp",
         "newmtl texture",
         "Ka 1.000 1.000 1.000",
         "Kd 1.000 1.000 1.000",

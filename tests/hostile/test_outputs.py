@@ -129,7 +129,7 @@ def test_pictures_and_materials_of_others_are_kept(tmp_path):
     assert "mtllib world-texture.mtl" in (tmp_path / "world.obj").read_text()
     assert "map_Kd world-texture.png" in (tmp_path / "world-texture.mtl").read_text()
     # Again: the package's own files are replaced, and no third name is needed.
-    assert textured().export(tmp_path / "world.obj") == written and len(list(tmp_path.iterdir())) == 5
+    assert textured().export(tmp_path / "world.obj") == written and len(list(tmp_path.iterdir())) == 6
 
 
 def test_a_texture_that_is_an_input_is_kept_although_the_package_wrote_it(tmp_path):
@@ -239,7 +239,7 @@ with staged(Path(sys.argv[1])) as file:
         for process in processes[:2]:
             process.kill()
             process.wait()
-        found = {next(folder.iterdir()).stem: folder for folder in tmp_path.glob(files.PREFIX + "*")}
+        found = {next(folder.glob("*.ply")).stem: folder for folder in tmp_path.glob(files.PREFIX + "*")}
         assert set(found) == {"killed", "young", "living"}
         for name in ("killed", "living"):
             aged(found[name], 2 * files.STALE_SECONDS)

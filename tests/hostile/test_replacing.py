@@ -1,0 +1,141 @@
+"""What commands may replace: the file that the user names, and what they wrote before and nobody changed."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from omtwarp import files
+from omtwarp.cli import main
+from omtwarp.cohort import read_manifest, run_cohort
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh import shapes
+from omtwarp.mesh.write import write_mesh
+from omtwarp.result import MapResult
+
+BALL = shapes.icosphere(2)
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A working folder with maps, a sphere, and a mesh with a picture."""
+    monkeypatch.chdir(tmp_path)
+    for name, scale in (("a", 1.3), ("b", 1.6)):
+        vertices = BALL.vertices * [1.0, scale, 2.0]
+        MapResult(vertices, BALL.faces, BALL.vertices, BALL.vertices, np.ones(len(vertices))).save(f"{name}.npz")
+        write_mesh(f"{name}.ply", vertices, BALL.faces)
+    write_mesh("sphere.ply", BALL.vertices, BALL.faces)
+    lines = [f"v {x} {y} {z}" for x, y, z in BALL.vertices] + ["vt 0 0", "usemtl skin"]
+    lines += ["f " + " ".join(f"{k}/1" for k in face + 1) for face in BALL.faces]
+    (tmp_path / "mesh.mtl").write_text("newmtl skin\nmap_Kd skin.png\n", "utf-8")
+    (tmp_path / "mesh.obj").write_text("\n".join(["mtllib mesh.mtl", *lines]), "utf-8")
+    Image.new("RGB", (8, 8), (200, 30, 30)).save("skin.png")
+    return tmp_path
+
+
+def ended(capsys, line: str) -> tuple[int, str]:
+    """Run a command line; return its exit status and the last line on standard error."""
+    with pytest.raises(SystemExit) as end:
+        main(line.split())
+    return int(end.value.code or 0), (capsys.readouterr().err.strip().splitlines() or [""])[-1]
+
+
+@pytest.mark.parametrize(
+    ("line", "kept"),
+    [
+        ("align a.npz --to b.npz -o b.npz", "b.npz"),
+        ("align a.npz --to sphere.ply --to-surface b.ply -o b.ply", "b.ply"),
+        ("align sphere.ply --surface b.ply -o b.ply", "b.ply"),
+        ("resample a.npz --to b.npz -o b.npz --data b.npy", "b.npz"),
+        ("resample a.npz --to ico1 -o c.ply --sphere a.npz", "a.npz"),
+        ("resample a.npz --to sphere.ply -o sphere.ply", "sphere.ply"),
+        ("preview mesh.obj -o skin.png --size 16 --backend warp", "skin.png"),
+        ("texture mesh.obj --map a.npz --uv own -o mesh.obj --size 16", "mesh.obj"),
+    ],
+)
+def test_an_output_that_is_also_read_is_refused(place, capsys, line, kept):
+    np.save(place / "b.npy", np.arange(len(BALL.vertices), dtype=float))
+    before = {file.name: file.read_bytes() for file in place.iterdir()}
+    status, said = ended(capsys, line)
+    assert status and ("input" in said or "unknown suffix" in said), said
+    assert {file.name: file.read_bytes() for file in place.iterdir()} == before and kept in before
+
+
+def test_a_companion_that_was_changed_is_kept(place, capsys):
+    """A picture of the user's, one that mentions the package, and one that was edited are left as they are."""
+    line = "texture --map a.npz -o o.obj --size 16"
+    (place / "o.mtl").write_text("# notes about omtwarp\n", "utf-8")
+    assert ended(capsys, line)[0] == 0
+    assert (place / "o.mtl").read_text("utf-8") == "# notes about omtwarp\n"
+    first = (place / "o.obj").read_text("utf-8")
+    assert "mtllib o-texture.mtl" in first and (place / "o.png").exists()
+    assert ended(capsys, line)[0] == 0  # what the first run wrote is replaced
+    assert not list(place.glob("o-texture-*"))
+    Image.new("RGB", (8, 8)).save("o.png")
+    edited = (place / "o.png").read_bytes()
+    assert ended(capsys, line)[0] == 0
+    assert (place / "o.png").read_bytes() == edited and (place / "o-texture.png").exists()
+
+
+@pytest.mark.parametrize("name", ["table.csv", "table.parquet", "report.html"])
+def test_a_cohort_replaces_no_table_or_page_of_others(place, name):
+    out = place / "out"
+    out.mkdir()
+    (out / name).write_text("of omtwarp, by another", "utf-8")
+    with pytest.raises(OmtwarpError, match="omtwarp did not write what is there"):
+        run_cohort(read_manifest("[ab].ply"), out, collect=True)
+    assert os.listdir(out) == [name] and (out / name).read_text("utf-8") == "of omtwarp, by another"
+
+
+def test_a_cohort_replaces_its_own_table_and_page(place):
+    for _ in range(2):
+        assert run_cohort(read_manifest("[ab].ply"), place / "out", collect=True).counts == {"waiting": 2}
+
+
+def test_a_cohort_maps_no_file_that_it_writes(place):
+    (place / "out" / "maps").mkdir(parents=True)
+    os.rename(place / "a.npz", place / "out" / "maps" / "a.npz")
+    (place / "list.csv").write_text("path,id\nout/maps/a.npz,a\n", "utf-8")
+    with pytest.raises(OmtwarpError, match="would be replaced as a result"):
+        run_cohort(read_manifest("list.csv"), place / "out", collect=True)
+
+
+def test_a_group_replaces_no_table_of_others(place, capsys):
+    (place / "study").mkdir()
+    (place / "study" / "table.csv").write_text("omtwarp,1\n", "utf-8")
+    status, said = ended(capsys, "group a.npz b.npz -o study --grid ico1 --degree 2 --permutations 3")
+    assert status == 1 and "omtwarp did not write what is there" in said
+    assert os.listdir(place / "study") == ["table.csv"]
+    for _ in range(2):
+        assert ended(capsys, "group a.npz b.npz -o other --grid ico1 --degree 2 --permutations 3")[0] == 0
+
+
+def test_folders_of_others_are_not_swept(tmp_path):
+    """A folder is swept where it has the marker with its own name, and not for its name alone."""
+    theirs, copied, ours = (tmp_path / f"{files.PREFIX}{number:016x}" for number in range(3))
+    for folder in (theirs, copied, ours):
+        folder.mkdir()
+        (folder / "data.txt").write_text("data", "utf-8")
+    (copied / files.MARKER).write_text(ours.name, "utf-8")
+    (ours / files.MARKER).write_text(ours.name, "utf-8")
+    old = time.time() - 30 * files.STALE_UNKNOWN_SECONDS
+    for folder in (theirs, copied, ours):
+        for path in (*folder.iterdir(), folder):
+            os.utime(path, (old, old))
+    write_mesh(tmp_path / "ball.ply", BALL.vertices, BALL.faces)
+    assert theirs.exists() and copied.exists() and not ours.exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_as_record_or_marker_is_not_waited_for(tmp_path):
+    folder = tmp_path / f"{files.PREFIX}{0:016x}"
+    folder.mkdir()
+    os.mkfifo(folder / files.MARKER)
+    os.mkfifo(tmp_path / files.RECORD)
+    assert not files.written_by_omtwarp(tmp_path / "nothing")
+    write_mesh(tmp_path / "ball.ply", BALL.vertices, BALL.faces)
+    assert folder.exists()
