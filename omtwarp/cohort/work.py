@@ -45,7 +45,7 @@ def run_item(job: Job) -> Row:
 
 def _map(job: Job) -> Row:
     repair_first = bool(job.options.get("repair"))
-    mesh = read_joined_mesh(Path(job.path), triangulate=repair_first)
+    mesh = read_joined_mesh(Path(job.path), together=repair_first)
     vertices, faces = mesh.vertices, mesh.faces
     if repair_first:
         repaired = repair(vertices, faces, whole="fill_area" not in job.options)

@@ -28,7 +28,7 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import require_valid
 
-    mesh = read_painted_mesh(path, triangulate=repair)
+    mesh = read_painted_mesh(path)
     notes = list(mesh.notes)
     if repair:
         from omtwarp.mesh.repair import repair as repair_mesh
@@ -90,7 +90,7 @@ def painted_map(
 
         result = load_map(finished, torus)
         require_bijective(result, finished)
-        mesh = read_painted_mesh(path, triangulate=repair)
+        mesh = read_painted_mesh(path)
         if repair and len(mesh.faces) != len(result.faces):
             mesh, _ = read_sound_painted(path, repair)
         try:

@@ -79,7 +79,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import as_arrays, require_valid
 
-    mesh = read_joined_mesh(path, triangulate=repair, together=any_surface)
+    mesh = read_joined_mesh(path, together=repair or any_surface)
     notes, origins, vertex_of_file = [*of_a_map(path), *mesh.notes], {}, mesh.vertex_of_file
     vertices, faces = mesh.vertices, mesh.faces
     sizes = len(mesh.file.vertices), len(faces)

@@ -106,7 +106,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
     from omtwarp.verdict import foretell
 
     with step_times(verbose) as done:
-        given = read_joined_mesh(mesh, triangulate=repair)
+        given = read_joined_mesh(mesh, together=repair)
         done("read")
         vertices, faces = given.vertices, given.faces
         defects = before = check(vertices, faces)

@@ -356,7 +356,7 @@ def _paint(
     picture = read_image(image) if image is not None else None
     fine = None
     if detail is not None:
-        finer = read_mesh(detail, triangulate=True)
+        finer = read_mesh(detail, together=True)
         fine = (finer.vertices, finer.faces)
     painted = None
     if options["uv"] == "own" or options["keep"] is not None:

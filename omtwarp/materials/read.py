@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _PLY_COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 
 
-def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False) -> PaintedMesh:
+def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     """Read a mesh with its texture coordinates, materials and colours.
 
     OBJ with its material library, PLY with coordinates at vertices or faces, and every format of scenes (GLB, glTF,
@@ -44,7 +44,6 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
 
     Args:
         path: a mesh file of any format that :func:`omtwarp.read_mesh` takes.
-        triangulate: cut faces with more than three corners into triangles instead of refusing them.
 
     Returns:
         The mesh; ``.export("name.glb")`` writes it again.
@@ -67,12 +66,12 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
     try:
         with warnings.catch_warnings(action="ignore"):  # of what parsers guess
             if plain:
-                mesh = read_mesh(file, triangulate=triangulate)
+                mesh = read_mesh(file)
                 found = PaintedMesh(mesh.vertices, corners_of(mesh.faces, len(mesh.vertices)), notes=mesh.notes)
             elif suffix == "obj":
-                found = _from_obj(data, file, triangulate)
+                found = _from_obj(data, file)
             elif suffix == "ply":
-                found = _from_ply(data, file, triangulate)
+                found = _from_ply(data, file)
             else:
                 scene = load_scene(data, file, suffix)
                 found = _from_scene(scene, gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else None)
@@ -88,8 +87,8 @@ def read_painted_mesh(path: str | os.PathLike[str], *, triangulate: bool = False
     return replace(found, source_files=(file, *found.source_files))
 
 
-def _from_obj(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
-    found = read_obj(utf8(data), triangulate)
+def _from_obj(data: bytes, file: Path) -> PaintedMesh:
+    found = read_obj(utf8(data))
     named: list[Path] = []
     notes = list(found.notes)
 
@@ -120,10 +119,10 @@ def _from_obj(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
     )  # fmt: skip
 
 
-def _from_ply(data: bytes, file: Path, triangulate: bool) -> PaintedMesh:
+def _from_ply(data: bytes, file: Path) -> PaintedMesh:
     columns, decided = ply_columns(utf8(data))
     points, corners, sizes = polygons_of(columns)
-    rows, notes = fans(np.arange(len(corners)), sizes, triangulate)
+    rows, notes = fans(np.arange(len(corners)), sizes)
     face = np.repeat(np.arange(len(sizes)), sizes)[rows[:, 0]]
     faces = corners_of(corners[rows], len(points))
     vertex, sides = columns["vertex"], columns.get("face", {})

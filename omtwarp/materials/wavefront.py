@@ -48,15 +48,14 @@ class Wavefront:
     notes: list[str] = field(default_factory=list)
 
 
-def read_obj(text: bytes, triangulate: bool) -> Wavefront:
+def read_obj(text: bytes) -> Wavefront:
     """Read the geometry, coordinates and names of materials of an OBJ file, in the order of ``read_mesh``.
 
     Args:
         text: the file, in UTF-8.
-        triangulate: cut larger faces into fans instead of refusing them.
 
     Raises:
-        OmtwarpError: no triangles, or faces with more corners.
+        OmtwarpError: no faces, or one with fewer than three corners.
         ValueError: words where numbers belong.
     """
     found = _statements(text)
@@ -71,7 +70,7 @@ def read_obj(text: bytes, triangulate: bool) -> Wavefront:
     which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
     given = which != 0
     which = np.where(which < 0, which + ahead[:, 1], which - 1)
-    rows, notes = fans(np.arange(len(vertex)), counts, triangulate)
+    rows, notes = fans(np.arange(len(vertex)), counts)
     face = np.repeat(np.arange(len(counts)), counts)[rows[:, 0]]
     uv = None
     if given.any() and found.coordinates:

@@ -8,24 +8,19 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import whole_numbers
 
-_REPAIR = "triangulate it in a mesh editor, or with --repair"
 
-
-def fans(
-    flat: NDArray[np.generic], corners: NDArray[np.int64], triangulate: bool
-) -> tuple[NDArray[np.generic], list[str]]:
+def fans(flat: NDArray[np.generic], corners: NDArray[np.int64]) -> tuple[NDArray[np.generic], list[str]]:
     """Cut polygons into fans of triangles.
 
     Args:
         flat: all corners, one polygon after another.
         corners: how many each polygon has, shape [P].
-        triangulate: whether to cut those of more than three corners instead of refusing them.
 
     Returns:
         The triangles' corners, shape [F, 3], and notes about what was cut.
 
     Raises:
-        OmtwarpError: no polygons, one with fewer than three corners, or one with more that is not to be cut.
+        OmtwarpError: no polygons, or one with fewer than three corners.
     """
     if not len(corners):
         raise OmtwarpError("not a triangle mesh: no faces in it")
@@ -34,16 +29,11 @@ def fans(
     if (corners == 3).all():
         return flat.reshape(-1, 3), []
     larger = int((corners != 3).sum())
-    if not triangulate:
-        raise OmtwarpError(
-            f"not a triangle mesh: {larger} of {len(corners)} faces have more than three corners, first face "
-            f"{int(np.argmax(corners != 3))}; {_REPAIR}"
-        )
     # A fan from every polygon's first corner.
     fans = corners - 2
     first = np.repeat(np.cumsum(corners) - corners, fans)
     step = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans)
-    note = f"cut {larger} faces with more than three corners into triangles"
+    note = f"cut {larger} face{'s' if larger > 1 else ''} with more than three corners into triangles"
     return flat[np.stack([first, first + step + 1, first + step + 2], axis=1)], [note]
 
 

@@ -1,7 +1,7 @@
 """Reading a triangle mesh from a file without changing it: vertices and faces in the order in which the file has them.
 
-Formats are read by trimesh, brain surfaces by nibabel. Where a general reader would silently reorder, split, merge or
-triangulate, the readers here keep the file's own mesh or raise an error.
+Formats are read by trimesh, brain surfaces by nibabel. Where a general reader would silently reorder, split or merge,
+the readers here keep the file's own mesh or raise an error; what they decide is in notes.
 """
 
 from __future__ import annotations
@@ -53,23 +53,22 @@ class MeshFile:
     notes: tuple[str, ...] = ()
 
 
-def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, together: bool | None = None) -> MeshFile:
+def read_mesh(path: str | os.PathLike[str], *, together: bool = False) -> MeshFile:
     """Read a mesh.
 
     Args:
         path: a file of any format that trimesh reads (ply, obj, off, stl, glb, gltf, ...), a map or mesh in ``.npz``
             (``vertices``, ``faces``), VTK, GIFTI or a FreeSurfer surface of any name (both need nibabel), and those of
             :data:`omtwarp.mesh.other_formats.MESHIO_FORMATS` (which need meshio); compressed by gzip or not.
-        triangulate: cut faces with more than three corners into triangles instead of refusing them.
-        together: take several geometries of a scene together instead of refusing them; None does as ``triangulate``.
+        together: take several geometries of a scene together instead of refusing them.
 
     Returns:
         Vertices and faces in the file's order. STL has no vertices of its own: equal corners become one vertex there,
-        in the order in which they first appear.
+        in the order in which they first appear. Faces with more than three corners are cut into fans of triangles, and
+        the notes say how many.
 
     Raises:
-        OmtwarpError: a missing or unreadable file, no triangles in it, faces with more than three corners, or several
-            geometries.
+        OmtwarpError: a missing or unreadable file, no triangles in it, or several geometries.
 
     Example:
         >>> import omtwarp
@@ -85,9 +84,9 @@ def read_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, togeth
     try:
         with warnings.catch_warnings(action="ignore"):  # about guesses of parsers; results are checked below
             if suffix in _OWN:
-                vertices, faces, notes = _OWN[suffix](data, file, triangulate)
+                vertices, faces, notes = _OWN[suffix](data, file)
             else:
-                vertices, faces, notes = _read_scene(data, file, suffix, triangulate if together is None else together)
+                vertices, faces, notes = _read_scene(data, file, suffix, together)
         if np.ndim(vertices) != 2 or np.shape(vertices)[1] != 3 or np.ndim(faces) != 2 or np.shape(faces)[1] != 3:
             raise OmtwarpError("not a triangle mesh: no list of triangles in it")
         corners = whole_numbers(faces, "faces", (None, 3))
@@ -141,7 +140,7 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
     return data, suffix
 
 
-def _read_npz(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_npz(data: bytes, file: Path) -> _Read:
     arrays = read_arrays(io.BytesIO(data), ("vertices", "faces"))
     if len(arrays) < 2:
         raise OmtwarpError("no arrays 'vertices' and 'faces' in it")
@@ -150,9 +149,9 @@ def _read_npz(data: bytes, file: Path, triangulate: bool) -> _Read:
     return arrays["vertices"], arrays["faces"], []
 
 
-def _read_ply(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_ply(data: bytes, file: Path) -> _Read:
     vertices, corners, sizes, notes = read_ply(utf8(data))
-    faces, cut = fans(corners, sizes, triangulate)
+    faces, cut = fans(corners, sizes)
     return vertices, faces, [*notes, *cut]
 
 
@@ -163,7 +162,7 @@ def utf8(data: bytes) -> bytes:
     return data.removeprefix(codecs.BOM_UTF8)
 
 
-def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_off(data: bytes, file: Path) -> _Read:
     """Read the Object File Format by its lines; values after coordinates and corners, such as colours, are ignored."""
     lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", utf8(data)).replace(b"\r", b"\n").split(b"\n")]
     lines = [line for line in lines if line]
@@ -183,10 +182,10 @@ def _read_off(data: bytes, file: Path, triangulate: bool) -> _Read:
     short = [k for k, polygon in enumerate(polygons) if len(polygon) != int(rows[k][0])]
     if short:
         raise OmtwarpError(f"cut short: face {short[0]} has fewer corners than it announces")
-    return vertices, *_from_polygons(polygons, triangulate)
+    return vertices, *_from_polygons(polygons)
 
 
-def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_obj(data: bytes, file: Path) -> _Read:
     """Read a Wavefront OBJ by its ``v`` and ``f`` lines alone.
 
     Its texture coordinates, normals, materials and groups make a general reader split, drop and reorder vertices.
@@ -196,11 +195,11 @@ def _read_obj(data: bytes, file: Path, triangulate: bool) -> _Read:
     vertices = np.array([rest.split()[:3] for kind, rest in lines if kind == b"v"], dtype=np.float64)
     polygons = [[word.partition(b"/")[0] for word in rest.split()] for kind, rest in lines if kind == b"f"]
     vertices_before = np.cumsum([kind == b"v" for kind, _ in lines])[[kind == b"f" for kind, _ in lines]]
-    return vertices, *_from_polygons(polygons, triangulate, vertices_before)
+    return vertices, *_from_polygons(polygons, vertices_before)
 
 
 def _from_polygons(
-    polygons: list[list[bytes]], triangulate: bool, vertices_before: NDArray | None = None
+    polygons: list[list[bytes]], vertices_before: NDArray | None = None
 ) -> tuple[NDArray[np.generic], list[str]]:
     """Convert the polygons of a text file, lists of corners, to triangles.
 
@@ -213,7 +212,7 @@ def _from_polygons(
     if vertices_before is not None:
         require_counted_from_one(flat)
         flat = np.where(flat < 0, flat + np.repeat(vertices_before, corners), flat - 1)
-    return fans(flat, corners, triangulate)
+    return fans(flat, corners)
 
 
 def require_counted_from_one(corners: NDArray[np.int64]) -> None:
@@ -226,7 +225,7 @@ def require_counted_from_one(corners: NDArray[np.int64]) -> None:
         raise OmtwarpError("a face refers to vertex 0, and OBJ counts vertices from 1: the file counts from 0")
 
 
-def _read_stl(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_stl(data: bytes, file: Path) -> _Read:
     count = int.from_bytes(data[80:84], "little")
     whole = 84 + 50 * count  # a head, a count, and for every triangle twelve numbers and an attribute
     binary = len(data) >= 84 and (len(data) == whole or not data.lstrip()[:5].lower() == b"solid")
@@ -269,7 +268,7 @@ def _stl_text(data: bytes) -> tuple[NDArray[np.float64], int]:
     return np.array(words, dtype=np.float64), ends[0]
 
 
-def _read_gifti(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_gifti(data: bytes, file: Path) -> _Read:
     nibabel = nibabel_module()
     require_files_beside(file)
     image = nibabel.load(file)
@@ -279,17 +278,17 @@ def _read_gifti(data: bytes, file: Path, triangulate: bool) -> _Read:
     return points[0].data, triangles[0].data, []
 
 
-def _read_vtk(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_vtk(data: bytes, file: Path) -> _Read:
     points, corners, sizes = read_vtk(data)
-    return points, *fans(corners, sizes, triangulate)
+    return points, *fans(corners, sizes)
 
 
-def _read_vtk_xml(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_vtk_xml(data: bytes, file: Path) -> _Read:
     points, corners, sizes = read_vtk_xml(data)
-    return points, *fans(corners, sizes, triangulate)
+    return points, *fans(corners, sizes)
 
 
-def _read_freesurfer(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_freesurfer(data: bytes, file: Path) -> _Read:
     nibabel = nibabel_module()
     with scratch() as folder:  # nibabel reads it from a file
         (folder / "surface").write_bytes(data)
@@ -297,31 +296,31 @@ def _read_freesurfer(data: bytes, file: Path, triangulate: bool) -> _Read:
     return vertices, faces, []
 
 
-def _read_mz3(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_mz3(data: bytes, file: Path) -> _Read:
     return *read_mz3(data), []
 
 
-def _read_freesurfer_text(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_freesurfer_text(data: bytes, file: Path) -> _Read:
     return *read_freesurfer_text(data), []
 
 
-def _read_mni(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_mni(data: bytes, file: Path) -> _Read:
     points, corners, sizes = read_mni(data)
-    return points, *fans(corners, sizes, triangulate)
+    return points, *fans(corners, sizes)
 
 
-def _read_plates(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_plates(data: bytes, file: Path) -> _Read:
     return *read_plates(data), []
 
 
-def _read_by_meshio(data: bytes, file: Path, triangulate: bool) -> _Read:
+def _read_by_meshio(data: bytes, file: Path) -> _Read:
     points, corners, sizes = read_by_meshio(
         data, MESHIO_FORMATS[file.name.lower().removesuffix(".gz").rpartition(".")[2]]
     )
-    return points, *fans(corners, sizes, triangulate)
+    return points, *fans(corners, sizes)
 
 
-_OWN: dict[str, Callable[[bytes, Path, bool], _Read]] = {
+_OWN: dict[str, Callable[[bytes, Path], _Read]] = {
     "npz": _read_npz,
     "ply": _read_ply,
     "obj": _read_obj,

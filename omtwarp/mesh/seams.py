@@ -89,14 +89,13 @@ def compressed(number: Ints) -> tuple[NDArray[np.bool_], Ints]:
     return stays, (np.cumsum(stays) - 1)[number]
 
 
-def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False, together: bool = False) -> JoinedMesh:
+def read_joined_mesh(path: str | os.PathLike[str], *, together: bool = False) -> JoinedMesh:
     """Read a mesh, and join the copies of vertices that its format makes along seams.
 
     Several geometries of a scene, a material each, are one mesh where they close one another's boundaries.
 
     Args:
         path: a file that :func:`omtwarp.read_mesh` reads.
-        triangulate: as there.
         together: whether geometries that do not belong together are taken too, each a part of the surface.
 
     Raises:
@@ -104,12 +103,12 @@ def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False,
     """
     shared = not Path(path).name.lower().removesuffix(".gz").endswith(_DOUBLED)
     try:
-        file, one_mesh = read_mesh(path, triangulate=triangulate), True
+        file, one_mesh = read_mesh(path, together=together), True
     except OmtwarpError as error:
         if shared:
             raise
         refused = error
-        file, one_mesh = read_mesh(path, triangulate=triangulate, together=True), False
+        file, one_mesh = read_mesh(path, together=True), False
     number = None
     if file.faces.size and 0 <= file.faces.min() and file.faces.max() < len(file.vertices):
         number = seam_copies(file.vertices, file.faces)
@@ -120,7 +119,7 @@ def read_joined_mesh(path: str | os.PathLike[str], *, triangulate: bool = False,
         open_still = bool(_boundary_vertices(len(file.vertices), joined).any())
         if open_still and shared:
             number, joined = None, file.faces
-    if not one_mesh and not together and not _in_one_piece(joined):
+    if not one_mesh and not _in_one_piece(joined):
         raise refused  # the user has to choose among geometries that do not belong together
     if number is None or stays is None:
         return JoinedMesh(file.vertices, file.faces, file, None, file.notes)

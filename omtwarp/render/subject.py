@@ -211,7 +211,7 @@ def _file_view(path: Path) -> SurfaceView:
     """Return a view of a mesh file; of one with several materials, every triangle in its own."""
     from omtwarp.materials.read import read_painted_mesh
 
-    return painted_view(read_painted_mesh(path, triangulate=True))
+    return painted_view(read_painted_mesh(path))
 
 
 def painted_view(mesh: PaintedMesh) -> SurfaceView:

@@ -33,9 +33,7 @@ def test_obj_with_polygons_negative_numbers_and_no_material(tmp_path):
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
         "f 1/1 2/2 3/3 4/4\nusemtl x\nf -4/-4 -3/-3 -2/-2\nf 1//1 2//1 3//1\n"
     )
-    with pytest.raises(OmtwarpError, match="more than three corners"):
-        read_painted_mesh(tmp_path / "a.obj")
-    mesh = read_painted_mesh(tmp_path / "a.obj", triangulate=True)
+    mesh = read_painted_mesh(tmp_path / "a.obj")
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 2]])
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     np.testing.assert_array_equal(mesh.uv[:3], corners[mesh.faces[:3]])

@@ -255,7 +255,7 @@ def test_formats_of_finite_elements_need_meshio(tmp_path, suffix):
     lines_of = np.stack([FACES[:, 0], FACES[:, 1]], axis=1)
     cells = [("line", lines_of), ("triangle", FACES)]
     name = {"msh": "gmsh", "mesh": "medit", "inp": "abaqus"}[suffix]
-    meshio.write(path, meshio.Mesh(POINTS, cells if suffix != "inp" else cells[1:]), file_format=name)
+    meshio.write(path, meshio.Mesh(POINTS, cells if suffix == "mesh" else cells[1:]), file_format=name)
     mesh = read_mesh(path)
     np.testing.assert_allclose(mesh.vertices, POINTS, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(mesh.faces, FACES)

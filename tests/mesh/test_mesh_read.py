@@ -97,12 +97,10 @@ def test_ply_with_texture_coordinates_is_not_split(tmp_path):
 
 
 @pytest.mark.parametrize("write", [ply, obj, off])
-def test_polygons_are_refused_and_cut_on_request(tmp_path, write):
+def test_polygons_are_cut_with_a_note(tmp_path, write):
     path = tmp_path / f"cube.{write.__name__}"
     path.write_text(write(CUBE_VERTICES, CUBE))
-    with pytest.raises(OmtwarpError, match=r"not a triangle mesh: 6 of 6 faces have more than three corners.*--repair"):
-        read_mesh(path)
-    mesh = read_mesh(path, triangulate=True)
+    mesh = read_mesh(path)
     assert check(mesh.vertices, mesh.faces) == [] and len(mesh.faces) == 12
     assert mesh.notes == ("cut 6 faces with more than three corners into triangles",)
 
@@ -115,17 +113,16 @@ def test_a_single_pentagon_among_triangles_is_found(tmp_path, write):
     polygons = [[k, (k + 1) % 5, 5] for k in range(5)] + [[4, 3, 2, 1, 0]]
     path = tmp_path / f"pyramid.{write.__name__}"
     path.write_text(write(vertices, polygons))
-    with pytest.raises(OmtwarpError, match="not a triangle mesh"):
-        read_mesh(path)
-    mesh = read_mesh(path, triangulate=True)
+    mesh = read_mesh(path)
     assert check(mesh.vertices, mesh.faces) == [] and len(mesh.faces) == 8
+    assert mesh.notes == ("cut 1 face with more than three corners into triangles",)
 
 
 @pytest.mark.parametrize(
     ("polygons", "words"),
     [
-        ([[0, 3, 2], [0, 2, 1], *CUBE[1:]], "5 of 7 faces have more than three corners, first face 2"),
-        ([*CUBE, [0, 1, 2], [4, 5, 6, 7, 3]], "7 of 8 faces have more than three corners, first face 0"),
+        ([[0, 3, 2], [0, 2, 1], *CUBE[1:]], "cut 5 faces"),
+        ([*CUBE, [0, 1, 2], [4, 5, 6, 7, 3]], "cut 7 faces"),
     ],
 )
 def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygons, words):
@@ -136,9 +133,8 @@ def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygo
     body = np.array(CUBE_VERTICES, "<f4").tobytes()
     body += b"".join(bytes([len(p)]) + np.array(p, "<i4").tobytes() for p in polygons)
     (tmp_path / "cube.ply").write_bytes(head.encode() + body)
-    with pytest.raises(OmtwarpError, match=words):
-        read_mesh(tmp_path / "cube.ply")
-    mesh = read_mesh(tmp_path / "cube.ply", triangulate=True)
+    mesh = read_mesh(tmp_path / "cube.ply")
+    assert mesh.notes[0].startswith(words)
     fans = [[polygon[0], *polygon[k : k + 2]] for polygon in polygons for k in range(1, len(polygon) - 1)]
     np.testing.assert_array_equal(mesh.faces, fans)
 
@@ -199,7 +195,7 @@ def test_several_geometries_are_refused_and_taken_together_on_request(tmp_path):
     scene.export(tmp_path / "two.glb")
     with pytest.raises(OmtwarpError, match=r"2 geometries in one scene \(one, two\)"):
         read_mesh(tmp_path / "two.glb")
-    mesh = read_mesh(tmp_path / "two.glb", triangulate=True)
+    mesh = read_mesh(tmp_path / "two.glb", together=True)
     assert len(mesh.vertices) == 184 and mesh.notes == ("took 2 geometries together",)
 
 

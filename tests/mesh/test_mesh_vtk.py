@@ -65,7 +65,7 @@ def test_flat_cells_of_an_unstructured_grid_are_read(tmp_path, binary):
     (tmp_path / "a.vtk").write_bytes(legacy("UNSTRUCTURED_GRID", points, sections, binary))
     expected = [[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 1, 2], [0, 2, 3], [4, 5, 7], [4, 7, 6]]
     expected += [[0, 1, 2], [2, 1, 3]]
-    np.testing.assert_array_equal(read_mesh(tmp_path / "a.vtk", triangulate=True).faces, expected)
+    np.testing.assert_array_equal(read_mesh(tmp_path / "a.vtk").faces, expected)
 
 
 @pytest.mark.parametrize(
