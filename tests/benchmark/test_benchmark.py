@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -134,6 +135,29 @@ def test_recording_changes_no_result_and_ends(device):
     assert record.launches == 2 and record.threads == 10_000 and record.moved == 2 * 2 * 8 * 5000
     assert record.seconds > 0.0
     assert copy_bandwidth(device, megabytes=1, repeats=1) > 0.0
+
+
+def test_events_are_recorded_on_the_stream_of_the_device_that_is_timed(monkeypatch):
+    """Warp's default device may be another one, whose stream knows nothing of the launch."""
+    recorded, launched = [], []
+
+    class Timed:
+        """A second CUDA device, which this machine need not have."""
+
+        is_cuda = True
+        stream = SimpleNamespace(record_event=recorded.append)
+
+    device = Timed()
+    monkeypatch.setattr(wp, "launch", lambda *arguments, **options: launched.append(len(recorded)))
+    monkeypatch.setattr(wp, "get_device", lambda name: device)
+    monkeypatch.setattr(wp, "Event", lambda where, enable_timing: [where])
+    monkeypatch.setattr(wp, "synchronize_device", lambda where: None)
+    monkeypatch.setattr(wp, "get_event_elapsed_time", lambda begin, end, synchronize: 3000.0)
+    with LaunchRecorder("cuda:1") as recorder:
+        wp.launch(scale_values, dim=8, device="cuda:1")
+    assert recorded == [[device], [device]] and launched == [1]  # one before the launch, one after it
+    (record,) = recorder.kernels.values()
+    assert record.seconds == 3.0
 
 
 def test_peak_memory_sees_what_was_there_for_a_moment():
