@@ -29,7 +29,7 @@ from omtwarp.commands.spharm import spharm
 from omtwarp.commands.texture import texture_mesh
 from omtwarp.commands.transfer import transfer
 from omtwarp.commands.unwrap import unwrap_mesh
-from omtwarp.errors import INTERRUPTED, OmtwarpError, one_line
+from omtwarp.errors import INTERRUPTED, OmtwarpError, one_line, with_options
 from omtwarp.interruptions import LINE, ending_the_process
 
 EXAMPLES = {
@@ -199,7 +199,7 @@ def _app_for(arguments: list[str]) -> typer.Typer:
 
 
 def _fail(message: str) -> None:
-    print(f"omtwarp: error: {one_line(message)}", file=sys.stderr)
+    print(f"omtwarp: error: {one_line(with_options(message))}", file=sys.stderr)
     sys.exit(1)
 
 

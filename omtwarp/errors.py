@@ -1,5 +1,8 @@
 """The package's exception, the category of its warnings, and their form in a terminal."""
 
+import re
+
+ARGUMENT = re.compile(r"\b([a-z_]+)=(?:True|\[?'([^']+)'\]?)(?! in Python)")
 INTERRUPTED = 130  # exit status of a command that is interrupted: 128 and the number of the signal, as shells report it
 
 
@@ -7,7 +10,7 @@ class OmtwarpError(ValueError):
     """Raised for input that cannot be used, or a request that cannot be met; its message is one line.
 
     The text names the defect, how many there are, where the first one is and how to repair it; the command line prints
-    exactly this text and exits with a status other than 0.
+    this text, with its options in place of arguments, and exits with a status other than 0.
 
     Example:
         >>> import omtwarp
@@ -29,6 +32,17 @@ def one_line(text: str) -> str:
         character if character.isprintable() else character.encode("unicode_escape", "backslashreplace").decode()
         for character in " ".join(text.split())
     )
+
+
+def with_options(text: str) -> str:
+    """Return a message for a terminal: arguments of Python in it become options of the command line.
+
+    >>> with_options("remesh it, or use refine='area', bake=['normal'] or cut_along='holes' with cut=True")
+    'remesh it, or use --refine area, --bake normal or --cut-along holes with --cut'
+    >>> with_options("--components (components=True in Python) maps each")
+    '--components (components=True in Python) maps each'
+    """
+    return ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')}{' ' if found[2] else ''}{found[2] or ''}", text)
 
 
 class OmtwarpWarning(UserWarning):

@@ -102,7 +102,7 @@ def foretell(surface: Surface) -> list[Finding]:
                 f"about {ring.around:.0f} vertices around a limb with {ring.share:.1%} of the area, at "
                 f"{name} {_place(surface.vertices[ring.vertex])}, where {needed:.1f} are needed"
             )
-            remedy = "remesh with more vertices around the limb, or use --refine area"
+            remedy = "remesh with more vertices around the limb, or use refine='area'"
             found.append(Finding("coarse-limb", number, text, remedy))
     long = elongation(surface)
     limits = [(LONG_TRIANGLE, LONG_SHARE), (LONG_OF_FEW, SHARE_OF_FEW)][: 1 + (surface.face_count <= FEW_FACES)]
@@ -198,7 +198,7 @@ def judge(
         if causes:
             remedy += f" ({causes[0].message})"
         elif options.refine is None and uniform:
-            remedy += ", or use --refine area"
+            remedy += ", or use refine='area'"
     for record in unfinished:
         text = f"the stage {record.name} did not converge: {record.details.get('ended') or 'most steps taken'}"
         if record.details.get("gave_up"):

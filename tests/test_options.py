@@ -9,6 +9,7 @@ import omtwarp
 from omtwarp import options
 from omtwarp.cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.write import write_mesh
 from omtwarp.options import Cost, MapOptions, Method, Refinement, Scheme, Stage, choose, parse_device
 from omtwarp.pipeline import map_to_sphere
 
@@ -83,3 +84,16 @@ def test_editors_offer_every_value_of_an_option():
 )
 def test_functions_offer_the_values_of_their_options(function, option, name):
     assert name in str(inspect.signature(function).parameters[option].annotation)
+
+
+def test_messages_name_arguments_in_python_and_options_on_the_command_line(capsys, tmp_path):
+    ball = omtwarp.shapes.icosphere(2)
+    with pytest.raises(OmtwarpError, match=r"add bake=\['normal'\]"):
+        omtwarp.paint(
+            (ball.vertices, ball.faces, ball.vertices), uv="atlas", bake=["ao"], detail=(ball.vertices, ball.faces)
+        )
+    write_mesh(tmp_path / "ball.obj", ball.vertices, ball.faces)
+    mesh, output = str(tmp_path / "ball.obj"), str(tmp_path / "ball.glb")
+    with pytest.raises(SystemExit):
+        main(["texture", mesh, "-o", output, "--uv", "own", "--device", "cpu", "--size", "64"])
+    assert "leave out --uv own" in capsys.readouterr().err

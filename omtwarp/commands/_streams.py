@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO, cast
 
-from omtwarp.errors import OmtwarpError, one_line
+from omtwarp.errors import OmtwarpError, one_line, with_options
 from omtwarp.files import scratch
 from omtwarp.limits import LARGEST_MESH_FILE, amount
 
@@ -171,4 +171,4 @@ def is_standard_output(path: Path) -> bool:
 
 def say(text: str) -> None:
     """Print one line about the work on standard error, apart from the output of a command."""
-    print(f"omtwarp: {one_line(text)}", file=sys.stderr, flush=True)
+    print(f"omtwarp: {one_line(with_options(text))}", file=sys.stderr, flush=True)

@@ -35,7 +35,7 @@ def resolve_device(device: str | None = "auto") -> wp.Device:
     if name == "auto":
         return wp.get_device("cpu")
     if asks_for_cuda(name) and not wp.is_cuda_available():
-        raise OmtwarpError(f"device '{name}' asked for, but this machine has no usable CUDA device: use --device cpu")
+        raise OmtwarpError(f"device '{name}' asked for, but this machine has no usable CUDA device: use device='cpu'")
     try:
         return wp.get_device(name)
     except Exception as error:

@@ -162,7 +162,7 @@ class PaintedArrays:
             OmtwarpError: some triangles, or all, have no texture coordinates.
         """
         if self.uv is None:
-            raise OmtwarpError(f"{name}: no texture coordinates in it; leave out --uv own to lay out new ones")
+            raise OmtwarpError(f"{name}: no texture coordinates in it; leave out uv='own' to lay out new ones")
         missing = ~np.isfinite(self.uv).all(axis=(1, 2))
         if missing.any():
             raise OmtwarpError(

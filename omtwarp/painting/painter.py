@@ -158,7 +158,7 @@ class _Wanted:
         if detail is not None:
             fine = (np.asarray(detail[0], dtype=np.float64), np.ascontiguousarray(detail[1], dtype=np.int32))
         if fine is not None and "normal" not in names:
-            raise OmtwarpError("a detailed mesh is given, and no normals are baked: add --bake normal")
+            raise OmtwarpError("a detailed mesh is given, and no normals are baked: add bake=['normal']")
         colors = [name for name in names if name != "ao" and not (name == "normal" and fine is not None)]
         if len(colors) > 1:
             raise OmtwarpError(f"{' and '.join(colors)} would both be the colour: bake one at a time")

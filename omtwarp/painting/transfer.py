@@ -89,7 +89,7 @@ def transfer_texture(
         if found.method == "places":
             text = (
                 "a surface has no features to align by, as a ball has none: colours keep their directions in space "
-                "(their places on the sphere with --aligned, aligned=True)"
+                "(their places on the sphere with aligned=True)"
             )
             warnings.warn(text, OmtwarpWarning, stacklevel=2)
         points = found.sphere
