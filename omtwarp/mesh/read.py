@@ -272,6 +272,8 @@ def _read_gifti(data: bytes, file: Path) -> _Read:
     nibabel = nibabel_module()
     require_files_beside(file)
     image = nibabel.load(file)
+    if image is None:
+        raise OmtwarpError("damaged, or no GIFTI file: XML of another kind")
     points, triangles = image.get_arrays_from_intent("pointset"), image.get_arrays_from_intent("triangle")
     if len(points) != 1 or len(triangles) != 1:
         raise OmtwarpError(f"{len(points)} point sets and {len(triangles)} lists of triangles in it, not one of each")

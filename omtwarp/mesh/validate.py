@@ -251,7 +251,7 @@ def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], 
     found = [
         _crowded_edges(topology, crowded),
         _pinched_vertices(pinched),
-        _open_boundary(points, topology),
+        _open_boundary(points, topology, orientable or bool(crowded.any())),
         _clashing_faces(topology, orientable or bool(crowded.any())),
         _several_components(topology),
     ]
@@ -284,8 +284,14 @@ def _pinched_vertices(pinched: NDArray[np.bool_]) -> Defect | None:
     return Defect("non-manifold-vertices", count, first, text, f"split them with {REPAIR}")
 
 
-def _open_boundary(points: NDArray[np.float64], topology: Topology) -> Defect | None:
-    """Return the defect of edges with one face."""
+def _open_boundary(points: NDArray[np.float64], topology: Topology, two_sided: bool) -> Defect | None:
+    """Return the defect of edges with one face.
+
+    Args:
+        points: the vertices, shape [V, 3].
+        topology: of the mesh.
+        two_sided: whether the surface may have two sides, without which no option takes it.
+    """
     lone = topology.edge_face_count == 1
     if not lone.any():
         return None
@@ -297,6 +303,8 @@ def _open_boundary(points: NDArray[np.float64], topology: Topology) -> Defect | 
     copies = _coincident_vertices(points, topology.edges[lone])
     if copies:
         remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
+    elif not two_sided:
+        remedy = "the surface has one side, which no repair and no option changes"
     else:
         remedy = f"fill small holes with {REPAIR}, or use 'omtwarp map' with --hemisphere or --fill-area "
         remedy += "(map_surface in Python)"
@@ -349,7 +357,8 @@ def _handles(topology: Topology) -> Defect | None:
     a, b = (int(end) for end in topology.handle_edge)
     handles = number(genus, "handle")
     text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
-    torus = ", or map to a torus with --torus" if genus == 1 else ""
+    closed = topology.components[0] == 1 and not (topology.edge_face_count == 1).any()
+    torus = ", or map to a torus with --torus" if genus == 1 and closed else ""
     remedy = f"only genus 0 maps to the sphere: cut the handles, by 'omtwarp map' with --cut{torus}"
     return Defect("genus", genus, a, text, remedy)
 

@@ -126,7 +126,7 @@ def options_for(parts: list[Part]) -> list[str]:
         lines.append(f"--together: map all parts side by side to one sphere, in proportion to their areas{cut}")
     needed = ["--components"] * several + ["--cut"] * bool(genus)
     more = f" (with {' and '.join(needed)})" if needed else ""
-    if all(part.loops for part in parts):
+    if all(part.loops and len(part.faces) > 1 for part in parts):  # the double of one triangle is no surface
         of_each = " of each part" if several else ""
         others = ", other holes filled" if loops > len(parts) else ""
         lines.append(f"--hemisphere: the longest boundary loop{of_each} on the equator{others}{more}")
