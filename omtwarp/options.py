@@ -5,6 +5,7 @@ The command line and Python take their options from here. Nothing heavy is impor
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -291,7 +292,7 @@ def parse_device(value: object) -> str:
         OmtwarpError: the name has another form.
     """
     name = "auto" if value is None else str(value)
-    if name not in ("auto", "cpu", "cuda") and not (name.startswith("cuda:") and name[5:].isdigit()):
+    if name not in ("auto", "cpu", "cuda") and not (re.fullmatch(r"cuda:[0-9]{1,4}", name)):
         raise OmtwarpError(f"unknown device {_shown(value)}: use auto, cpu, cuda or cuda:N")
     return name
 

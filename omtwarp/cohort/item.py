@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import stat
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
@@ -20,6 +21,11 @@ Row: TypeAlias = dict[str, str | float | None]
 
 # Statuses of a record; all but the first are failures.
 OK, ERROR, TIMEOUT, MEMORY, CRASHED = "ok", "error", "timeout", "memory", "crashed"
+
+
+# Numbers in a record, and in a table's columns.
+WHOLE = ("vertices", "faces", "flips", "memory")
+NUMBERS = ("degree", "area", "area_p95", "angle", "ring", "gap", "seconds", "cpu_seconds")
 
 
 @dataclass(frozen=True)
@@ -68,8 +74,11 @@ def key_of(path: str | os.PathLike[str], options: dict[str, object]) -> str:
     """Hash what a result depends on: the input's bytes (or that there are none), the options and the version."""
     digest = hashlib.sha256(json.dumps([package_version(), options], sort_keys=True).encode())
     try:
-        with open(path, "rb") as stream:
-            for block in iter(lambda: stream.read(1 << 20), b""):
+        # Without waiting for a pipe's writer, and without the content of a device, which may have no end.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with open(descriptor, "rb") as stream:
+            regular = stat.S_ISREG(os.fstat(descriptor).st_mode)
+            for block in iter(lambda: stream.read(1 << 20) if regular else b"", b""):
                 digest.update(block)
     except OSError as error:
         digest.update(f"missing {error.errno}".encode())
@@ -80,10 +89,18 @@ def read_record(job: Job) -> Row | None:
     """Return the finished record of a job, or None where there is none or it is of other input, options or version."""
     try:
         record = json.loads(job.record_file.read_text("utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
-    whole = isinstance(record, dict) and record.get("key") == job.key
+    whole = isinstance(record, dict) and record.get("key") == job.key and _well_typed(record)
     return record if whole and (record.get("status") != OK or job.map_file.exists()) else None
+
+
+def _well_typed(record: dict[str, object]) -> bool:
+    """Return whether a record has a status, and numbers and texts where they belong."""
+    return record.get("status") in (OK, ERROR, TIMEOUT, MEMORY, CRASHED) and all(
+        value is None or isinstance(value, int | float if name in (*WHOLE, *NUMBERS) else str)
+        for name, value in record.items()
+    )
 
 
 def write_record(job: Job, status: str, message: str = "", **numbers: str | float | None) -> Row:
@@ -123,7 +140,7 @@ def read_journal(folder: str | os.PathLike[str]) -> list[Row]:
     for line in lines:
         with contextlib.suppress(ValueError):
             entry = json.loads(line)
-            if isinstance(entry, dict):
+            if isinstance(entry, dict) and all(isinstance(entry.get(name), str) for name in ("id", "key", "status")):
                 entries.append(entry)
     return entries
 

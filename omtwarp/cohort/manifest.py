@@ -81,12 +81,18 @@ def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[
     """Read items from a table's text, whose columns are separated by tabs where its first line has one."""
     first = text.partition("\n")[0]
     rows = csv.DictReader(io.StringIO(text), delimiter=delimiter or ("\t" if "\t" in first else ","))
-    names = rows.fieldnames or []
+    try:
+        names = rows.fieldnames or []
+    except csv.Error as error:
+        raise OmtwarpError(f"{name}, line 1: {error}") from None
     if "path" not in names:
         raise OmtwarpError(f"{name} has no column 'path': its first line is '{first[:80]}'")
     found: list[tuple[Path, dict[str, str]]] = []
-    for row in rows:
-        number = rows.line_num
+    try:
+        listed = list(rows)
+    except csv.Error as error:
+        raise OmtwarpError(f"{name}, line {rows.line_num}: {error}") from None
+    for number, row in enumerate(listed, start=2):
         if None in row or any(value is None for value in row.values()):
             raise OmtwarpError(f"{name}, line {number}: not {len(names)} columns as the first line has")
         if not row["path"].strip():

@@ -19,6 +19,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files import folder_of_results
 from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, choose
 
+LONGEST = 1e8  # seconds of a time limit: three years, and less than timers of the system take
+LARGEST_LIMIT = 1e6  # GiB of a memory limit, in bytes less than 2^63
 RESULTS = ("table.parquet", "table.csv", "report.html")
 TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
 
@@ -96,8 +98,11 @@ def run_cohort(
     part, parts = shard
     if not 1 <= part <= parts:
         raise OmtwarpError(f"shard {part}/{parts}: give i/n with i from 1 to n")
-    if not time_limit > 0.0 or memory_limit < 0.0:
-        raise OmtwarpError("the time limit must be above 0 seconds, the memory limit 0 GiB or above")
+    if not (0.0 < time_limit <= LONGEST and 0.0 <= memory_limit <= LARGEST_LIMIT):
+        raise OmtwarpError(
+            f"the time limit must be above 0 and at most {LONGEST:.0e} seconds, the memory limit from 0 to "
+            f"{LARGEST_LIMIT:.0e} GiB"
+        )
     workers = core_count() if workers is None else workers
     if workers < 1:
         raise OmtwarpError(f"{workers} workers: there must be one at least")

@@ -6,11 +6,9 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from omtwarp.cohort.item import Row
+from omtwarp.cohort.item import NUMBERS, WHOLE, Row
 from omtwarp.files import staged
 
-WHOLE = ("vertices", "faces", "flips", "memory")
-NUMBERS = ("degree", "area", "area_p95", "angle", "ring", "gap", "seconds", "cpu_seconds")
 ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "key")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -43,8 +44,9 @@ def parse_shard(text: str) -> tuple[int, int]:
     Raises:
         OmtwarpError: the text has another form.
     """
-    part, _, parts = text.partition("/")
-    if not (part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
+    found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
+    part, parts = found.groups() if found else ("0", "0")
+    if not 1 <= int(part) <= int(parts):
         raise OmtwarpError(f"unknown shard '{text}': give i/n with i from 1 to n, such as 2/8")
     return int(part), int(parts)
 

@@ -270,7 +270,7 @@ def _open_context() -> Platform:
     except Exception:
         devices = []
     wanted = os.environ.get("EGL_DEVICE_ID", "")
-    if wanted.isdigit() and int(wanted) < len(devices):
+    if wanted.isascii() and wanted.isdigit() and int(wanted) < len(devices):
         devices.insert(0, devices.pop(int(wanted)))
     reasons = []
     for device in [*devices, None]:

@@ -190,6 +190,10 @@ class Resampling:
         """
         given = values.astype(np.float64) if _of_truth(values) else values
         array = self.source.at_own_points(real_numbers(given, "the data", None, finite=False))
+        if array.ndim > 2:
+            raise OmtwarpError(
+                f"data of shape {list(array.shape)}: give one number or one row per point, [S] or [S, K]"
+            )
         self._require_length(array)
         if not np.isfinite(array).all():
             bad = ~np.isfinite(array).reshape(len(array), -1).all(axis=1)

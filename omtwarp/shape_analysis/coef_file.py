@@ -45,7 +45,7 @@ def read_coef(path: str | os.PathLike[str]) -> Expansion:
         OmtwarpError: no such file, or no coefficients in it.
     """
     text = read_bytes(path, LARGEST_FILE, "file of coefficients").decode("ascii", "replace")
-    head = re.match(r"\s*\{\s*(\d+)\s*,", text)
+    head = re.match(r"\s*\{\s*(\d{1,9})\s*,", text)
     if head is None:
         raise OmtwarpError(f"'{path}' is no .coef file: it does not begin with '{{ COUNT,'")
     try:
