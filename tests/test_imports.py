@@ -24,6 +24,7 @@ HEAVY = {
     "meshio",
     "nibabel",
     "nvmath",
+    "nilearn",
     "ot",
     "polyscope",
     "pyarrow",

@@ -31,7 +31,7 @@ def register_map(
         typer.Option(
             metavar="TARGET",
             callback=input_file,
-            help="Another map, or a sphere with --to-surface or --to-feature (- is standard input); or a grid's name.",
+            help="A map, a sphere with --to-surface or --to-feature, fsaverage5-left or -right; - is standard input.",
         ),
     ],
     output: Annotated[
@@ -57,11 +57,11 @@ def register_map(
     ] = None,
     stiffness: Annotated[
         float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
-    ] = 3.0,
+    ] = 2.2,
     max_strain: Annotated[
         float,
         typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
-    ] = 2.0,
+    ] = 1.5,
     radius: RadiusOption = 1.0,
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
@@ -76,18 +76,20 @@ def register_map(
     from omtwarp.mesh.neuro import require_same_structure
     from omtwarp.mesh.write import SUFFIXES, write_mesh
     from omtwarp.registration import register
+    from omtwarp.registration.templates import HEMISPHERES, template
     from omtwarp.resampling import file_points
     from omtwarp.spheres import is_named
 
     check_output(output, (".npz", *SUFFIXES), source, surface)
     if output.suffix.lower() == ".npz" and source.suffix.lower() != ".npz":
         raise OmtwarpError(f"cannot write '{output}': a whole map needs a map (.npz) as input")
-    other = None if is_named(to) else Path(to)
+    other = None if is_named(to) or to in HEMISPHERES else Path(to)
     for ours in (source, surface):
         for theirs in (other, to_surface):
             require_same_structure(ours, theirs)
     with progress_bar(quiet, verbose) as progress:
-        moving, fixed = file_points(source, surface), file_points(to, to_surface)
+        moving = file_points(source, surface)
+        fixed = template(to) if to in HEMISPHERES else file_points(to, to_surface)
         mine, others = read_features(feature or [], to_feature or [])
         found = register(
             moving,

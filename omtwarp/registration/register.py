@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -12,13 +13,14 @@ from omtwarp.alignment import Alignment
 from omtwarp.alignment.align import feature_rotations
 from omtwarp.alignment.features import checked_features, sphere_weights
 from omtwarp.device.threads import blas_threads
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import Progress, Record
 from omtwarp.registration.folding import folding_features
 from omtwarp.registration.strain import kept_within, octaves
+from omtwarp.registration.templates import HEMISPHERES, template
 from omtwarp.registration.warp import COARSE, FINE, Warping, feature_grid
 from omtwarp.resampling import Resampling, SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
@@ -121,8 +123,8 @@ def register(
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
     feature_weights: Mapping[str, float] | None = None,
-    stiffness: float = 3.0,
-    max_strain: float = 2.0,
+    stiffness: float = 2.2,
+    max_strain: float = 1.5,
     progress: Progress | None = None,
 ) -> Registration:
     """Warp a map's sphere so that features of its surface lie where they lie on another sphere.
@@ -137,7 +139,8 @@ def register(
     Args:
         moving: a map, with its surface where no features are given (:func:`omtwarp.resampling.as_points` lists the
             forms), V vertices and F faces.
-        target: another map or sphere in any of the same forms.
+        target: another map or sphere in any of the same forms, or a template: ``fsaverage5-left`` or
+            ``fsaverage5-right``, which nilearn brings.
         features: numbers per vertex of the map, by name, shape [V] each; with ``to_features`` of the same names they
             take the place of sulcal depth and curvature of the two surfaces.
         to_features: the same for the target.
@@ -153,6 +156,9 @@ def register(
         OmtwarpError: something that is not a map or sphere, features that do not belong together or are constant, a
             surface that is missing, or numbers out of range.
 
+    Warns:
+        OmtwarpWarning: triangles of the map's own mesh stayed beyond ``max_strain``.
+
     Example:
         >>> import omtwarp
         >>> target = omtwarp.shapes.icosphere(12)
@@ -165,7 +171,8 @@ def register(
     """
     stiffness = real_number(stiffness, "the stiffness", above=0.0)
     max_strain = real_number(max_strain, "max_strain", above=0.0)
-    here, there = as_points(moving, "the map"), as_points(target, "the target")
+    here = as_points(moving, "the map")
+    there = template(target) if isinstance(target, str) and target in HEMISPHERES else as_points(target, "the target")
     ours, theirs = _features_of(here, there, features, to_features)
     weights = _weights_of(ours, feature_weights)
     steps = 3
@@ -199,6 +206,10 @@ def register(
     start = Alignment(best.rotation, before[:count], "features", best.score, best.runner_up, False, basis=basis)
     starts: list[Record] = [{"score": one.score, "energy": found.energy} for found, one, *_ in tried]
     certificate = certify_triangles(here.grid.triangles, sphere, device="cpu")
+    over = int((np.maximum(np.abs(by_area), by_stretch) > max_strain).sum())
+    if over:
+        text = f"{over} triangles are strained beyond {max_strain:g}: the mesh has slivers there, or too few triangles"
+        warnings.warn(text, OmtwarpWarning, stacklevel=2)
     return Registration(
         sphere[:count], start, doubtful, starts, correlations, by_area, by_stretch, max_strain, certificate,
         warp.levels, sphere,

@@ -15,6 +15,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import HeatFlow, folding_features
 from omtwarp.registration.strain import kept_within, octaves
+from omtwarp.registration.templates import template
 from omtwarp.resampling import SpherePoints
 from omtwarp.result import MapResult
 from omtwarp.spheres import mesh_grid
@@ -224,3 +225,14 @@ def test_bad_input_is_one_line(options, words):
 def test_a_sphere_alone_has_no_folds():
     with pytest.raises(OmtwarpError, match="give the surface, or features"):
         omtwarp.register(points_of(BALL.vertices, None), points_of(BALL.vertices, folded(BALL)))
+
+
+def test_a_template_is_a_sphere_with_its_surface():
+    """Registered to itself from a rotated position, the average hemisphere comes back."""
+    pytest.importorskip("nilearn")
+    fixed = template("fsaverage5-left")
+    assert len(fixed.grid.points) == len(fixed.vertices) == 10242
+    moved = SpherePoints(mesh_grid(fixed.grid.points @ random_rotation(4).T, fixed.grid.triangles), fixed.vertices)
+    found = omtwarp.register(moved, "fsaverage5-left")
+    assert not found.doubtful and found.certificate.bijective
+    assert rms(found.sphere, fixed.grid.points) < 1e-3 and found.largest_strain < 0.05
