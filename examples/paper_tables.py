@@ -216,6 +216,7 @@ def map_with_density_exponent(
     Raises:
         OmtwarpError: flips could not be undone.
     """
+    from omtwarp.device.policy import resolve_device
     from omtwarp.mesh.surface import triangle_areas
     from omtwarp.refine.solver import Refiner
 
@@ -223,9 +224,11 @@ def map_with_density_exponent(
     on_sphere = np.log(np.maximum(triangle_areas(conformal, surface.faces), 1e-300))
     target = surface.with_areas(np.exp(exponent * np.log(surface.face_areas) + (1.0 - exponent) * on_sphere))
     sphere = omtwarp.moser_map(target, conformal, device=device).sphere
-    if not omtwarp.certify(sphere, surface.faces).bijective:
+    if not omtwarp.certify(surface, sphere).bijective:
         sphere = omtwarp.untangle(target, sphere, device=device).sphere
-    return Refiner(target, device).minimise(sphere, DENSITY_WEIGHT, iterations=100, tolerance=1e-4).sphere
+    return (
+        Refiner(target, resolve_device(device)).minimise(sphere, DENSITY_WEIGHT, iterations=100, tolerance=1e-4).sphere
+    )
 
 
 def tradeoff(name: str, surface: omtwarp.Surface, maps: dict[str, np.ndarray], device: str) -> list[dict[str, Any]]:
