@@ -89,10 +89,10 @@ def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[
         raise OmtwarpError(f"{name} has no column 'path': its first line is '{first[:80]}'")
     found: list[tuple[Path, dict[str, str]]] = []
     try:
-        listed = list(rows)
+        listed = [(rows.line_num, row) for row in rows]
     except csv.Error as error:
         raise OmtwarpError(f"{name}, line {rows.line_num}: {error}") from None
-    for number, row in enumerate(listed, start=2):
+    for number, row in listed:
         if None in row or any(value is None for value in row.values()):
             raise OmtwarpError(f"{name}, line {number}: not {len(names)} columns as the first line has")
         if not row["path"].strip():
