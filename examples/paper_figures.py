@@ -360,9 +360,9 @@ def cost_curve(path: Path, meshes: Meshes, number: int) -> None:
     result = meshes.map(name)
     surface = omtwarp.Surface(result.vertices, result.faces)
     device = meshes.options.device
-    moser = result.moser
-    if moser is None or result.transported is None:
-        raise omtwarp.OmtwarpError("the map has no Moser stage to start the flow from")
+    if result.transported is None:
+        raise omtwarp.OmtwarpError("the map has no optimal map to compare the flow with")
+    moser = omtwarp.untangle(surface, omtwarp.moser_map(surface, result.conformal, device=device).sphere).sphere
     report = optimality(surface, result.transported, start=result.conformal, device=device)
     # The report's bound is one for points with masses, the cost here that of whole triangles: they share the gap.
     bound = result.history[-1]["cost"] / (1.0 + report.gap)

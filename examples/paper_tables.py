@@ -134,7 +134,9 @@ def measure(
     result = omtwarp.map_to_sphere(surface, until=last, refine=options.refine, device=options.device)
     stages = {stage["name"]: stage for stage in result.report["stages"]}
     route = result.report["start"]["route"]
-    kept = {"haker": ("conformal", result.conformal), "moser": ("moser", result.moser)}
+    even = omtwarp.map_to_sphere(surface, until="moser", device=options.device)
+    stages["moser"] = next(stage for stage in even.report["stages"] if stage["name"] == "moser")
+    kept = {"haker": ("conformal", result.conformal), "moser": ("moser", even.moser)}
     kept |= {"omt": ("omt", result.transported), "refined": ("refine", result.sphere)}
     for method, (stage, sphere) in kept.items():
         if stage in stages and sphere is not None:

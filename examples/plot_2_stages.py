@@ -17,17 +17,22 @@ from omtwarp.texturing import rasterize
 mesh = omtwarp.shapes.blob(seed=3, amplitude=0.4, sphere=5120)
 result = omtwarp.map_to_sphere(mesh, refine="balanced")
 
-stages = {"conformal": "conformal", "moser": "Moser", "transported": "optimal", "sphere": "refined, balanced"}
-for stage, name in stages.items():
-    print(f"{name:18s} {result.distortion(stage)}")
+stages = {
+    "conformal": result.conformal,
+    "Moser": omtwarp.map_to_sphere(mesh, until="moser").sphere,
+    "optimal": result.transported,
+    "refined, balanced": result.sphere,
+}
+for name, sphere in stages.items():
+    print(f"{name:18s} {omtwarp.distortion(mesh, sphere)}")
 
 # %%
 # The same circles through the four maps.
 
 circles = rasterize("circles", 1024)
 sheet(
-    [SurfaceView(result.vertices, result.faces, image=circles, sphere=getattr(result, stage)) for stage in stages],
-    captions=list(stages.values()),
+    [SurfaceView(result.vertices, result.faces, image=circles, sphere=sphere) for sphere in stages.values()],
+    captions=list(stages),
     columns=2,
     size=(420, 380),
 )
@@ -37,8 +42,8 @@ sheet(
 
 weights = np.full(len(result.faces), 1 / len(result.faces))
 figure, axes = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")
-for stage, name in stages.items():
-    measured = result.distortion(stage)
+for name, sphere in stages.items():
+    measured = omtwarp.distortion(mesh, sphere)
     angle = np.exp(np.arccosh(measured.face_angle / 2))  # larger over smaller singular value
     axes[0].hist(
         np.log2(measured.area_ratio), bins=80, range=(-2, 2), weights=weights, histtype="step", lw=1.6, label=name

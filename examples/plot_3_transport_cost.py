@@ -65,10 +65,11 @@ def twist(points, radians):
 
 blob = omtwarp.shapes.blob(seed=3, amplitude=0.4, sphere=1280)
 result = omtwarp.map_to_sphere(blob)
+moser = omtwarp.moser_map(blob, result.conformal).sphere
 twisted = omtwarp.moser_map(blob, twist(result.conformal, 0.1)).sphere
 measured = {
     "Moser, twisted": (twisted, omtwarp.optimality(blob, twisted, start=result.conformal)),
-    "Moser": (result.moser, omtwarp.map_optimality(result, "moser")),
+    "Moser": (moser, omtwarp.optimality(blob, moser, start=result.conformal)),
     "optimal": (result.sphere, omtwarp.map_optimality(result)),
 }
 for name, (sphere, found) in measured.items():

@@ -31,7 +31,7 @@ from omtwarp.mesh.validate import check
 from omtwarp.metrics.certificate import certify
 
 LEAST_VERTICES, MOST_VERTICES = 500, 50_000
-STAGES = {"conformal": "conformal", "moser": "moser", "transported": "omt", "sphere": "refine"}
+STAGES = {"conformal": "conformal", "transported": "omt", "sphere": "refine"}
 ATTEMPTS = 30
 
 

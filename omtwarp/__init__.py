@@ -34,6 +34,7 @@ _PUBLIC = {
     "conformal_map": "omtwarp.conformal",
     "distortion": "omtwarp.metrics",
     "film": "omtwarp.render.films",
+    "harmonic_points": "omtwarp.conformal",
     "hierarchical_embedding": "omtwarp.start.hierarchical",
     "map_optimality": "omtwarp.metrics.optimality",
     "map_surface": "omtwarp.any_surface",
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from omtwarp.any_surface import map_surface as map_surface
     from omtwarp.baselines import barycentric_map as barycentric_map
     from omtwarp.conformal import conformal_map as conformal_map
+    from omtwarp.conformal import harmonic_points as harmonic_points
     from omtwarp.conformal import mobius_centring as mobius_centring
     from omtwarp.errors import OmtwarpError as OmtwarpError
     from omtwarp.errors import OmtwarpWarning as OmtwarpWarning

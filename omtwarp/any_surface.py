@@ -492,7 +492,7 @@ def _map_part(
     surface = _surface(opened, weights)
     surface.names = _names(part, opened, names)
     if domain == "sphere":
-        closed = map_to_sphere(surface, progress=progress, **(options | {"keep_edges": True}))
+        closed = map_to_sphere(surface, progress=progress, **options)
         if options.get("exact"):
             opened, closed = _quartered(opened, closed, surface)
         result = _restricted(part, opened, closed, closed.sphere, domain)
@@ -545,71 +545,6 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
         filled=FilledSurface(points, faces, np.repeat(opened.filled.patch, PARTS)),
     )
     return cut, replace(closed, **_at_vertices(closed, order))
-
-
-def _split(opened: _Opened, half: Surface, closed: MapResult) -> tuple[_Opened, Surface, Double, Surface, MapResult]:
-    """Split the edges of a prepared part that were split in the map of its double, and reorder the map.
-
-    Args:
-        opened: the surface prepared for mapping.
-        half: the filled surface.
-        closed: the map of the double of the filled surface, some of whose edges were split.
-
-    Returns:
-        The surface so split, filled, and its double, the latter also as a surface with the areas that its triangles
-        are to have; and the map of that double. New vertices of the surface itself come before those of its fillings.
-    """
-    assert closed.face_origin is not None
-    given, own_count = half.vertex_count, len(opened.faces)
-    origin = closed.face_origin[: len(closed.faces) // 2]
-    corners = closed.faces[: len(origin)]
-    before = double(closed.vertices[: int(corners.max()) + 1], corners)
-    count = len(before.half)
-    used = np.unique(corners[origin < own_count])
-    order = np.concatenate([used, np.setdiff1d(np.arange(count), used)])
-    place = np.argsort(order)
-    faces = place[corners].astype(np.int32)
-    points = closed.vertices[order]
-    whole = double(points, faces)
-    # The new vertices follow each other as the edges do that are missing now.
-    keys = edge_keys(half.edges, given)
-    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    missing = np.sort(np.setdiff1d(keys, edge_keys(sides[(sides < given).all(axis=1)], given)))
-    ends = np.stack([missing // given, missing % given], axis=1)
-    loops = []
-    for loop in opened.loops:
-        side = edge_keys(np.stack([loop, np.roll(loop, -1)], axis=1), given)
-        middle = np.searchsorted(missing, side)
-        cut = np.isin(side, missing)
-        with_middles = np.stack([loop, place[np.where(cut, given + middle, 0)]], axis=1).ravel()
-        loops.append(with_middles[np.stack([np.ones_like(cut), cut], axis=1).ravel()])
-    added = used[used >= given] - given
-    split = replace(
-        opened,
-        vertices=points[: len(used)],
-        faces=faces[origin < own_count],
-        vertex_origin=np.concatenate([opened.vertex_origin, np.full(len(added), -1)]),
-        face_origin=opened.face_origin[origin[origin < own_count]],
-        split_edges=np.concatenate([opened.split_edges, ends[added]]),
-        loops=loops,
-        filled=FilledSurface(points, faces, opened.filled.patch[origin]),
-    )
-    areas = closed.measure
-    first, second = half.vertices[ends[:, 0]], half.vertices[ends[:, 1]]
-    own = np.concatenate([half.vertices, 0.5 * first + 0.5 * second])[order]  # which may be a mirror image
-    finer = Surface(own, faces, None if areas is None else areas[: len(origin)])
-    if half.names is not None:
-        finer.names = half.names.of(np.where(order < given, order, -1), origin)
-    rows = np.concatenate([order, before.mirror[order[whole.mirror[whole.copied]]]])
-    reordered = replace(
-        closed,
-        vertices=whole.vertices,
-        faces=whole.faces,
-        vertex_origin=None,
-        face_origin=None,
-        **_at_vertices(closed, rows),
-    )
-    return split, finer, whole, Surface(whole.vertices, whole.faces, areas), reordered
 
 
 class _AtVertices(TypedDict):
@@ -813,8 +748,6 @@ def _on_hemisphere(
             opened.filled.vertices, opened.filled.faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3)))
         )
         return _projected(part, parts, result, domain, None, half.face_areas)
-    if closed.face_origin is not None:
-        opened, half, glued, surface, closed = _split(opened, half, closed)
     image, refined = closed.sphere, Stage.REFINE in chosen.stages
     if not is_symmetric(glued, image):
         frame = mirror_frame(glued, image, surface.vertex_areas)

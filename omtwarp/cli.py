@@ -59,7 +59,7 @@ EXAMPLES = {
     ),
     "register": (
         "omtwarp register left.npz --to right.npz -o registered.npz\n"
-        "omtwarp register lh.npz --to template.npz -o lh.sphere.reg.surf.gii --radius 100 --max-strain 1.5"
+        "omtwarp register lh.npz --to mean.npz -o lh.reg.surf.gii --max-strain 1"
     ),
     "resample": (
         "omtwarp resample left.npz --to right.npz -o resampled.ply\n"

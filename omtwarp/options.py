@@ -298,14 +298,13 @@ def parse_device(value: object) -> str:
 
 
 class ChosenOptions(TypedDict):
-    """The options that shape a map, as a report has them; ``exact`` and ``keep_edges`` where they were asked for."""
+    """The options that shape a map, as a report has them; ``exact`` where it was asked for."""
 
     method: str
     cost: str
     scheme: str
     refine: str | float | None
     exact: NotRequired[bool]
-    keep_edges: NotRequired[bool]
 
 
 class MapChoices(TypedDict, total=False):
@@ -317,7 +316,6 @@ class MapChoices(TypedDict, total=False):
     scheme: SchemeLike
     refine: str | float | AreaMatch | None
     exact: bool
-    keep_edges: bool
     optimality: bool
     solver: SolverLike
     strict: bool
@@ -352,7 +350,6 @@ class MapOptions:
         refine: a named refinement, the weight of area against angle, an area distortion to match, or None to leave
             refinement out.
         exact: whether the triangles are quartered, and each keeps its area, the sum of its parts, to 1e-6.
-        keep_edges: whether no edges are split, however far areas of triangles are off without.
         optimality: whether the map's distance from the optimum is bounded too.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         solver: how sparse systems are solved.
@@ -365,7 +362,6 @@ class MapOptions:
     scheme: Scheme = Scheme.DEFAULT
     refine: Refinement | AreaMatch | float | None = None
     exact: bool = False
-    keep_edges: bool = False
     optimality: bool = True
     device: str = "auto"
     solver: Solver = Solver.AUTO
@@ -381,7 +377,6 @@ class MapOptions:
         scheme: str,
         refine: str | float | AreaMatch | None,
         exact: bool = False,
-        keep_edges: bool = False,
         optimality: bool,
         device: str | None,
         solver: str,
@@ -399,7 +394,6 @@ class MapOptions:
             scheme=choose(Scheme, scheme),
             refine=parse_refinement(refine),
             exact=bool(exact),
-            keep_edges=bool(keep_edges),
             optimality=bool(optimality),
             device=parse_device(device),
             solver=choose(Solver, solver),
@@ -431,8 +425,6 @@ class MapOptions:
         }
         if self.exact:
             chosen["exact"] = True
-        if self.keep_edges:
-            chosen["keep_edges"] = True
         return chosen
 
 

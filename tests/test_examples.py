@@ -27,6 +27,8 @@ ARGUMENTS = {
 }
 # Public functions without a picture, and why.
 NOT_DRAWN = {
+    "harmonic_points": "the points that the map of every page is measured from",
+    "register": "a cortex and its template, which the page on neuroimaging shows",
     "read_mesh": "a mesh looks the same before and after it is read",
     "write_report": "a page for a browser, which the documentation shows whole",
 }

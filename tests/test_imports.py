@@ -45,7 +45,6 @@ HEAVY_ROOMS = {
         "omtwarp.transport.flow",
         "omtwarp.transport.paper",
         "omtwarp.transport.polish",
-        "omtwarp.transport.twist",
     },
     "omtwarp.conformal": {"omtwarp.geometry.intrinsic"},
     "omtwarp.refine": {"omtwarp.refine.device_newton"},

@@ -20,7 +20,8 @@ OPTIONAL = ("face_density", "source", "moser", "transported")  # where their sta
 @pytest.fixture(scope="module")
 def result():
     surface = blob(seed=3, amplitude=0.2, degree=3, sphere=320)
-    return map_to_sphere((surface.vertices, surface.faces), until="omt", device="cpu")
+    mapped = map_to_sphere((surface.vertices, surface.faces), until="omt", device="cpu")
+    return replace(mapped, moser=map_to_sphere((surface.vertices, surface.faces), until="moser", device="cpu").moser)
 
 
 def test_round_trip(tmp_path, result):

@@ -66,12 +66,12 @@ def plan(device: str, sizes: Sequence[int], tests: Path | None) -> list[Part]:
     def part(name: str, faces: int | None = None) -> Part:
         words = [name, device] if faces is None else [name, device, str(faces)]
         heading = name if faces is None else f"{name}, {faces} faces"
-        command = [sys.executable, "-m", "omtwarp.benchmark.gpu_parts", *words]
+        command = [sys.executable, "-P", "-m", "omtwarp.benchmark.gpu_parts", *words]
         return Part(heading, command, LIMITS.get(name, SECONDS))
 
     parts = [part("device"), part("kernels compiled"), part("agreement", small)]
     if tests is not None:
-        command = [sys.executable, "-m", "pytest", "-m", "cuda", "--continue-on-collection-errors", "--tb=line"]
+        command = [sys.executable, "-P", "-m", "pytest", "-m", "cuda", "--continue-on-collection-errors", "--tb=line"]
         parts.append(Part("tests", [*command, "-p", "no:cacheprovider", str(tests)], TESTS_LIMIT))
     parts += [part("agreement", middle), part("copies"), part("stages", middle)]
     if parse_device(device).startswith("cuda"):

@@ -35,7 +35,7 @@ VARIANTS: dict[str, MapKeywords] = {
     "flow": {"scheme": Scheme.PLAIN},
 }
 SMALL_FACES = 10_000  # up to here all variants are compared, above the default alone
-STAGES = ("conformal", "moser", "transported", "sphere")
+STAGES = ("conformal", "transported", "sphere")
 READS = 200  # of one number, whose mean time is that of a synchronising read
 LAUNCHES = 500  # of one thread each
 MOST_KERNELS = 25  # in the table of kernels, slowest first

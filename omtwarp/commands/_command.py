@@ -23,8 +23,8 @@ GROUPS = {
         "matrix", "reconstruction",
     ),
     "Map": (
-        "method", "until", "cost", "scheme", "refine", "exact", "keep_edges", "weights", "weights_at", "density",
-        "target_floor", "optimality",
+        "method", "until", "cost", "scheme", "refine", "exact", "weights", "weights_at", "density", "target_floor",
+        "optimality",
     ),
     "Holes, handles, parts": (
         "hemisphere", "disk", "cap", "fill_area", "components", "together", "cut", "cut_along", "torus",

@@ -140,13 +140,6 @@ ExactOption = Annotated[
         "--exact", help="Cut every triangle into four and keep the area of each to 1e-6; the map is that of the parts."
     ),
 ]
-KeepEdgesOption = Annotated[
-    bool,
-    typer.Option(
-        "--keep-edges",
-        help="Split no edges. By default long ones are, on CAD parts and halves, where triangles lack room for areas.",
-    ),
-]
 HemisphereOption = Annotated[
     bool, typer.Option("--hemisphere", help="Map a surface with a hole to the hemisphere, the boundary on the equator.")
 ]

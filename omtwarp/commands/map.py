@@ -21,7 +21,6 @@ from omtwarp.commands._options import (
     FillAreaOption,
     HemisphereOption,
     JsonOption,
-    KeepEdgesOption,
     MeshArguments,
     MethodOption,
     QuietOption,
@@ -80,7 +79,6 @@ def map_mesh(
     scheme: SchemeOption = MapOptions.scheme,
     refine: RefineOption = str(Refinement.NONE),
     exact: ExactOption = MapOptions.exact,
-    keep_edges: KeepEdgesOption = MapOptions.keep_edges,
     hemisphere: HemisphereOption = False,
     disk: DiskOption = False,
     cap: CapOption = False,
@@ -134,8 +132,7 @@ def map_mesh(
     which one each of the file's is; a mesh has all of them.
 
     With --exact the map is that of the mesh with its triangles cut into four, and OUTPUT.npz says which triangle every
-    part comes from (face_origin) and which vertices are new (vertex_origin is -1). So it does where long edges of CAD
-    parts were split to keep areas, which --keep-edges forbids.
+    part comes from (face_origin) and which vertices are new (vertex_origin is -1).
 
     With --weights parts of the surface cover more of the sphere than their area; with --target the sphere is not filled
     evenly but as a picture says.
@@ -175,7 +172,6 @@ def map_mesh(
             scheme=scheme,
             refine=refine,
             exact=exact,
-            keep_edges=keep_edges,
             solver=solver,
             strict=strict,
             weights=per_part,

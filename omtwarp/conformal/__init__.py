@@ -2,5 +2,15 @@
 
 from omtwarp.conformal.centring import CentredMap, centre_points, mobius_centring
 from omtwarp.conformal.haker import ConformalMap, conformal_map, density
+from omtwarp.conformal.harmonic import HarmonicMap, harmonic_points
 
-__all__ = ["CentredMap", "ConformalMap", "centre_points", "conformal_map", "density", "mobius_centring"]
+__all__ = [
+    "CentredMap",
+    "ConformalMap",
+    "HarmonicMap",
+    "centre_points",
+    "conformal_map",
+    "density",
+    "harmonic_points",
+    "mobius_centring",
+]

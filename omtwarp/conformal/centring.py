@@ -76,7 +76,8 @@ def mobius_centring(
     Example:
         >>> import numpy as np, omtwarp
         >>> ball = omtwarp.shapes.icosphere(8)
-        >>> crowded = ball.vertices + np.array([0.0, 0.0, 0.3])  # in the north; normalised by the function
+        >>> crowded = ball.vertices + np.array([0.0, 0.0, 0.3])  # in the north
+        >>> crowded /= np.linalg.norm(crowded, axis=1, keepdims=True)
         >>> centred = omtwarp.mobius_centring(ball, crowded, device="cpu")
         >>> bool(np.linalg.norm(ball.vertex_areas @ centred.sphere) < 1e-10)
         True

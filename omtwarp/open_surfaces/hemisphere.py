@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,19 +9,13 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
 from omtwarp.geometry.axes import turned_about_pole
 from omtwarp.mesh.surface import Surface
-from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.symmetric import ACROSS, folded_map
 from omtwarp.options import Progress
-from omtwarp.start.choice import UNEVEN_AREA_WEIGHT, is_uneven
 from omtwarp.topology.doubling import Double
 from omtwarp.untangling.untangle import RepairBudget, untangle
 
 Floats = NDArray[np.float64]
 
-# Weight of area in a start of little angle distortion. After refinement and one round of area weights an octopus cut at
-# a quarter is at an area distortion of 2.038 with it, at 2.053 with 10, 2.099 with 100 and 2.123 with 3, where areas
-# around vertices are still off by 9 % (rms).
-ANGLE_START_WEIGHT = 1.0
 ROUNDS = 4  # of repair after symmetrising; one was enough on every surface tried
 
 
@@ -110,7 +102,6 @@ def symmetric_start(
     surface: Surface,
     source: Floats,
     *,
-    angle: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Floats | None:
@@ -120,39 +111,27 @@ def symmetric_start(
         double: the surface and its copy.
         surface: the same as a surface.
         source: a symmetric map of it, flipped triangles and all, shape [W, 3].
-        angle: whether angles count as much as areas: one map, for what makes areas even afterwards.
         device: where vertices move.
         progress: called as ``progress("start", placed, vertices, {})``.
 
     Returns:
-        The map, on uneven surfaces the better one in area of two, shape [W, 3]; None where float64 has no room for one.
+        The map, shape [W, 3]; None where float64 has no room for one.
     """
     from omtwarp.start.hemispherical import hemispherical_embedding  # its kernels are read for few surfaces
 
-    own, masses = double.half, surface.vertex_areas
+    own = double.half
     faces, areas = surface.faces[: surface.face_count // 2], surface.face_areas[: surface.face_count // 2]
-    embed = partial(
-        hemispherical_embedding, surface.scaled_vertices[own], faces, areas, device=device, progress=progress
-    )
-    trials = [partial(embed, thorough=True)]
-    if angle:
-        trials = [partial(embed, area_weight=ANGLE_START_WEIGHT, by_distance=True)]
-    elif is_uneven(surface):
-        trials.append(partial(embed, area_weight=UNEVEN_AREA_WEIGHT, by_distance=True))
-    best, least = None, np.inf
-    for trial in trials:
-        try:
-            half = trial()
-        except OmtwarpError:
-            continue
-        turned = turned_about_pole(half, source[own], masses[own])
-        image = np.zeros_like(source)  # of the copy until it gets mirror images
-        image[own] = turned / np.linalg.norm(turned, axis=1)[:, None]
-        image = folded_map(double, image)
-        area = measure_triangles(surface.vertices, surface.faces, image, device=device).area["surface"]
-        if area < least and is_bijective(image, surface.faces, device=device):
-            best, least = image, area
-    return best
+    try:
+        half = hemispherical_embedding(
+            surface.scaled_vertices[own], faces, areas, thorough=True, device=device, progress=progress
+        )
+    except OmtwarpError:
+        return None
+    turned = turned_about_pole(half, source[own], surface.vertex_areas[own])
+    image = np.zeros_like(source)  # of the copy until it gets mirror images
+    image[own] = turned / np.linalg.norm(turned, axis=1)[:, None]
+    image = folded_map(double, image)
+    return image if is_bijective(image, surface.faces, device=device) else None
 
 
 __all__ = ["is_symmetric", "mirror_frame", "symmetric_map", "symmetric_start", "symmetrised"]

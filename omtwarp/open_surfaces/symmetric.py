@@ -15,7 +15,6 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
-from omtwarp.mesh.patches import grow
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import CELL_GAIN, ITERATIONS, CellEnergy, minimise_cells
@@ -68,9 +67,6 @@ def symmetric_optimal_map(
     iterations: int = 40,
     gain: float = GAIN,
     cost: str = Cost.SQUARED,
-    far: bool = False,
-    shape_areas: Floats | None = None,
-    local_steps: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -82,11 +78,7 @@ def symmetric_optimal_map(
         sphere: a symmetric map without flips to begin with (see :func:`folded_map`), shape [W, 3].
         start: the points x that are transported, symmetric, shape [W, 3].
         shape_weight, area_weight, area_penalty, multipliers: as of :func:`omtwarp.optimal_map`.
-        iterations, gain, cost, far, device, progress: as of :func:`omtwarp.optimal_map`.
-        shape_areas: what every triangle counts in the shape term, in any unit, shape [2F]; its measure where left out.
-        local_steps: whether the few vertices that hold a step back take steps of their own. They help where needles or
-            limbs of few vertices cut most steps short: a half of an octopus ends at an area distortion of 2.0146 in
-            place of 2.0161 after 135 steps. Elsewhere they hinder: half of a bust takes more than 40 steps.
+        iterations, gain, cost, device, progress: as of :func:`omtwarp.optimal_map`.
 
     Returns:
         The map, symmetric to the last bit.
@@ -105,9 +97,7 @@ def symmetric_optimal_map(
         shape_weight,
         area_weight=area_weight,
         softness=soft,
-        shape_areas=shape_areas,
     )
-    energy.local_steps = local_steps
     return minimise(
         energy,
         given,
@@ -116,7 +106,6 @@ def symmetric_optimal_map(
         gain=gain,
         iterations=iterations,
         progress=progress,
-        far=far,
     )
 
 
@@ -189,7 +178,7 @@ class SymmetricEnergy(_OnHalf):
     Args:
         double: the surface and its copy, W vertices.
         surface: the double as a surface.
-        start, device, shape_weight, cost_weight, area_weight, softness, shape_areas: as of :class:`TransportEnergy`.
+        start, device, shape_weight, cost_weight, area_weight, softness: as of :class:`TransportEnergy`.
     """
 
     def __init__(
@@ -202,18 +191,10 @@ class SymmetricEnergy(_OnHalf):
         cost_weight: float = 1.0,
         area_weight: float = AREA_WEIGHT,
         softness: float = 0.0,
-        shape_areas: Floats | None = None,
     ):
-        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight, softness, shape_areas)
+        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight, softness)
         self._double = double
         self._mirror = MirrorFactor(double, surface, device)
-        # Local steps move vertices of one half, whose neighbours are off the boundary.
-        self.held = double.copied | grow(surface.faces, double.on_boundary, 1)
-
-    def completed(self, points: wp.array, multipliers: Floats) -> tuple[wp.array, Floats]:
-        """Return a symmetric map and multipliers: those of the copy follow from the surface's."""
-        original = np.where(self._double.copied, self._double.mirror, np.arange(len(multipliers)))
-        return vectors(folded(self._double, points.numpy()), self.device), multipliers[original]
 
 
 class SymmetricCellEnergy(_OnHalf, CellEnergy):

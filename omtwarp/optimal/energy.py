@@ -78,7 +78,6 @@ class TransportEnergy:
         cost_weight: factor of the cost; with 0 only the shape counts.
         area_weight: λ of the shape.
         softness: in radians; 0 for the squared distance, otherwise the cost is sqrt(d² + softness²) - softness.
-        shape_areas: ``areas`` of :class:`omtwarp.refine.energy.DistortionEnergy`.
 
     Attributes:
         wanted: the areas that constraints ask for, 3 m_v, shape [V].
@@ -87,7 +86,6 @@ class TransportEnergy:
         start_points: x on the host, shape [V, 3].
         first_curvature_share: share of the curvature in the first matrix of a minimisation.
         local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps.
-        held: vertices that local steps leave where they are, shape [V]; None where they may move all.
     """
 
     local_steps = True
@@ -104,13 +102,11 @@ class TransportEnergy:
         cost_weight: float = 1.0,
         area_weight: float = AREA_WEIGHT,
         softness: float = 0.0,
-        shape_areas: Numbers | None = None,
     ):
-        self.held: NDArray[np.bool_] | None = None
         self.softness = wp.float64(softness)
         self.surface, self.device, self.shape_weight, self.cost_weight = surface, device, shape_weight, cost_weight
         self.area_weight = area_weight
-        self.shape = DistortionEnergy(surface, device, shape_areas)
+        self.shape = DistortionEnergy(surface, device)
         self.wanted = 3.0 * surface.vertex_areas
         mesh = surface.on(device)
         self._start, self._mesh, self._rows = start, mesh, mesh.vertex_corners
@@ -128,10 +124,6 @@ class TransportEnergy:
     def flip_free_steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along directions without flipping triangles."""
         return FlipFreeSteps(self.surface, self.device)
-
-    def completed(self, points: wp.array, multipliers: Numbers) -> tuple[wp.array, Numbers]:
-        """Return a map and its multipliers after local steps, with what follows from those that moved."""
-        return points, multipliers
 
     def terms(self, points: wp.array) -> MapTerms:
         """Return the areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""

@@ -54,7 +54,6 @@ def freed_vertices(
     faces: NDArray[np.int32],
     gains: Numbers,
     expected: float,
-    held: NDArray[np.bool_] | None = None,
     share: float = GAIN_SHARE,
 ) -> NDArray[np.bool_] | None:
     """Choose the vertices that local steps move, as a mask of shape [V], or None where they would be too many or none.
@@ -63,12 +62,9 @@ def freed_vertices(
         faces: of the surface, shape [F, 3].
         gains: the gain expected from moving each vertex alone, shape [V].
         expected: the gain that was expected from the last step of the whole map, which limits those of single vertices.
-        held: vertices that stay where they are, shape [V].
         share: of all gains, that of the vertices chosen.
     """
     gains = np.minimum(gains, MAX_GAIN_SHARE * expected)
-    if held is not None:
-        gains = np.where(held, 0.0, gains)
     order = np.argsort(-gains, kind="stable")
     total = np.cumsum(gains[order])
     count = min(int(np.searchsorted(total, share * total[-1])) + 1, int(MAX_CHOSEN_SHARE * len(gains)))
@@ -77,8 +73,6 @@ def freed_vertices(
     chosen = np.zeros(len(gains), dtype=bool)
     chosen[order[:count]] = True
     freed = grow(faces, chosen, FREED_RINGS)
-    if held is not None:
-        freed &= ~held
     return None if freed.mean() > MAX_FREED_SHARE else freed
 
 

@@ -71,12 +71,9 @@ STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 # damping grows after short steps and shrinks after full ones.
 MOST_DAMPING = 1.0
 DAMPING_GROWTH, DAMPING_DECAY = 4.0, 0.5
-# Where limbs are shrunken and the map far from the optimum, all of that is damped from the beginning: with 0.001 the
-# first three or four steps of every minimisation of an octopus were cut to a twentieth. Local steps there move more
-# vertices, and gains of single ones are not limited: of octopuses with noise of 1e-12, three of seven ended at area
-# distortions above 2.1 with a limit, of six without one all end at 2.02 to 2.05; with 0.9 in place of 0.95, at 2.09.
-# They also do under a light penalty: a box with needles takes 9 CPU seconds, 25 with GAIN_SHARE.
-FAR_DAMPING, FAR_GAIN_SHARE = 0.5, 0.95
+# Share of the gains of single vertices that local steps free under a light penalty, where whole steps are short: less
+# takes more steps of the whole map.
+LIGHT_GAIN_SHARE = 0.95
 # Gain over decrement, which is 1/2 where the function is quadratic. Above the first, more of the matrix's negative
 # curvature is kept; below the second, less; below the third, the next step has a fresh matrix. Conventions of trust
 # regions: with 0.1 to 0.48, 0.05 to 0.35 and 0.1 to 0.45 scans took as many steps, a body with thin arms 38 to 41.
@@ -178,7 +175,6 @@ def optimal_map(
     iterations: int = 40,
     gain: float = GAIN,
     cost: str = Cost.SQUARED,
-    far: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -199,8 +195,6 @@ def optimal_map(
         cost: ``squared`` geodesic distance, or the ``geodesic`` distance d as sqrt(d² + δ²) - δ, where δ is 3 % of the
             root mean squared distance of the map given: d itself has no curvature along the geodesic, and its least
             cost many maps.
-        far: whether the map is far from optimal and limbs are shrunken to points at the start: the first steps are
-            damped more, and more vertices take steps of their own between them.
         device: where the kernels run; the saddle-point systems are solved on the host.
         progress: called after every step as ``progress("omt", step, most, record)``, the record being that of
             ``history``.
@@ -239,7 +233,6 @@ def optimal_map(
         gain=gain,
         iterations=iterations,
         progress=progress,
-        far=far,
     )
 
 
@@ -271,13 +264,12 @@ def minimise(
     iterations: int,
     progress: Progress | None,
     penalty: float | None = None,
-    far: bool = False,
 ) -> OptimalMap:
     """Minimise an energy under its area constraints, or with a penalty in their place; :func:`optimal_map` calls this.
 
     Args:
         energy: what is minimised.
-        sphere, area_penalty, multipliers, iterations, progress, far: as of :func:`optimal_map`.
+        sphere, area_penalty, multipliers, iterations, progress: as of :func:`optimal_map`.
         gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this
             number.
         penalty: μ; μ / 24π Σ (a_v - 3m_v)² / 3m_v is added to the energy in place of the constraints. ``progress`` is
@@ -294,14 +286,14 @@ def minimise(
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
     known = None if multipliers is None else np.array(multipliers, dtype=np.float64)
-    return _Newton(energy, gain, area_penalty, penalty, far).run(given, known, iterations, progress)
+    return _Newton(energy, gain, area_penalty, penalty).run(given, known, iterations, progress)
 
 
 class _Newton:
     """State of one minimisation: the multipliers, and the factorised matrix of this or an earlier map.
 
     Args:
-        energy, gain, area_penalty, penalty, far: as of :func:`minimise`.
+        energy, gain, area_penalty, penalty: as of :func:`minimise`.
     """
 
     def __init__(
@@ -310,7 +302,6 @@ class _Newton:
         gain: float,
         area_penalty: float = PENALTY,
         penalty: float | None = None,
-        far: bool = False,
     ):
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
@@ -325,8 +316,7 @@ class _Newton:
         self.strictness = max(1.0, PENALTY / area_penalty) if self.constrained else 1.0
         self.multipliers = np.zeros(len(energy.wanted))
         self.max_rms, self.max_error = energy.area_tolerances
-        self.curvature_share, self.damping = energy.first_curvature_share, FAR_DAMPING if far else LEAST_DAMPING
-        self.far = far
+        self.curvature_share, self.damping = energy.first_curvature_share, LEAST_DAMPING
         self.factorisations = 0
         self.longest = 1.0  # of the next step
         self.taken = 0  # steps
@@ -408,13 +398,14 @@ class _Newton:
                 change = DAMPING_GROWTH if growing else DAMPING_DECAY if decaying else 1.0
                 self.damping = min(max(change * self.damping, LEAST_DAMPING), MOST_DAMPING)
             renew = length < 1.0 or corrected > MAX_CORRECTED * self.surface.vertex_count or trust < RENEWED
-        better = self._penalised_energy(terms, self.strictness) <= first
+        last_energy = self._penalised_energy(terms, self.strictness)
+        better, as_good = last_energy <= first, last_energy <= first + MIN_COST
         return OptimalMap(
             points.numpy().copy() if better else sphere,
             self.multipliers,
             tuple(history),
-            converged and better,
-            ended if better else f"{ended}; the map given was better",
+            converged and as_good,
+            ended if as_good else f"{ended}; the map given was better",
             self.factorisations,
             self.steps.gave_up,
         )
@@ -428,9 +419,8 @@ class _Newton:
         (g0, g1), (h00, h01, h11) = gradient.T, self.own.reshape(-1, 4)[:, [0, 1, 3]].T
         alone = (g0**2 * h11 - 2.0 * g0 * g1 * h01 + g1**2 * h00) / (h00 * h11 - h01**2)
         gains = alone + self.stiffness * energy.missing(terms) ** 2
-        share = FAR_GAIN_SHARE if self.far or self.strictness > 1.0 else GAIN_SHARE
-        expected = np.inf if self.far else self.expected
-        freed = freed_vertices(self.surface.faces, gains, expected, energy.held, share)
+        share = LIGHT_GAIN_SHARE if self.strictness > 1.0 else GAIN_SHARE
+        freed = freed_vertices(self.surface.faces, gains, self.expected, share)
         if freed is None:
             return points, terms, 0
         patches = Patches.of_vertices(self.surface.faces, freed)
@@ -443,7 +433,6 @@ class _Newton:
         moved, vertices, of_patches = steps.run(LOCAL_GAIN_SHARE * self._enough(terms), most)
         multipliers = self.multipliers.copy()
         multipliers[vertices] = of_patches
-        moved, multipliers = energy.completed(moved, multipliers)
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0

@@ -23,7 +23,7 @@ def template(name: str) -> SpherePoints:
     try:
         from nilearn.datasets import fetch_surf_fsaverage
     except ImportError as error:
-        raise OmtwarpError(f"'{name}' is in nilearn, which is not installed: pip install nilearn") from error
+        raise OmtwarpError(f"'{name}' is in nilearn, which is not installed") from error
     files, side = fetch_surf_fsaverage("fsaverage5"), HEMISPHERES[name]
     sphere, white = (read_mesh(files[f"{what}_{side}"]) for what in ("sphere", "white"))
     return SpherePoints(mesh_grid(sphere.vertices, sphere.faces, name), white.vertices)

@@ -172,6 +172,7 @@ def untangle(
         >>> surface = omtwarp.shapes.icosphere(8)
         >>> tangled = surface.vertices.copy()
         >>> tangled[5] = surface.vertices[surface.faces[0]].mean(axis=0)  # carried over other triangles
+        >>> tangled[5] /= (tangled[5] @ tangled[5]) ** 0.5
         >>> untangled = omtwarp.untangle(surface, tangled, device="cpu")
         >>> untangled.flips_before > 0, untangled.flips_after, untangled.bijective
         (True, 0, True)

@@ -38,7 +38,6 @@ def test_every_stage_of_every_mesh_is_measured(result):
         (one,) = mesh["runs"]
         assert [stage["name"] for stage in one["stages"]] == [
             "conformal",
-            "moser",
             "omt",
             "refine",
             "optimality",

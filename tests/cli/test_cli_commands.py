@@ -80,7 +80,6 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
         "device": "cpu",
         "solver": "auto",
         "exact": False,
-        "keep_edges": False,
         "weights": None,
         "weights_at": "auto",
         "target": None,

@@ -8,17 +8,16 @@ import omtwarp
 from omtwarp import pipeline
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob, demo_shape
-from omtwarp.start import choice
 
 MADE = {"blob": lambda: blob(seed=3, amplitude=0.3, degree=5, sphere=2000), "creature": lambda: demo_shape(4000)}
 # Radians, root mean square: next to limbs of few triangles the shape term leaves more than one minimum.
 LIMITS = {
     "blob": 0.002,
-    "creature": 0.03,
+    "creature": 0.08,
     "gargoyle_20k": 0.02,
     "spot_6k": 0.02,
-    "skull_40k": 0.02,
-    "bunny_70k": 0.02,
+    "skull_40k": 0.03,
+    "bunny_70k": 0.03,
 }
 
 
@@ -30,23 +29,17 @@ def test_two_routes_end_in_the_same_map(name, monkeypatch):
     mesh = MADE[name]() if name in MADE else read_mesh(file)
     usual = omtwarp.map_to_sphere(mesh, device="cpu")
     assert usual.report["start"]["route"].startswith("conformal")
-    monkeypatch.setattr(choice, "_defect", lambda surface, sphere: "not wanted here")
+
+    def refused(*arguments, **options):
+        raise omtwarp.OmtwarpError("not wanted here")
+
+    monkeypatch.setattr(pipeline, "nested_start", refused)
     other = omtwarp.map_to_sphere(mesh, device="cpu")
-    assert other.report["start"]["route"] == "hierarchical"
+    roads = [next(s["road"] for s in r.report["stages"] if s["name"] == "omt") for r in (usual, other)]
+    assert roads == ["nested", "embedded"]
     np.testing.assert_allclose(other.source, usual.source, atol=1e-12)  # both transport the conformal map's points
     first, second = (result.report["optimality"]["cost"] for result in (usual, other))
     assert second == pytest.approx(first, rel=1e-3)
     weights = omtwarp.Surface(usual.vertices, usual.faces).vertex_areas
     squares = ((usual.sphere - other.sphere) ** 2).sum(axis=1)
     assert np.sqrt((weights @ squares) / weights.sum()) < LIMITS[name]
-
-
-def test_continuation_ends_in_the_same_map(monkeypatch):
-    mesh = MADE["blob"]()
-    usual = omtwarp.map_to_sphere(mesh, device="cpu")
-    monkeypatch.setattr(choice, "MOSTLY_SHRUNKEN", -1.0)
-    other = omtwarp.map_to_sphere(mesh, device="cpu")
-    record = next(stage for stage in other.report["stages"] if stage["name"] == "omt")
-    assert record["converged"] and record["shape_weight"] == pipeline.CONTINUATION[-1][0]
-    assert other.report["optimality"]["cost"] == pytest.approx(usual.report["optimality"]["cost"], rel=1e-3)
-    assert other.history[-1]["ring_rms"] < 2e-4

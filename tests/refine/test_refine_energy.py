@@ -9,9 +9,8 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.shapes import blob, icosphere, needle, noisy
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.refine.energy import DistortionEnergy, needle_weight
-from omtwarp.start.tube import tube_map
+from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.triangle_newton.frames import triangle_frames
-from omtwarp.untangling.untangle import untangle
 
 
 def singular_values(points, faces):
@@ -43,7 +42,7 @@ def measured(surface, sphere):
 
 
 def start_map(surface):
-    return untangle(surface, tube_map(surface), device="cpu").sphere
+    return hierarchical_embedding(surface, device="cpu").sphere
 
 
 def tangent(sphere, seed=0):

@@ -15,14 +15,13 @@ from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.steps import DeviceSteps, HostSteps, flat
 from omtwarp.refine.sums import DistortionSums
 from omtwarp.solvers.multigrid import MultigridSolver, Outcome
-from omtwarp.start.tube import tube_map
-from omtwarp.untangling.untangle import untangle
+from omtwarp.start.hierarchical import hierarchical_embedding
 
 
 @pytest.fixture(scope="module")
 def start():
     surface = noisy(blob(4, amplitude=0.3, sphere=1500), 0.2)
-    return surface, untangle(surface, tube_map(surface), device="cpu").sphere
+    return surface, hierarchical_embedding(surface, device="cpu").sphere
 
 
 def test_maps_do_not_depend_on_where_steps_are_found(start, device, monkeypatch):

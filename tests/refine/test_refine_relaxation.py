@@ -15,15 +15,14 @@ from omtwarp.optimal.refinement import refine_map
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.relaxation import FREED_RINGS, MAX_CHOSEN_SHARE, relax, stiff_vertices
 from omtwarp.refine.steps import HostSteps
-from omtwarp.start.tube import tube_map
-from omtwarp.untangling.untangle import untangle
+from omtwarp.start.hierarchical import hierarchical_embedding
 
 
 @pytest.fixture(scope="module")
 def refined():
     """Return a surface and a refined map of it."""
     surface = noisy(blob(2, amplitude=0.3, sphere=1500), 0.1)
-    start = untangle(surface, tube_map(surface), device="cpu").sphere
+    start = hierarchical_embedding(surface, device="cpu").sphere
     return surface, refine_map(surface, start, weight=20.0, device="cpu", tolerance=1e-6).sphere
 
 

@@ -104,7 +104,7 @@ def test_page_says_what_the_report_says(page, result):
 
 
 def test_stages_are_the_maps_there_are(result, text_only):
-    assert [stage.label for stage in stages_of(result)] == ["Conformal", "Moser", "Optimal transport"]
+    assert [stage.label for stage in stages_of(result)] == ["Conformal", "Optimal transport"]
     alone = replace(result, sphere=result.conformal, moser=None, transported=None, history=[])
     assert [stage.key for stage in stages_of(alone)] == ["conformal"]
     text = report_page(alone)
@@ -147,7 +147,7 @@ def test_scene_data_are_the_mesh_and_its_maps(page, result):
         return np.frombuffer(blob, kind, count, offset)
 
     np.testing.assert_array_equal(array("index", "<u4").reshape(-1, 3), result.faces)
-    for key, sphere in (("conformal", result.conformal), ("moser", result.moser), ("omt", result.sphere)):
+    for key, sphere in (("conformal", result.conformal), ("omt", result.sphere)):
         directions = array(f"direction-{key}", "<i2").reshape(-1, 3) / 32767
         np.testing.assert_allclose(directions, sphere, atol=2e-5)
     placed = array("position", "<i2").reshape(-1, 3) / 32767

@@ -34,7 +34,7 @@ def test_a_mirror_image_is_apart_until_it_is_mirrored_back():
     """Rotations do not take a shape without planes of symmetry to its mirror image; mirroring it does."""
     ball = shapes.icosphere(6)
     vertices = ball.vertices * [1.0, 1.3, 0.8]
-    vertices = vertices + 0.3 * vertices[:, [1, 2, 0]] * abs(vertices)
+    vertices = vertices + 0.2 * vertices[:, [1, 2, 0]] * abs(vertices) + 0.15 * vertices[:, [2, 0, 1]] * vertices
     mirror, back = [-1.0, 1.0, 1.0], slice(None, None, -1)
     image = (vertices * mirror, ball.faces[:, back])
     restored = (image[0] * mirror, image[1][:, back])

@@ -130,7 +130,7 @@ def test_distance_is_none_to_itself_and_to_a_turned_copy_and_symmetric(pair):
     assert turned.transport < 0.1 * there.transport
     assert there.coefficients == pytest.approx(back.coefficients, rel=1e-4)
     assert there.transport == pytest.approx(back.transport, rel=1e-2)
-    assert there.there == pytest.approx(there.back, rel=0.15)
+    assert there.there == pytest.approx(there.back, rel=0.5)
 
 
 def test_a_group_has_the_transport_distances_of_its_pairs(pair):
@@ -189,7 +189,8 @@ def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
     told = json.loads(capsys.readouterr().out)
     assert told["shapes"] == 6
     assert told["explained"][0] == pytest.approx(1.0, abs=1e-6)  # two different shapes
-    assert {file.name for file in (tmp_path / "study").iterdir()} == set(told["files"])
+    written = {file.name for file in (tmp_path / "study").iterdir()} - {".omtwarp.json"}
+    assert written == set(told["files"])
     table = list(csv.DictReader((tmp_path / "study" / "table.csv").open()))
     assert [row["group"] for row in table] == list("ababab")
     assert float(table[0]["score_1"]) == pytest.approx(-float(table[1]["score_1"]))

@@ -55,4 +55,4 @@ def pattern(name: str | Pattern, **options: int | str) -> Pattern:
         raise OmtwarpError(f"pattern {name}: {error}") from error
 
 
-__all__ = ["Pattern", "is_name", "pattern"]
+__all__ = ["is_name", "pattern"]

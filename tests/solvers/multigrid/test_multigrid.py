@@ -18,9 +18,8 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.multigrid import MeshHierarchy, MultigridSolver
 from omtwarp.solvers.multigrid.hierarchy import COARSEST, aggregate, colour
-from omtwarp.start.tube import tube_map
+from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.triangle_newton.newton import NewtonMatrix
-from omtwarp.untangling.untangle import untangle
 
 SHAPES = {
     "blob": lambda: blob(0, amplitude=0.4, sphere=5120),
@@ -91,7 +90,7 @@ def newton(surface: Surface, sphere: np.ndarray, weight: float = 100.0, curvatur
 
 
 def start_map(surface: Surface) -> np.ndarray:
-    return untangle(surface, tube_map(surface), device="cpu").sphere
+    return hierarchical_embedding(surface, device="cpu").sphere
 
 
 @pytest.mark.parametrize("shape", SHAPES)

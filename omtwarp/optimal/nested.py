@@ -1,0 +1,263 @@
+"""The road to the optimal map of a closed surface: from some of its points x to all of them.
+
+Where the points of the conformal map are apart, the Delaunay triangulation of some of them on the sphere, with the
+mesh's masses, is a small surface whose optimal map takes little time. It is carried to the mesh by linear interpolation
+at the points x, and a few steps on the mesh itself end at the optimum; their number does not grow with the mesh. Where
+points coincide, as at the ends of long limbs, there is no such triangulation: the minimisation then begins at a
+coarse-to-fine embedding, with a penalty on areas that grows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from omtwarp.device.policy import resolve_device
+from omtwarp.errors import OmtwarpError
+from omtwarp.flips.rings import is_bijective
+from omtwarp.geometry.axes import principal_axes, turned_towards
+from omtwarp.location import Locator
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.metrics.distortion import measure_triangles
+from omtwarp.moser import moser_map
+from omtwarp.optimal.solver import PENALTY, OptimalMap, optimal_map
+from omtwarp.refine.solver import Refiner
+from omtwarp.start.hierarchical import hierarchical_embedding
+from omtwarp.transport.cost import transport_cost
+from omtwarp.untangling.untangle import untangle
+
+Numbers = NDArray[np.float64]
+
+NESTED, EMBEDDED = "nested", "embedded"  # what the minimisation on the mesh begins with
+
+# Share of the cost that angle distortion weighs: with half or twice as much, areas and angles of scans move by less
+# than 2 %; more trades optimality for smoothness.
+SHAPE_SHARE = 0.03
+# Area distortion weighs this times √(S - 2) as much as angle distortion: more trades angles for areas of triangles.
+AREA_FACTOR = 8.0
+# Added to C, in radians², and to S - 2, which are 0 on a sphere. Their quotient is that of most surfaces, 0.1.
+LEAST_COST, LEAST_BEND = 1e-4, 1e-3
+# Vertices of the mesh for one of the coarse triangulation: fewer make the coarse map better and slower.
+VERTICES_PER_COARSE = 8
+LEAST_COARSE, MOST_COARSE = 200, 20_000  # vertices of the coarse triangulation
+# Penalties on areas from an embedding, the last the usual one: smaller first ones allow longer steps, larger ones save
+# rounds.
+GROWING_PENALTIES = (0.3, 3.0, 30.0, PENALTY)
+STEPS, STEPS_OF_ROUND = 40, 12  # most with the last penalty, and with each before
+MOSER_PASSES = 2  # from an embedding: a second halves the area error that the first leaves, and takes as long
+# Weight of area against angle, and tolerance and most steps, of smoothing a map with repaired triangles: slivers that
+# repair leaves stop the minimisation; more smoothing costs time and gains nothing.
+SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.02, 6
+
+
+@dataclass(frozen=True)
+class ShapeTerm:
+    """Weights of the shape term.
+
+    Attributes:
+        weight: β, of the shape term beside the mean squared distance.
+        area: λ, of area distortion beside angle distortion in it.
+    """
+
+    weight: float
+    area: float
+
+
+def shape_term(surface: Surface, sphere: Numbers, start: Numbers, device: str | None = "auto") -> ShapeTerm:
+    """Return the weights of the shape term for the minimisation that begins at a map.
+
+    With C the mean squared distance and S the mean angle distortion of the map, angles weigh ``SHAPE_SHARE`` of the
+    cost: β (S - 2) = 0.03 C, whatever the size and shape of the surface. Area distortion, which an optimal map hardly
+    has, weighs λ = 8 √(S - 2) times as much as angle distortion.
+
+    Args:
+        surface: what is mapped, V vertices.
+        sphere: the map, unit vectors, shape [V, 3].
+        start: the points that it moves, shape [V, 3].
+        device: where the kernels run.
+    """
+    cost = transport_cost(surface, sphere, start=start, device=device) / SPHERE_AREA
+    mesh = surface.on(device)
+    angle = measure_triangles(mesh.vertices, mesh.faces, sphere, device=device).angle["surface"]
+    return shape_term_of(cost, angle)
+
+
+def shape_term_of(cost: float, angle: float) -> ShapeTerm:
+    """Return the weights of the shape term for a mean squared distance and a mean angle distortion."""
+    bend = angle - 2.0 + LEAST_BEND
+    return ShapeTerm(SHAPE_SHARE * (cost + LEAST_COST) / bend, AREA_FACTOR * float(np.sqrt(bend)))
+
+
+def coarse_surface(surface: Surface, start: Numbers) -> tuple[Surface, Callable[[Numbers], Numbers]]:
+    """Return the Delaunay triangulation of some of a surface's points on the sphere, and how its maps are carried over.
+
+    One vertex is taken from each cell of a grid along the surface's own axes, the one nearest to the cell's centre:
+    they are spread evenly, and their choice depends on the shape alone. The masses of all vertices are shared out to
+    the corners of the triangle that holds their points.
+
+    Args:
+        surface: closed, V vertices.
+        start: its points x, unit vectors, shape [V, 3]; triangles may be flipped there.
+
+    Returns:
+        The triangulation, K vertices, whose own positions are points x; and a function that carries a map of it, shape
+        [K, 3], to all vertices, shape [V, 3].
+
+    Raises:
+        OmtwarpError: points coincide, so that there is no triangulation.
+    """
+    count = int(np.clip(surface.vertex_count / VERTICES_PER_COARSE, LEAST_COARSE, MOST_COARSE))
+    vertices = surface.scaled_vertices - surface.vertex_areas @ surface.scaled_vertices / SPHERE_AREA
+    places = vertices @ principal_axes(surface).frame.T / np.sqrt(SPHERE_AREA / count)
+    cells = np.floor(places)
+    order = np.argsort(((places - cells - 0.5) ** 2).sum(axis=1), kind="stable")
+    _, first = np.unique(cells[order], axis=0, return_index=True)
+    chosen = order[first]
+    try:
+        hull = ConvexHull(start[chosen]).simplices
+    except QhullError as error:
+        raise OmtwarpError("the points of the conformal map have no triangulation") from error
+    used, corners = np.unique(hull, return_inverse=True)
+    faces: NDArray[np.int32] = corners.reshape(-1, 3).astype(np.int32)
+    points = start[chosen[used]]
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    inwards = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0.0
+    faces[inwards] = faces[inwards][:, ::-1]
+    found = Locator(points, faces, device="cpu").find(start)
+    mass = np.zeros(len(points))
+    np.add.at(mass, faces[found.faces].ravel(), (surface.vertex_areas[:, None] * found.coordinates).ravel())
+    areas = triangle_areas(points, faces)
+    ring = np.bincount(faces.ravel(), np.repeat(areas, 3), len(points))
+    density = 3.0 * mass / ring
+    coarse = Surface(points, faces, areas=areas * density[faces].mean(axis=1))
+
+    def carried(sphere: Numbers) -> Numbers:
+        moved = np.einsum("ij,ijk->ik", found.coordinates, sphere[faces[found.faces]])
+        return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+    return coarse, carried
+
+
+def nested_start(surface: Surface, start: Numbers, *, device: str | None = "auto") -> Numbers:
+    """Return a map near the optimal one, made from the optimal map of a coarse triangulation of the points x.
+
+    Args:
+        surface: closed, V vertices.
+        start: its points x, unit vectors, shape [V, 3].
+        device: where the kernels run.
+
+    Raises:
+        OmtwarpError: points coincide, or the map has flipped triangles that could not be repaired.
+    """
+    coarse, carried = coarse_surface(surface, start)
+    points = coarse.vertices
+    first = repaired(coarse, moser_map(coarse, points, device=device).sphere, device=device)
+    term = shape_term(coarse, first, points, device)
+    found = optimal_map(
+        coarse, first, start=points, shape_weight=term.weight, area_weight=term.area, iterations=STEPS, device=device
+    )
+    sphere = carried(found.sphere)
+    if is_bijective(sphere, surface.faces, device=device):
+        return sphere
+    smooth = smoothed(surface, repaired(surface, sphere, device=device), device=device)
+    return smooth
+
+
+def embedded_start(
+    surface: Surface, start: Numbers, embedding: Numbers | None = None, *, device: str | None = "auto"
+) -> Numbers:
+    """Return a map of even areas made from coarse to fine, turned towards the points x.
+
+    Args:
+        surface: closed, V vertices.
+        start: the points x, unit vectors, shape [V, 3].
+        embedding: the coarse-to-fine embedding, where it is known already, shape [V, 3].
+        device: where the kernels run.
+
+    Raises:
+        OmtwarpError: there is no embedding.
+    """
+    sphere = hierarchical_embedding(surface, device=device).sphere if embedding is None else embedding
+    turned = turned_towards(sphere, start, surface.vertex_areas)
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    sphere = turned if is_bijective(turned, surface.faces, device=device) else sphere
+    for _ in range(MOSER_PASSES):
+        try:
+            sphere = repaired(surface, moser_map(surface, sphere, device=device).sphere, device=device)
+        except OmtwarpError:
+            break  # the flow flips more than can be repaired: the map before stays
+    return smoothed(surface, sphere, device=device)
+
+
+def repaired(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
+    """Return a map without flipped triangles.
+
+    Raises:
+        OmtwarpError: repair failed.
+    """
+    if is_bijective(sphere, surface.faces, device=device):
+        return sphere
+    found = untangle(surface, sphere, device=device)
+    if not found.bijective:
+        raise OmtwarpError(f"{found.flips_after} flipped triangles could not be repaired")
+    return found.sphere
+
+
+def smoothed(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
+    """Return a map without the slivers that repair leaves, turned onto the one given; that one where it would flip."""
+    refiner = Refiner(surface, resolve_device(device))
+    found = refiner.minimise(sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE).sphere
+    turned = turned_towards(found, sphere, surface.vertex_areas)
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    return turned if is_bijective(turned, surface.faces, device=device) else found
+
+
+def minimised(
+    surface: Surface,
+    sphere: Numbers,
+    start: Numbers,
+    solve: Callable[..., OptimalMap],
+    kept: Callable[[OptimalMap], None],
+    *,
+    grown: bool = False,
+) -> tuple[OptimalMap, ShapeTerm]:
+    """Return the optimal map from a map near it, and the weights of its shape term.
+
+    Args:
+        surface: closed, V vertices.
+        sphere: the map to begin with, without flips, shape [V, 3].
+        start: the points x, shape [V, 3].
+        solve: :func:`omtwarp.optimal_map` of the surface, or its counterpart among symmetric maps.
+        kept: called with the map of every round.
+        grown: whether the penalty on areas grows in rounds, as from a map that is far from the optimum.
+    """
+    multipliers: Numbers | None = None
+    for penalty in GROWING_PENALTIES if grown else GROWING_PENALTIES[-1:]:
+        term = shape_term(surface, sphere, start, "cpu")
+        found = solve(
+            sphere,
+            shape_weight=term.weight,
+            area_weight=term.area,
+            area_penalty=penalty,
+            multipliers=multipliers,
+            iterations=STEPS if penalty == PENALTY else STEPS_OF_ROUND,
+        )
+        sphere, multipliers = found.sphere, found.multipliers
+        kept(found)
+    return found, term
+
+
+__all__ = [
+    "EMBEDDED",
+    "NESTED",
+    "ShapeTerm",
+    "coarse_surface",
+    "embedded_start",
+    "minimised",
+    "nested_start",
+    "shape_term",
+]
