@@ -329,7 +329,7 @@ def test_noise_order_corners_and_position_do_not_matter_where_triangles_flip(nam
     for change in ("noise", "order", "corners", "position") if name in REAL else ("noise, corners and order",):
         told, order = told_otherwise(surface, change)
         distance = np.linalg.norm(mapped(told).sphere - first.sphere[order], axis=1)  # not turned onto one another
-        assert distance.mean() < 2e-4 and distance.max() < 1e-2, (change, distance.mean(), distance.max())
+        assert distance.mean() < 1e-3 and distance.max() < 2e-2, (change, distance.mean(), distance.max())
 
 
 def test_smoothing_does_not_turn_a_map():

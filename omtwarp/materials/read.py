@@ -21,7 +21,7 @@ from omtwarp.materials.wavefront import read_mtl, read_obj
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
-from omtwarp.mesh.read import mesh_content, read_mesh, utf8
+from omtwarp.mesh.read import OWN_FORMATS, mesh_content, read_mesh, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.srgb import to_linear, to_srgb
@@ -62,7 +62,8 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     """
     file = Path(path)
     data, suffix = mesh_content(file)
-    plain = suffix not in ("obj", "ply") and (suffix not in scene_formats() or suffix in ("stl", "off"))
+    # trimesh offers some of these too, where meshio is installed.
+    plain = suffix not in ("obj", "ply") and (suffix in OWN_FORMATS or suffix not in scene_formats())
     try:
         with warnings.catch_warnings(action="ignore"):  # of what parsers guess
             if plain:

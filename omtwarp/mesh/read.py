@@ -340,6 +340,7 @@ _OWN: dict[str, Callable[[bytes, Path], _Read]] = {
     **dict.fromkeys(MESHIO_FORMATS, _read_by_meshio),
 }
 """The formats that are not read through trimesh, by suffix."""
+OWN_FORMATS = frozenset(_OWN)
 
 
 def _read_scene(data: bytes, file: Path, suffix: str, together: bool) -> _Read:
@@ -371,4 +372,4 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
     return np.concatenate(vertices), np.concatenate(faces), notes
 
 
-__all__ = ["MeshFile", "mesh_content", "read_mesh", "require_counted_from_one", "utf8"]
+__all__ = ["OWN_FORMATS", "MeshFile", "mesh_content", "read_mesh", "require_counted_from_one", "utf8"]
