@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 _ROOT = str(Path(__file__).resolve().parents[1])
@@ -22,9 +24,18 @@ def interpreter(code: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", "-c", _FIND_PACKAGE + code, _ROOT, *arguments]
 
 
-def keep_to_safe_paths() -> None:
-    """Let interpreters that libraries start from now on import nothing from the working directory either."""
+@contextmanager
+def safe_paths() -> Iterator[None]:
+    """Let interpreters that libraries start inside of it import nothing from the working directory either."""
+    before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("PYTHONSAFEPATH", None)
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
-__all__ = ["interpreter", "keep_to_safe_paths"]
+__all__ = ["interpreter", "safe_paths"]

@@ -26,7 +26,7 @@ from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, turned_tow
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, normalised
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.names import InputNames
 from omtwarp.mesh.quarter import quarter
@@ -395,7 +395,7 @@ class _Run:
         rotation, determined = rotation_onto_axes(self.surface, given, axes.frame)
         if not determined:
             self.origin["axes"] = "the map agrees with no direction of the surface: its rotation means nothing"
-        turned = _normalised(sphere @ rotation.T)
+        turned = normalised(sphere @ rotation.T)
         faces = self.surface.faces
         if not is_bijective(turned, faces) and is_bijective(sphere, faces):
             # Triangles of the size of rounding errors can flip when they are rotated.
@@ -403,7 +403,7 @@ class _Run:
             if not is_bijective(turned, faces):
                 return sphere
         if self.source is not None:
-            self.source = turned if self.source is sphere else _normalised(self.source @ rotation.T)
+            self.source = turned if self.source is sphere else normalised(self.source @ rotation.T)
         return turned
 
     def lay_symmetric(self, mirror: Double, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -517,7 +517,7 @@ class _Run:
         if self.mirror is not None and is_symmetric(self.mirror, sphere):
             solve = partial(symmetric_optimal_map, self.mirror)
         solve = partial(solve, self.surface, start=self.source, device=self.device, progress=self.progress)
-        found, term = minimised(self.surface, sphere, self.source, solve, self.keep_steps, grown=road == EMBEDDED)
+        found, term = minimised(self.surface, sphere, self.source, solve, self.keep_steps, road, device=self.device)
         weight = term.weight
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE
@@ -634,15 +634,15 @@ class _Run:
             progress=notify,
         )
         self.keep_steps(found)
-        if self.options.optimality and self.options.cost is Cost.SQUARED:
-            self.measured = self.bounded(found.sphere)
-        sphere, repaired = self.untangle(before, found.sphere)
         largest = float(found.history[-1]["ring_largest"])
         if largest > EXACT_ERROR:
             raise OmtwarpError(
                 f"exact areas were not reached: a triangle's area is off by {largest:.2g} of it; remesh with more "
                 "triangles, evenly shaped, or leave exact out"
             )
+        if self.options.optimality and self.options.cost is Cost.SQUARED:
+            self.measured = self.bounded(found.sphere)
+        sphere, repaired = self.untangle(before, found.sphere)
         converged, ended = self.how_it_ended(found)
         self.finish(
             EXACT,
@@ -848,8 +848,3 @@ def versions() -> dict[str, str]:
         "scipy": scipy.__version__,
         "warp": wp.config.version,
     }
-
-
-def _normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale points to unit length, shape [V, 3]."""
-    return points / np.linalg.norm(points, axis=1, keepdims=True)

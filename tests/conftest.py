@@ -23,11 +23,6 @@ settings.register_profile(
 settings.load_profile("omtwarp")
 
 
-def pytest_runtest_teardown() -> None:
-    """Let no test see what another left for the interpreters that libraries start."""
-    os.environ.pop("PYTHONSAFEPATH", None)
-
-
 def pytest_configure(config: pytest.Config) -> None:
     """Make a launch with an array of another device an error in every test."""
     import warp

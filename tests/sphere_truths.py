@@ -66,6 +66,18 @@ def twisted(points: np.ndarray, amount: float = 1.0) -> np.ndarray:
     return at_height(z, longitude + amount * (0.6 * np.cos(2.0 * z) + 0.5 * z))
 
 
+def ring_errors(surface: Surface, sphere: np.ndarray) -> np.ndarray:
+    """Solid angle around every vertex over three times its mass, less 1, by van Oosterom and Strackee's formula."""
+    a, b, c = (sphere[surface.faces[:, k]] for k in range(3))
+    dots = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
+    solid = 2 * np.arctan2((a * np.cross(b, c)).sum(1), dots)
+    return surface.sum_to_vertices(solid) / (3 * surface.vertex_areas) - 1
+
+
+def ring_rms(surface: Surface, sphere: np.ndarray) -> float:
+    return float(np.sqrt(surface.vertex_areas @ ring_errors(surface, sphere) ** 2 / (4 * np.pi)))
+
+
 def mean_edge(surface: Surface, points: np.ndarray) -> float:
     ends = points[surface.edges]
     return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())

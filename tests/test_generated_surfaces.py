@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sphere_truths import ring_rms
 
 import omtwarp
 from omtwarp.mesh.surface import SPHERE_AREA
@@ -15,15 +16,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 from random_shapes import random_shape
 
 FIRST, COUNT, MOST_VERTICES = 100, 60, 3000
-
-
-def ring_rms(surface: omtwarp.Surface, sphere: np.ndarray) -> float:
-    """Root mean square of the relative errors of the solid angles around vertices (van Oosterom and Strackee)."""
-    a, b, c = (sphere[surface.faces[:, k]] for k in range(3))
-    dots = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
-    solid = 2 * np.arctan2((a * np.cross(b, c)).sum(1), dots)
-    errors = surface.sum_to_vertices(solid) / (3 * surface.vertex_areas) - 1
-    return float(np.sqrt(surface.vertex_areas @ errors**2 / SPHERE_AREA))
 
 
 @pytest.fixture(scope="module")

@@ -46,7 +46,7 @@ HEAVY_ROOMS = {
         "omtwarp.transport.paper",
         "omtwarp.transport.polish",
     },
-    "omtwarp.conformal": {"omtwarp.geometry.intrinsic"},
+    "omtwarp.optimal": {"omtwarp.start.hierarchical"},
     "omtwarp.refine": {"omtwarp.refine.device_newton"},
     "omtwarp.solvers": {"omtwarp.solvers.multigrid"},
     "omtwarp.spheres": {"omtwarp.wavelets"},

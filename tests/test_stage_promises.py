@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sphere_truths import ring_errors, ring_rms
 
 import omtwarp
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.optimal.energy import MAX_RING_ERROR, MAX_RING_RMS
 from omtwarp.transport.area import AreaMonitor
@@ -22,18 +22,6 @@ VERTICES = 600
 REFINED = 10.0  # the weight of "balanced"
 # The least energy of a flip-free map may be missed by what refinement leaves: its tolerance.
 LEFT = 2e-3
-
-
-def ring_errors(surface: Surface, sphere: np.ndarray) -> np.ndarray:
-    """Solid angle around every vertex over three times its mass, less 1, by van Oosterom and Strackee's formula."""
-    a, b, c = (sphere[surface.faces[:, k]] for k in range(3))
-    dots = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
-    solid = 2 * np.arctan2((a * np.cross(b, c)).sum(1), dots)
-    return surface.sum_to_vertices(solid) / (3 * surface.vertex_areas) - 1
-
-
-def ring_rms(surface: Surface, sphere: np.ndarray) -> float:
-    return float(np.sqrt(surface.vertex_areas @ ring_errors(surface, sphere) ** 2 / (4 * np.pi)))
 
 
 @pytest.mark.parametrize("seed", range(len(KINDS)), ids=list(KINDS))

@@ -12,7 +12,7 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
-from omtwarp.children import interpreter, keep_to_safe_paths
+from omtwarp.children import interpreter, safe_paths
 from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
 from omtwarp.errors import OmtwarpError
 
@@ -242,7 +242,8 @@ class DaskCluster:
             from distributed import Client, LocalCluster
         except ImportError:
             raise OmtwarpError("Dask is not installed: pip install 'omtwarp[dask]'") from None
-        keep_to_safe_paths()
+        self._safe = contextlib.ExitStack()  # as long as the cluster may start a worker again
+        self._safe.enter_context(safe_paths())
         try:
             if address:
                 self._client = Client(address, timeout=20)
@@ -250,6 +251,7 @@ class DaskCluster:
                 cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
                 self._client = Client(cluster)
         except (OSError, ValueError) as error:
+            self._safe.close()
             raise OmtwarpError(f"no Dask scheduler answers at '{address}': {str(error).splitlines()[0]}") from None
 
     def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
@@ -267,6 +269,7 @@ class DaskCluster:
                 future.release()
         finally:
             self._client.close()
+            self._safe.close()
 
 
 class SubmititArray:
@@ -286,7 +289,6 @@ class SubmititArray:
             import submitit
         except ImportError:
             raise OmtwarpError("submitit is not installed: pip install 'omtwarp[slurm]'") from None
-        keep_to_safe_paths()
         try:
             self._executor = submitit.AutoExecutor(folder=folder / "submitit", cluster=cluster)
         except Exception as error:
@@ -303,7 +305,8 @@ class SubmititArray:
         if memory:
             limits["mem_gb"] = memory / 2**30 + 2.0
         self._executor.update_parameters(name="omtwarp-cohort", **limits)
-        running = self._executor.map_array(run_jobs, [[job.to_json() for job in share] for share in shares])
+        with safe_paths():
+            running = self._executor.map_array(run_jobs, [[job.to_json() for job in share] for share in shares])
         by_id = {task.job_id: share for task, share in zip(running, shares, strict=True)}
         for task in submitit.helpers.as_completed(running, poll_frequency=1):
             failed = task.exception()

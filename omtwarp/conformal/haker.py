@@ -19,6 +19,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import OBLIQUE, principal_axes
+from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress, Record
@@ -141,9 +142,7 @@ def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> 
 
 def _intrinsic_solver(surface: Surface, pinned: int) -> LaplacianSolver:
     """Factorise the cotangent Laplacian of the intrinsic Delaunay triangulation of a surface."""
-    from omtwarp.geometry.intrinsic import delaunay_edges  # its kernels are read for few surfaces
-
-    edges = delaunay_edges(surface)
+    edges = intrinsic_edges(surface)
     return LaplacianSolver(edge_laplacian(edges.ends, edges.weights, surface.vertex_count), pinned)
 
 

@@ -2,7 +2,7 @@
 
 Section 4.1's map solves a Laplace equation in the plane with one triangle removed, which is exact to first order in the
 size of the triangles. From there this module minimises the Dirichlet energy on the sphere itself (Gu, Wang, Chan,
-Thompson and Yau 2003) [1]_,
+Thompson and Yau 2004) [1]_,
 
     E(y) = ½ Σ w_ij |y_i - y_j|²   subject to   |y_v| = 1,   Σ m_v y_v = 0,
 
@@ -25,7 +25,8 @@ from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.haker import conformal_map
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry.intrinsic import delaunay_edges
+from omtwarp.geometry.intrinsic import INTRINSIC_EDGES, intrinsic_edges
+from omtwarp.mesh.arrays import normalised
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Progress, Record
@@ -82,20 +83,21 @@ def harmonic_points(
         OmtwarpError: the mesh cannot be mapped, or its points crowd so that they cannot be centred.
 
     Example:
-        >>> import numpy as np, omtwarp
+        >>> import omtwarp
         >>> ball = omtwarp.shapes.icosphere(8)
         >>> found = omtwarp.harmonic_points(ball, device="cpu")
         >>> found.converged, omtwarp.distortion(ball, found.sphere).angle["surface"] < 2.0001
         (True, True)
     """
     surface = as_surface(surface)
+    problem = _DirichletEnergy(surface)
     if start is None:
         given = conformal_map(surface, intrinsic=True, device=device).sphere
     else:
         given = as_sphere(start, surface)
+    surface.let_go(INTRINSIC_EDGES)  # not needed again, and large
     masses = surface.vertex_areas
     sphere, _ = centre_points(given, masses, device=device)
-    problem = _DirichletEnergy(surface)
     energy = problem.value(sphere)
     history: list[Record] = [{"iteration": 0, "energy": energy, "length": 0.0}]
     if progress is not None:
@@ -108,13 +110,13 @@ def harmonic_points(
             break
         length, moved = 1.0, None
         while length >= SHORTEST:
-            moved = _centred(_normalised(sphere + length * step), masses, device)
-            if moved is not None and problem.value(moved) < energy:
+            moved = _centred(normalised(sphere + length * step), masses, device)
+            if moved is not None and (lower := problem.value(moved)) < energy:
                 break
             moved, length = None, 0.5 * length
         if moved is None:
             break
-        sphere, energy = moved, problem.value(moved)
+        sphere, energy = moved, lower
         history.append({"iteration": number, "energy": energy, "length": length})
         if progress is not None:
             progress("conformal", number, STEPS, history[-1])
@@ -131,7 +133,7 @@ class _DirichletEnergy:
     """
 
     def __init__(self, surface: Surface):
-        found = delaunay_edges(surface)
+        found = intrinsic_edges(surface)
         count = surface.vertex_count
         low, high = np.minimum(*found.ends.T), np.maximum(*found.ends.T)
         apart = low != high  # an edge from a vertex to itself has no length on the sphere
@@ -181,7 +183,7 @@ class _DirichletEnergy:
 def _tangent_frames(sphere: Numbers) -> Numbers:
     """Return two orthonormal tangent vectors at unit vectors, shape [V, 2, 3]."""
     axes = np.eye(3)[np.argmin(np.abs(sphere), axis=1)]
-    first = _normalised(np.cross(sphere, axes))
+    first = normalised(np.cross(sphere, axes))
     return np.stack([first, np.cross(sphere, first)], axis=1)
 
 
@@ -191,11 +193,6 @@ def _centred(sphere: Numbers, masses: Numbers, device: str | None) -> Numbers | 
         return centre_points(sphere, masses, device=device)[0]
     except OmtwarpError:
         return None
-
-
-def _normalised(points: Numbers) -> Numbers:
-    """Scale points to unit length, shape [V, 3]."""
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
 __all__ = ["HarmonicMap", "harmonic_points"]

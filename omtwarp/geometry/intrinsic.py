@@ -84,6 +84,14 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
     )
 
 
+INTRINSIC_EDGES = "intrinsic Delaunay edges"  # name under which a surface keeps them
+
+
+def intrinsic_edges(surface: Surface) -> WeightedEdges:
+    """Return :func:`delaunay_edges` of a surface without jumps, which the surface keeps."""
+    return surface.kept(INTRINSIC_EDGES, lambda: delaunay_edges(surface))
+
+
 def _opposite_cotangents(
     side: NDArray[np.float64], one: NDArray[np.float64], other: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -93,4 +101,4 @@ def _opposite_cotangents(
     return (one * one + other * other - side * side) / (2.0 * doubled)
 
 
-__all__ = ["WeightedEdges", "delaunay_edges"]
+__all__ = ["INTRINSIC_EDGES", "WeightedEdges", "delaunay_edges", "intrinsic_edges"]

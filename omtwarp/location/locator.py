@@ -14,6 +14,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.location.kernels import box_triangles, find_closest, find_faces
+from omtwarp.mesh.arrays import normalised
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,15 @@ class Found:
         matrix = sparse.csr_matrix((self.coordinates.ravel(), (rows, columns)), shape=(count, vertex_count))
         matrix.eliminate_zeros()
         return matrix
+
+    def on_sphere(self, faces: NDArray[np.int32], sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where a map of the triangulation to the sphere takes the points, linearly, shape [P, 3].
+
+        Args:
+            faces: the triangulation's, shape [F, 3].
+            sphere: the map, unit vectors, shape [V, 3].
+        """
+        return normalised(np.einsum("ij,ijk->ik", self.coordinates, sphere[faces[self.faces]]))
 
 
 class Locator:

@@ -11,22 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
 from omtwarp.geometry.axes import principal_axes, turned_towards
 from omtwarp.location import Locator
+from omtwarp.mesh.arrays import normalised
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.optimal.solver import PENALTY, OptimalMap, optimal_map
 from omtwarp.refine.solver import Refiner
-from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import untangle
 
@@ -83,11 +83,6 @@ def shape_term(surface: Surface, sphere: Numbers, start: Numbers, device: str | 
     cost = transport_cost(surface, sphere, start=start, device=device) / SPHERE_AREA
     mesh = surface.on(device)
     angle = measure_triangles(mesh.vertices, mesh.faces, sphere, device=device).angle["surface"]
-    return shape_term_of(cost, angle)
-
-
-def shape_term_of(cost: float, angle: float) -> ShapeTerm:
-    """Return the weights of the shape term for a mean squared distance and a mean angle distortion."""
     bend = angle - 2.0 + LEAST_BEND
     return ShapeTerm(SHAPE_SHARE * (cost + LEAST_COST) / bend, AREA_FACTOR * float(np.sqrt(bend)))
 
@@ -110,6 +105,8 @@ def coarse_surface(surface: Surface, start: Numbers) -> tuple[Surface, Callable[
     Raises:
         OmtwarpError: points coincide, so that there is no triangulation.
     """
+    from scipy.spatial import ConvexHull, QhullError  # takes a twentieth of a second to import
+
     count = int(np.clip(surface.vertex_count / VERTICES_PER_COARSE, LEAST_COARSE, MOST_COARSE))
     vertices = surface.scaled_vertices - surface.vertex_areas @ surface.scaled_vertices / SPHERE_AREA
     places = vertices @ principal_axes(surface).frame.T / np.sqrt(SPHERE_AREA / count)
@@ -135,11 +132,7 @@ def coarse_surface(surface: Surface, start: Numbers) -> tuple[Surface, Callable[
     density = 3.0 * mass / ring
     coarse = Surface(points, faces, areas=areas * density[faces].mean(axis=1))
 
-    def carried(sphere: Numbers) -> Numbers:
-        moved = np.einsum("ij,ijk->ik", found.coordinates, sphere[faces[found.faces]])
-        return moved / np.linalg.norm(moved, axis=1, keepdims=True)
-
-    return coarse, carried
+    return coarse, partial(found.on_sphere, faces)
 
 
 def nested_start(surface: Surface, start: Numbers, *, device: str | None = "auto") -> Numbers:
@@ -161,10 +154,8 @@ def nested_start(surface: Surface, start: Numbers, *, device: str | None = "auto
         coarse, first, start=points, shape_weight=term.weight, area_weight=term.area, iterations=STEPS, device=device
     )
     sphere = carried(found.sphere)
-    if is_bijective(sphere, surface.faces, device=device):
-        return sphere
-    smooth = smoothed(surface, repaired(surface, sphere, device=device), device=device)
-    return smooth
+    whole = repaired(surface, sphere, device=device)
+    return sphere if whole is sphere else smoothed(surface, whole, device=device)
 
 
 def embedded_start(
@@ -181,9 +172,10 @@ def embedded_start(
     Raises:
         OmtwarpError: there is no embedding.
     """
+    from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
+
     sphere = hierarchical_embedding(surface, device=device).sphere if embedding is None else embedding
-    turned = turned_towards(sphere, start, surface.vertex_areas)
-    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    turned = normalised(turned_towards(sphere, start, surface.vertex_areas))
     sphere = turned if is_bijective(turned, surface.faces, device=device) else sphere
     for _ in range(MOSER_PASSES):
         try:
@@ -194,7 +186,7 @@ def embedded_start(
 
 
 def repaired(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
-    """Return a map without flipped triangles.
+    """Return a map without flipped triangles: the very array given where it has none.
 
     Raises:
         OmtwarpError: repair failed.
@@ -211,8 +203,7 @@ def smoothed(surface: Surface, sphere: Numbers, *, device: str | None = "auto") 
     """Return a map without the slivers that repair leaves, turned onto the one given; that one where it would flip."""
     refiner = Refiner(surface, resolve_device(device))
     found = refiner.minimise(sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE).sphere
-    turned = turned_towards(found, sphere, surface.vertex_areas)
-    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    turned = normalised(turned_towards(found, sphere, surface.vertex_areas))
     return turned if is_bijective(turned, surface.faces, device=device) else found
 
 
@@ -222,8 +213,9 @@ def minimised(
     start: Numbers,
     solve: Callable[..., OptimalMap],
     kept: Callable[[OptimalMap], None],
+    road: str,
     *,
-    grown: bool = False,
+    device: str | None = "auto",
 ) -> tuple[OptimalMap, ShapeTerm]:
     """Return the optimal map from a map near it, and the weights of its shape term.
 
@@ -233,11 +225,12 @@ def minimised(
         start: the points x, shape [V, 3].
         solve: :func:`omtwarp.optimal_map` of the surface, or its counterpart among symmetric maps.
         kept: called with the map of every round.
-        grown: whether the penalty on areas grows in rounds, as from a map that is far from the optimum.
+        road: ``nested`` or ``embedded``, from where the penalty on areas grows in rounds.
+        device: where the kernels run.
     """
     multipliers: Numbers | None = None
-    for penalty in GROWING_PENALTIES if grown else GROWING_PENALTIES[-1:]:
-        term = shape_term(surface, sphere, start, "cpu")
+    for penalty in GROWING_PENALTIES if road == EMBEDDED else GROWING_PENALTIES[-1:]:
+        term = shape_term(surface, sphere, start, device)
         found = solve(
             sphere,
             shape_weight=term.weight,

@@ -50,8 +50,7 @@ class Warp:
     def carry(self, points: Floats) -> Floats:
         """Return where the warp moves points of the sphere, unit vectors, shape [P, 3]."""
         found = Locator(self.grid.vertices, self.grid.faces, device="cpu").find(points)
-        moved = np.einsum("pk,pkd->pd", found.coordinates, self.points[self.grid.faces[found.faces]])
-        return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+        return found.on_sphere(self.grid.faces, self.points)
 
 
 class Warping:

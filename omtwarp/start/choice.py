@@ -13,7 +13,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import examine, is_bijective
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress
-from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.untangling.untangle import RepairBudget, untangle
 
 # Unit vectors in float64 are known to about 1e-16, and so are triple products of them: below this area, in steradians,
@@ -94,6 +93,8 @@ def _embedded(surface: Surface, device: str | None, progress: Progress | None) -
     Raises:
         OmtwarpError: there is none in float64.
     """
+    from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
+
     sphere = hierarchical_embedding(surface, device=device, progress=progress).sphere
     if not is_bijective(sphere, surface.faces, device=device):
         raise OmtwarpError("no start was found: the coarse-to-fine embedding covers the sphere more than once")
