@@ -1,19 +1,27 @@
-"""The caller's side of the drawing process: early start, requests for pictures, recovery from crashes."""
+"""The drawing process, in which pyrender draws: its early start, requests for pictures, recovery from crashes.
+
+An OpenGL driver may crash, hang, or conflict with other users of OpenGL in a process, and it reads environment
+variables that must be set before it is loaded. It therefore runs in a process of its own, which the caller can time and
+end. Messages are pickles; both ends are the same program.
+"""
 
 from __future__ import annotations
 
 import atexit
 import importlib.util
+import math
 import os
+import pickle
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
+import time
+from contextlib import suppress
 from typing import IO, TYPE_CHECKING, cast
 
 from omtwarp.children import interpreter
-from omtwarp.render.drawing_process import receive, send
-from omtwarp.render.installing import INSTALL_GL, INSTALL_PYRENDER
 
 if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
     import numpy as np
@@ -24,11 +32,10 @@ if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
 # Long enough for a software driver on a busy machine: one that has not answered by then hangs.
 START_SECONDS = 120.0
 PICTURE_SECONDS = 180.0
-IDLE_SECONDS = 60.0  # after which the drawing process ends, and frees its memory
+IDLE_SECONDS = 60.0  # after which the drawing process gets no more jobs
+SPARE_SECONDS = 5.0  # until it then ends and frees its memory, so that it never does so while a job arrives
 
-_COMMAND = "from omtwarp.render.drawing_process import main; main()"
-
-LAST_BYTES = 2000  # of the drawing process's log, in which its last line is looked for
+_COMMAND = "from omtwarp.render.gl_client import serve; serve()"
 
 
 class DrawingFailed(Exception):
@@ -39,11 +46,43 @@ class DrawingFailed(Exception):
         self.lasting = lasting
 
 
-class _Expired(Exception):
-    """The process was ended for idleness just before the next request."""
+def _send(stream: IO[bytes], message: object) -> None:
+    pickle.dump(message, stream, protocol=pickle.HIGHEST_PROTOCOL)
+    stream.flush()
 
 
-class DrawingProcess:
+def serve() -> None:
+    """Draw the jobs on standard input until it ends, or none comes for a while; write answers to standard output."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and closes the pipe
+    replies = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever a driver prints must not mix with the replies
+    try:
+        from omtwarp.render.pyrender_renderer import GLRenderer
+
+        renderer = GLRenderer()
+    except Exception as error:
+        known = type(error).__name__ == "GLUnavailable"
+        reason = str(error) if known else f"OpenGL could not be started: {type(error).__name__}: {error}"
+        return _send(replies, ("unavailable", reason))
+    _send(replies, ("ready", renderer.device))
+    idle = threading.Timer(0.0, os._exit)  # started after each job
+    while True:
+        try:
+            job = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        idle.cancel()
+        try:
+            answer: tuple[str, object] = ("pictures", renderer.draw(job))
+        except Exception as error:
+            answer = ("failed", f"{type(error).__name__}: {error}".splitlines()[0])
+        _send(replies, answer)
+        idle = threading.Timer(IDLE_SECONDS + SPARE_SECONDS, os._exit, (0,))
+        idle.daemon = True
+        idle.start()
+
+
+class _DrawingProcess:
     """A child process with an OpenGL context.
 
     It starts in the background (importing pyrender, opening a context) while the caller reads its mesh, and is kept for
@@ -54,19 +93,16 @@ class DrawingProcess:
         self._owner = os.getpid()
         self._log: IO[bytes] = tempfile.TemporaryFile()
         self._lock = threading.Lock()
-        self._idle: threading.Timer | None = None
+        self._until = math.inf
         self.device: str | None = None
         self._process = subprocess.Popen(
-            interpreter(_COMMAND),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._log,
+            interpreter(_COMMAND), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log
         )
 
     @property
     def usable(self) -> bool:
-        """Whether the process runs and belongs to this one (after a fork it does not)."""
-        return self._owner == os.getpid() and self._process.poll() is None
+        """Whether the process runs, is not about to end, and belongs to this one (after a fork it does not)."""
+        return self._owner == os.getpid() and time.monotonic() < self._until and self._process.poll() is None
 
     def draw(self, job: RenderJob) -> list[NDArray[np.uint8]]:
         """Draw a job.
@@ -75,86 +111,55 @@ class DrawingProcess:
             DrawingFailed: no OpenGL, or the process crashed, hung or reported an error.
         """
         with self._lock:
-            self._cancel_idle()
-            if not self.usable:
-                raise _Expired
             try:
                 if self.device is None:
-                    kind, payload = self._exchange(None, START_SECONDS)
+                    kind, text = self._answer(None, START_SECONDS)
                     if kind != "ready":
-                        self.close()
-                        raise DrawingFailed(str(payload), lasting=True)
-                    self.device = str(payload)
-                kind, payload = self._exchange(job, PICTURE_SECONDS * max(1, len(job.shots)))
+                        raise DrawingFailed(str(text), lasting=True)
+                    self.device = str(text)
+                kind, answer = self._answer(job, PICTURE_SECONDS * max(1, len(job.shots)))
             except BaseException:
                 self.close()  # after a failure or Ctrl-C the pipe may hold half a message
                 raise
-            if kind != "pictures":
-                raise DrawingFailed(str(payload))
-            self._idle = threading.Timer(IDLE_SECONDS, self._expire)
-            self._idle.daemon = True
-            self._idle.start()
-            return cast("list[NDArray[np.uint8]]", payload)
+            self._until = time.monotonic() + IDLE_SECONDS
+        if kind != "pictures":
+            raise DrawingFailed(str(answer))
+        return cast("list[NDArray[np.uint8]]", answer)
 
-    def _expire(self) -> None:
-        with self._lock:
-            if self._idle is threading.current_thread():  # else a picture was requested in the meantime
-                self.close()
-
-    def _exchange(self, job: RenderJob | None, seconds: float) -> tuple[str, object]:
-        """Send a job (or none) and wait for one message; a thread does both, since pipes have no timeout."""
-        outcome: list[tuple[str, object]] = []
-
-        def talk() -> None:
-            try:
-                if job is not None:
-                    send(self._process.stdin, job)  # type: ignore[arg-type]
-                outcome.append(cast(tuple[str, object], receive(self._process.stdout)))  # type: ignore[arg-type]
-            except (EOFError, OSError, ValueError):
-                pass
-
-        thread = threading.Thread(target=talk, daemon=True)
-        thread.start()
-        thread.join(seconds)
-        if thread.is_alive():
-            raise DrawingFailed(f"the OpenGL driver gave no picture within {seconds:.0f} s", lasting=True)
-        if not outcome:
-            raise DrawingFailed(f"the OpenGL driver ended its process ({self._last_words()})", lasting=True)
-        return outcome[0]
+    def _answer(self, job: RenderJob | None, seconds: float) -> tuple[str, object]:
+        """Send a job, if any, and wait for one message; pipes have no timeout, so that a late process is ended."""
+        end = time.monotonic() + seconds
+        timer = threading.Timer(seconds, self._process.kill)
+        timer.daemon = True
+        timer.start()
+        try:
+            if job is not None:
+                _send(cast("IO[bytes]", self._process.stdin), job)
+            return cast("tuple[str, object]", pickle.load(cast("IO[bytes]", self._process.stdout)))
+        except (EOFError, OSError, pickle.UnpicklingError) as error:
+            reason = f"gave no picture within {seconds:.0f} s" if time.monotonic() >= end else self._last_words()
+            raise DrawingFailed(f"the OpenGL driver {reason}", lasting=True) from error
+        finally:
+            timer.cancel()
 
     def _last_words(self) -> str:
-        try:
-            code = self._process.wait(5)
-        except subprocess.TimeoutExpired:
-            code = None
-        self._log.seek(0, os.SEEK_END)
-        self._log.seek(max(0, self._log.tell() - LAST_BYTES))
+        code = self._process.wait(5)
+        self._log.seek(0)
         lines = self._log.read().decode(errors="replace").strip().splitlines()
-        return f"exit status {code}" + (f": {lines[-1].strip()}" if lines else "")
-
-    def _cancel_idle(self) -> None:
-        if self._idle is not None:
-            self._idle.cancel()
-            self._idle = None
+        return f"ended its process (exit status {code}{''.join(f': {line.strip()}' for line in lines[-1:])})"
 
     def close(self) -> None:
         """End the child process."""
         if self._owner != os.getpid():
             return
-        self._cancel_idle()
-        if self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
-            try:
-                if stream is not None:
-                    stream.close()
-            except OSError:
-                pass
-        self._log.close()
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout, self._log):
+            with suppress(OSError):
+                cast("IO[bytes]", stream).close()
 
 
-_current: DrawingProcess | None = None
+_current: _DrawingProcess | None = None
 _no_use: str | None = None
 
 
@@ -162,6 +167,8 @@ def reason_against() -> str | None:
     """Say why no picture can be drawn with OpenGL here; None while no reason is known."""
     global _no_use
     if _no_use is None and importlib.util.find_spec("pyrender") is None:
+        from omtwarp.render.pyrender_compat import INSTALL_GL, INSTALL_PYRENDER
+
         _no_use = f"pyrender is not installed ({INSTALL_PYRENDER}; on Debian and Ubuntu also {INSTALL_GL})"
     if _no_use is None and not sys.executable:
         _no_use = "there is no Python executable to start the drawing process with"
@@ -172,7 +179,8 @@ def prepare() -> None:
     """Start the drawing process if there is none, without waiting for it."""
     global _current
     if reason_against() is None and (_current is None or not _current.usable):
-        _current = DrawingProcess()
+        shut_down()
+        _current = _DrawingProcess()
 
 
 def draw(job: RenderJob) -> tuple[list[NDArray[np.uint8]], str]:
@@ -182,31 +190,25 @@ def draw(job: RenderJob) -> tuple[list[NDArray[np.uint8]], str]:
         The pictures, and the name of the device that drew them.
 
     Raises:
-        DrawingFailed: see :class:`DrawingProcess`.
+        DrawingFailed: pyrender or OpenGL is missing, or the process crashed, hung or reported an error.
     """
     global _no_use
-    reason = reason_against()
-    if reason is not None:
+    if reason := reason_against():
         raise DrawingFailed(reason, lasting=True)
-    while True:
-        prepare()
-        assert _current is not None
-        try:
-            return _current.draw(job), _current.device or "unknown"
-        except _Expired:
-            continue
-        except DrawingFailed as failure:
-            if failure.lasting:
-                _no_use = str(failure)
-            raise
+    prepare()
+    assert _current is not None
+    try:
+        return _current.draw(job), _current.device or "unknown"
+    except DrawingFailed as failure:
+        if failure.lasting:
+            _no_use = str(failure)
+        raise
 
 
+@atexit.register
 def shut_down() -> None:
     """End the drawing process, if there is one."""
     global _current
     if _current is not None:
         _current.close()
         _current = None
-
-
-atexit.register(shut_down)

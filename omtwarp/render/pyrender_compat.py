@@ -11,7 +11,7 @@ It requires PyOpenGL 3.1.0 exactly. What is changed, why, and where it was repor
   github.com/mcfletch/pyopengl/issues/99.
 
 Call :func:`import_pyrender` before anything else imports pyrender or OpenGL in the process. It runs in the drawing
-process only (see :mod:`omtwarp.render.drawing_process`), so that its changes affect no other code.
+process only (see :mod:`omtwarp.render.gl_client`), so that its changes affect no other code.
 """
 
 from __future__ import annotations
@@ -21,10 +21,13 @@ import os
 import sys
 import types
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
-from omtwarp.render.installing import INSTALL_GL, INSTALL_PYRENDER
+INSTALL_GL = "apt-get install --no-install-recommends libegl1 libgl1"
+INSTALL_PYRENDER = "pip install 'omtwarp[preview]'"
 
 
 class GLUnavailable(Exception):
@@ -40,64 +43,41 @@ def import_pyrender() -> types.ModuleType:
     Raises:
         GLUnavailable: pyrender or an OpenGL library is missing.
     """
-    if sys.platform.startswith("linux"):
+    linux = sys.platform.startswith("linux")
+    if linux:
         os.environ["PYOPENGL_PLATFORM"] = "egl"  # the same path for llvmpipe and for a GPU's driver
-    _restore_numpy_name()
+    if not hasattr(np, "infty"):
+        setattr(np, "infty", np.inf)  # noqa: B010
     viewer = types.ModuleType("pyrender.viewer")
     viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
     sys.modules.setdefault("pyrender.viewer", viewer)
     # For good: PyOpenGL looks for libraries when they are first used, EGL long after this.
-    ctypes.util.find_library = _find_library(ctypes.util.find_library)  # type: ignore[assignment]
+    ctypes.util.find_library = partial(_find_library, ctypes.util.find_library)  # type: ignore[assignment]
     try:
         import OpenGL
 
         OpenGL.ERROR_LOGGING = False
         import OpenGL.GL
+        from OpenGL.plugins import FormatHandler
 
-        _teach_array_handler()
+        handler = FormatHandler.by_name("ctypesparameter")
+        if handler is not None and "_ctypes.CArgObject" not in handler.check:
+            handler.check.append("_ctypes.CArgObject")
         import pyrender
-    except ImportError as error:
-        if error.name in ("pyrender", "OpenGL"):
+    except (ImportError, AttributeError, OSError) as error:
+        # libEGL without libGL: 'NoneType' has no attribute 'glGetError'
+        if isinstance(error, ImportError) and error.name in ("pyrender", "OpenGL"):
             raise GLUnavailable(f"pyrender is not installed ({INSTALL_PYRENDER})") from error
-        raise GLUnavailable(_missing(error)) from error
-    except (AttributeError, OSError) as error:  # libEGL without libGL: 'NoneType' has no attribute 'glGetError'
-        raise GLUnavailable(_missing(error)) from error
+        missing = f"with EGL was found ({INSTALL_GL})" if linux else f"was found ({error})"
+        raise GLUnavailable(f"no OpenGL library {missing}") from error
     return pyrender
 
 
-def _missing(error: Exception) -> str:
-    if sys.platform.startswith("linux"):
-        return f"no OpenGL library with EGL was found ({INSTALL_GL})"
-    return f"no OpenGL library was found ({error})"
-
-
-def _restore_numpy_name() -> None:
-    """Restore ``np.infty``, which pyrender's bounding boxes use and NumPy 2 removed."""
-    if not hasattr(np, "infty"):
-        setattr(np, "infty", np.inf)  # noqa: B010
-
-
-def _find_library(original: Callable[[str], str | None]) -> Callable[[str], str | None]:
-    """Return a search that also tries the loader: PyOpenGL 3.1.0 asks ldconfig alone, without LD_LIBRARY_PATH."""
-
-    def find(name: str) -> str | None:
-        found: str | None = original(name)
-        if found is None and sys.platform.startswith("linux") and name in ("EGL", "GL"):
-            candidate = f"lib{name}.so.1"
-            try:
-                ctypes.CDLL(candidate)
-            except OSError:
-                return None
-            return candidate
-        return found
-
-    return find
-
-
-def _teach_array_handler() -> None:
-    """Register the type behind ``byref``, which Python 3.12 renamed and PyOpenGL 3.1.0 knows by name only."""
-    from OpenGL.plugins import FormatHandler
-
-    handler = FormatHandler.by_name("ctypesparameter")
-    if handler is not None and "_ctypes.CArgObject" not in handler.check:
-        handler.check.append("_ctypes.CArgObject")
+def _find_library(original: Callable[[str], str | None], name: str) -> str | None:
+    """Find a library as ``original`` does or, where that finds no OpenGL, by asking the loader."""
+    found = original(name)
+    if found is None and sys.platform.startswith("linux") and name in ("EGL", "GL"):
+        with suppress(OSError):
+            ctypes.CDLL(f"lib{name}.so.1")
+            return f"lib{name}.so.1"
+    return found

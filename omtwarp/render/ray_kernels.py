@@ -1,4 +1,4 @@
-"""Kernels of the ray caster: the same filter, light and lines as the shaders in ``shaders.py``.
+"""Kernels of the ray caster: the same filter, light and lines as the shaders in ``shaders/mesh.frag``.
 
 Single precision throughout, unlike the rest of the package: the result is eight bits per channel, and Warp's ray query
 takes nothing else.

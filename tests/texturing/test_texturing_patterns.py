@@ -11,11 +11,10 @@ from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import PatternName
 from omtwarp.texturing import pattern, patterns, rasterize
-from omtwarp.texturing.coastlines import coastline_segments
 from omtwarp.texturing.patterns.base import Pattern
 from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.patterns.circles import STORED, Circles, stored_circles
-from omtwarp.texturing.patterns.globe import Globe
+from omtwarp.texturing.patterns.globe import Globe, coastline_segments
 from omtwarp.texturing.patterns.puzzle import Puzzle
 from omtwarp.texturing.projection import direction_from_angles
 

@@ -1,14 +1,18 @@
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
-"""Land, sea and graticule; the coastlines are those of Natural Earth (public domain), simplified."""
+"""Land, sea and graticule.
+
+The coastlines were made from Natural Earth (naturalearthdata.com), which is in the public domain: the outlines of the
+countries at 1:110 million with every border between two countries dropped, rounded to a hundredth of a degree.
+"""
 
 from functools import lru_cache
+from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing.coastlines import coastline_segments
 from omtwarp.texturing.patterns.base import Pattern, srgb_colours
 from omtwarp.texturing.patterns.kernels import cell_of, latitude, longitude, near_multiple
 
@@ -179,6 +183,18 @@ class Globe(Pattern):
         ]
 
 
+def coastline_segments() -> NDArray[np.float64]:
+    """Return the two ends of every straight piece of coast as (longitude, latitude) in degrees, shape [S, 2, 2].
+
+    The pieces form closed rings in the plane of longitude and latitude, with land on one side: a point is on land when
+    a path from the outside crosses them an odd number of times. The rings of Antarctica and of the far east of Asia run
+    along the map's edge where longitude wraps; those pieces close the rings and are no coast.
+    """
+    with (files("omtwarp.texturing") / "assets" / "coastlines.npy").open("rb") as stream:
+        hundredths: NDArray[np.float64] = np.load(stream) / 100.0
+    return hundredths
+
+
 @lru_cache(maxsize=2)
 def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
     """Return a grid over longitude and latitude with the coast pieces near each cell, and whether its centre is land.
@@ -227,4 +243,4 @@ def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
     return pieces.reshape(-1, 4), real, offsets, members, land.ravel()
 
 
-__all__ = ["Globe"]
+__all__ = ["Globe", "coastline_segments"]
