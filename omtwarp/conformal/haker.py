@@ -23,7 +23,7 @@ from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress, Record
-from omtwarp.solvers.poisson import LaplacianSolver, PoissonSolver, SurfaceLaplacianSolver, edge_laplacian, solve_arrays
+from omtwarp.solvers.poisson import EdgeLaplacianSolver, PoissonSolver, SurfaceLaplacianSolver, solve_arrays
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
 PARTS = 4  # of the work in progress reports: half is the factorisation
@@ -93,7 +93,7 @@ def conformal_map(
     pinned = int(surface.faces[face, 0])
     solver: PoissonSolver
     if intrinsic:
-        solver = _intrinsic_solver(surface, pinned)
+        solver = intrinsic_solver(surface, pinned)
     else:
         solver = SurfaceLaplacianSolver(surface, points, pinned=pinned, device=device)
     if progress is not None:
@@ -140,10 +140,10 @@ def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> 
     return int(best[np.argmax((p0 + p1 + p2)[best] @ OBLIQUE)])
 
 
-def _intrinsic_solver(surface: Surface, pinned: int) -> LaplacianSolver:
+def intrinsic_solver(surface: Surface, pinned: int = 0) -> EdgeLaplacianSolver:
     """Factorise the cotangent Laplacian of the intrinsic Delaunay triangulation of a surface."""
-    edges = intrinsic_edges(surface)
-    return LaplacianSolver(edge_laplacian(edges.ends, edges.weights, surface.vertex_count), pinned)
+    edges, weights = intrinsic_edges(surface)
+    return EdgeLaplacianSolver(surface, weights, pinned, edges=edges)
 
 
 def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -84,12 +84,24 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
     )
 
 
-INTRINSIC_EDGES = "intrinsic Delaunay edges"  # name under which a surface keeps them
+def intrinsic_edges(surface: Surface) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return the pairs of vertices that intrinsic Delaunay edges join, and their weights; the surface keeps them.
 
+    Edges that join the same two vertices are one pair, whose weight is their sum; one from a vertex to itself is none.
 
-def intrinsic_edges(surface: Surface) -> WeightedEdges:
-    """Return :func:`delaunay_edges` of a surface without jumps, which the surface keeps."""
-    return surface.kept(INTRINSIC_EDGES, lambda: delaunay_edges(surface))
+    Returns:
+        The pairs (i, j), i < j, in order, shape [E, 2], and the weights, shape [E].
+    """
+
+    def pairs() -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        edges, count = delaunay_edges(surface), surface.vertex_count
+        low, high = np.minimum(*edges.ends.T), np.maximum(*edges.ends.T)
+        apart = low != high
+        keys, place = np.unique(low[apart] * count + high[apart], return_inverse=True)
+        weights = np.bincount(place, edges.weights[apart]).astype(np.float64)
+        return np.stack([keys // count, keys % count], axis=1).astype(np.int32), weights
+
+    return surface.kept("intrinsic Delaunay edges", pairs)
 
 
 def _opposite_cotangents(
@@ -101,4 +113,4 @@ def _opposite_cotangents(
     return (one * one + other * other - side * side) / (2.0 * doubled)
 
 
-__all__ = ["INTRINSIC_EDGES", "WeightedEdges", "delaunay_edges", "intrinsic_edges"]
+__all__ = ["WeightedEdges", "delaunay_edges", "intrinsic_edges"]

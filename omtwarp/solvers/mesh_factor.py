@@ -18,7 +18,13 @@ from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import solves_with_cudss, solves_with_scipy
 from omtwarp.device.threads import pool
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, NotPositiveDefinite, surface_dissection
+from omtwarp.solvers.cholesky import (
+    Dissection,
+    MultifrontalCholesky,
+    NotPositiveDefinite,
+    part_dissection,
+    surface_dissection,
+)
 from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
 from omtwarp.solvers.cholesky.multifrontal import SymmetricFactor
 from omtwarp.solvers.cholesky.saddle import SaddleFactor, expand
@@ -193,13 +199,28 @@ def mesh_factor(
     return MultifrontalCholesky(dissection(), block, workspace=workspace)
 
 
-def surface_factor(surface: Surface, block: int = 1, workspace: Workspace | None = None) -> MeshFactor:
-    """Factorise a matrix on the edges of a surface, which keeps the order of elimination."""
+def surface_factor(
+    surface: Surface,
+    block: int = 1,
+    workspace: Workspace | None = None,
+    edges: NDArray[np.int32] | None = None,
+) -> MeshFactor:
+    """Factorise a matrix on the edges of a surface, which keeps the order of elimination.
+
+    Args:
+        surface: closed, V vertices.
+        block, workspace: as of :func:`mesh_factor`.
+        edges: those of its intrinsic Delaunay triangulation, in place of its own.
+    """
+
+    def order() -> Dissection:
+        if edges is None or edges is surface.edges:
+            return surface_dissection(surface)
+        return part_dissection(surface, np.arange(surface.vertex_count), edges)
+
     if solves_with_cudss():
-        return CudssFactor(surface_dissection(surface), block)
-    return mesh_factor(
-        surface.vertex_count, surface.edges, lambda: surface_dissection(surface), block, workspace=workspace
-    )
+        return CudssFactor(order(), block)
+    return mesh_factor(surface.vertex_count, surface.edges if edges is None else edges, order, block, workspace)
 
 
 def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) -> SaddlePointFactor:

@@ -189,7 +189,7 @@ def _of_cotangents(surface: Surface, points: NDArray[np.float64], pinned: int) -
 
 
 class EdgeLaplacianSolver:
-    """Solves L u = b on the host for the Laplacian of any weights of a surface's edges.
+    """Solves L u = b directly for the Laplacian of any weights of a surface's edges.
 
     (L u)_i is the sum of w_ij (u_i - u_j) over the edges (i, j) at vertex i.
 
@@ -197,10 +197,17 @@ class EdgeLaplacianSolver:
         surface: a closed surface, V vertices and E edges; it keeps the order of elimination.
         weights: of its edges, float64, shape [E].
         pinned: the vertex held at zero while solving.
+        edges: those of its intrinsic Delaunay triangulation, shape [E, 2], where the weights are theirs.
     """
 
-    def __init__(self, surface: Surface, weights: NDArray[np.float64], pinned: int = 0):
-        edges = surface.edges
+    def __init__(
+        self,
+        surface: Surface,
+        weights: NDArray[np.float64],
+        pinned: int = 0,
+        edges: NDArray[np.int32] | None = None,
+    ):
+        edges = surface.edges if edges is None else edges
         count = surface.vertex_count
         diagonal = np.bincount(edges[:, 0], weights, count) + np.bincount(edges[:, 1], weights, count)
         # The pinned vertex stays in the matrix without couplings: its unknown is its right-hand side, zero.
@@ -208,7 +215,7 @@ class EdgeLaplacianSolver:
         self._edges, self._weights, self._count = edges, weights, count
         self._pinned = pinned
         self._fallback: LaplacianSolver | None = None
-        self._factor = surface_factor(surface)
+        self._factor = surface_factor(surface, edges=edges)
         try:
             typical = float(np.median(diagonal))
             self._factor.factorise(

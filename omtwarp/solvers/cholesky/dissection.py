@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky.separators import least_separators
 
@@ -417,10 +418,22 @@ def part_dissection(surface: Surface, vertices: NDArray[np.intp], edges: NDArray
 
 
 def _surface_nodes(surface: Surface) -> NDArray[np.int64]:
-    """Return every vertex's node in the surface's tree of dissection, computed once."""
-    return surface.kept(
-        "tree of dissection", lambda: _bisect(surface.scaled_vertices, surface.edges, MAX_LEAF_VERTICES)
-    )
+    """Return every vertex's node in the surface's tree of dissection, computed once.
+
+    Its separators cut the edges of the surface and those of its intrinsic Delaunay triangulation: one tree serves both.
+    """
+
+    def tree() -> NDArray[np.int64]:
+        count = surface.vertex_count
+        own, intrinsic = (
+            edges.min(axis=1).astype(np.int64) * count + edges.max(axis=1)
+            for edges in (surface.edges, intrinsic_edges(surface)[0])
+        )
+        keys = np.union1d(own, intrinsic)
+        edges = np.stack([keys // count, keys % count], axis=1).astype(np.int32)
+        return _bisect(surface.scaled_vertices, edges, MAX_LEAF_VERTICES)
+
+    return surface.kept("tree of dissection", tree)
 
 
 def of_unknowns(
