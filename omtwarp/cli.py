@@ -11,7 +11,7 @@ import sys
 import typer
 
 from omtwarp.commands._command import Command, Group
-from omtwarp.commands._streams import standard_streams
+from omtwarp.commands._streams import say, standard_streams
 from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
 from omtwarp.commands.check import check_mesh
@@ -29,7 +29,7 @@ from omtwarp.commands.spharm import spharm
 from omtwarp.commands.texture import texture_mesh
 from omtwarp.commands.transfer import transfer
 from omtwarp.commands.unwrap import unwrap_mesh
-from omtwarp.errors import INTERRUPTED, OmtwarpError, one_line, with_options
+from omtwarp.errors import INTERRUPTED, OmtwarpError, unexpected
 from omtwarp.interruptions import LINE, ending_the_process
 
 EXAMPLES = {
@@ -168,10 +168,7 @@ def main(arguments: list[str] | None = None) -> None:
                     _app_for(sys.argv[1:] if arguments is None else arguments)(args=arguments, prog_name="omtwarp")
                 except OmtwarpError as error:
                     _fail(str(error))
-        except OmtwarpError as error:  # of the streams themselves
-            _fail(str(error))
         except BrokenPipeError:  # the reader of the output has ended
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(1)
         except MemoryError:
             _fail("out of memory: use a coarser mesh, or a machine with more")
@@ -181,8 +178,7 @@ def main(arguments: list[str] | None = None) -> None:
         except Exception as error:
             if os.environ.get("OMTWARP_TRACEBACK"):
                 raise
-            kind = type(error).__name__
-            _fail(f"internal error, {kind}: {error} (OMTWARP_TRACEBACK=1 shows where; please report it)")
+            _fail(unexpected(error, " (OMTWARP_TRACEBACK=1 shows where; please report it)"))
 
 
 def _app_for(arguments: list[str]) -> typer.Typer:
@@ -199,7 +195,7 @@ def _app_for(arguments: list[str]) -> typer.Typer:
 
 
 def _fail(message: str) -> None:
-    print(f"omtwarp: error: {one_line(with_options(message))}", file=sys.stderr)
+    say(f"error: {message}")
     sys.exit(1)
 
 

@@ -45,6 +45,19 @@ def with_options(text: str) -> str:
     return ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')}{' ' if found[2] else ''}{found[2] or ''}", text)
 
 
+def unexpected(error: Exception, hint: str = "") -> str:
+    """Return a line about an error that is not the package's own: the system's about a file, or one in the package.
+
+    >>> unexpected(PermissionError(13, "Permission denied", "kernels"), " (please report it)")
+    "'kernels': Permission denied"
+    >>> unexpected(KeyError("gap"), " (please report it)")
+    "internal error, KeyError: 'gap' (please report it)"
+    """
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"'{error.filename}': {error.strerror}"
+    return f"internal error, {type(error).__name__}: {error}{hint}"
+
+
 class OmtwarpWarning(UserWarning):
     """Warns of a map that is one to one but worse than it should be: the measure, the worst place and what would help.
 

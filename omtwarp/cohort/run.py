@@ -109,6 +109,8 @@ def run_cohort(
     asked = _asked(options) | {"repair": repair}
     if fill_area is not None:
         asked["fill_area"] = str(choose(FillArea, fill_area))
+    from omtwarp.cohort.page import write_page  # loads Warp, which fails before the work where it cannot start
+
     target = Path(folder).absolute()
     with folder_of_results(target, *RESULTS):  # refused before the work, not after it
         make_folders(target)
@@ -135,8 +137,6 @@ def run_cohort(
             records = executor_for(executor, target, workers).records(todo)
             _follow(records, len(mine) - len(todo), len(mine), progress)
     complete_journal(jobs, target)
-    from omtwarp.cohort.page import write_page  # loads Warp, which a driver does not need while it waits
-
     rows = [_row(item, job) for item, job in zip(items, jobs, strict=True)]
     with folder_of_results(target, *RESULTS):
         table = write_table(rows, target)

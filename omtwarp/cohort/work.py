@@ -13,7 +13,7 @@ import numpy as np
 
 from omtwarp.any_surface import map_surface
 from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, locked, read_record, write_record
-from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, unexpected
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.seams import read_joined_mesh
@@ -38,7 +38,7 @@ def run_item(job: Job) -> Row:
         except OmtwarpError as error:
             numbers, status, message = {}, ERROR, str(error)
         except Exception as error:
-            numbers, status, message = {}, ERROR, f"internal error, {type(error).__name__}: {error}"
+            numbers, status, message = {}, ERROR, unexpected(error)
         numbers |= {"seconds": time.perf_counter() - begun, "cpu_seconds": time.process_time() - used}
         return write_record(job, status, message, **numbers, memory=_peak_memory())
 

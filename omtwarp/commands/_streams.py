@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -42,13 +43,48 @@ class _Streams:
 
 
 class _Shown:
-    """A stream of text that names no temporary file."""
+    """A stream of text that names no temporary file, and fails in a line, or not at all where it need not be read."""
 
-    def __init__(self, stream: TextIO, streams: _Streams):
-        self._stream, self._streams = stream, streams
+    def __init__(self, stream: TextIO, streams: _Streams, *, needed: bool):
+        self._stream, self._streams, self._needed = stream, streams, needed
+        self._failed = False
 
     def write(self, text: str) -> int:
-        return self._stream.write(self._streams.shown(text))
+        return self.tried(lambda: self._stream.write(self._streams.shown(text))) or 0
+
+    def flush(self) -> None:
+        self.tried(self._stream.flush)
+
+    def send(self, data: bytes) -> None:
+        """Write bytes after the text."""
+        self.flush()
+        self.tried(lambda: self._stream.buffer.write(data))
+        self.tried(self._stream.buffer.flush)
+
+    def tried(self, write: Callable[[], int | None]) -> int | None:
+        """Write, and note where that fails.
+
+        Raises:
+            OmtwarpError: it cannot be written, and is needed.
+            BrokenPipeError: it is needed, and its reader has ended.
+        """
+        try:
+            return write()
+        except OSError as error:
+            self._failed = True
+            if not self._needed:
+                return None
+            if isinstance(error, BrokenPipeError):
+                raise
+            raise OmtwarpError(f"cannot write to standard output: {error.strerror or error}") from None
+
+    def end(self) -> None:
+        """Lead a stream that could not be written nowhere, so that the end of the process does not try it again."""
+        if self._failed:
+            with contextlib.suppress(OSError):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, self._stream.fileno())
+                os.close(nowhere)
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._stream, name)
@@ -72,30 +108,28 @@ def standard_streams() -> Iterator[None]:
 
         before, _current = _current, _Streams(folder)
         streams = _current
+        shown, messages = _Shown(sys.stdout, streams, needed=True), _Shown(sys.stderr, streams, needed=False)
+        sys.stdout, sys.stderr = cast(tuple[TextIO, TextIO], (shown, messages))
         try:
             try:
                 yield
             except SystemExit as end:
                 if end.code not in (None, 0):
+                    with contextlib.suppress(OmtwarpError):  # what failed first has been said
+                        shown.flush()
                     raise
-                _send(streams, real[0])
+                file = streams.output
+                try:
+                    shown.send(file.read_bytes() if file is not None and file.exists() else b"")
+                except OmtwarpError as error:
+                    say(f"error: {error}")
+                    sys.exit(1)
                 raise
         finally:
             _current = before
             sys.stdout, sys.stderr = real
-
-
-def _send(streams: _Streams, stdout: TextIO) -> None:
-    if streams.output is not None and streams.output.exists():
-        stdout.flush()
-        stdout.buffer.write(streams.output.read_bytes())
-        stdout.buffer.flush()
-
-
-def _replace_streams(streams: _Streams) -> None:
-    if not isinstance(sys.stderr, _Shown):
-        shown = _Shown(sys.stdout, streams), _Shown(sys.stderr, streams)
-        sys.stdout, sys.stderr = cast(tuple[TextIO, TextIO], shown)
+            shown.end()
+            messages.end()
 
 
 def input_file(given: object) -> object:
@@ -129,7 +163,6 @@ def input_file(given: object) -> object:
     file = _current.folder() / f"standard-input{suffix}"
     file.write_bytes(data)
     _current.names[str(file)] = "standard input"
-    _replace_streams(_current)
     return file
 
 
@@ -153,11 +186,12 @@ def output_file(suffix: str) -> Callable[[object], object]:
     def chosen(given: object) -> object:
         if given != STREAM or _current is None:
             return given
+        if getattr(sys.stdout, "name", "") == os.devnull:  # opened in place of one that is closed
+            raise OmtwarpError("standard output is closed: name a file with -o")
         if sys.stdout.isatty():
             raise OmtwarpError("standard output is a terminal: pipe it into a program or file, or name a file with -o")
         _current.output = _current.folder() / f"standard-output{suffix}"
         _current.names[str(_current.output)] = "standard output"
-        _replace_streams(_current)
         sys.stdout = sys.stderr
         return _current.output
 

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 
 import warp as wp
 
+from omtwarp.errors import OmtwarpError
+
 _NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 
@@ -68,8 +70,16 @@ def _flush_stderr() -> None:
 
 if wp.config.log_level < wp.LOG_WARNING:
     wp.config.log_level = wp.LOG_WARNING  # no banner in a library; a stricter level set by the caller is kept
-with contextlib.nullcontext() if _has_cuda_driver() else _without_driver_message():
-    wp.init()
+try:
+    with contextlib.nullcontext() if _has_cuda_driver() else _without_driver_message():
+        wp.init()
+except OSError as error:
+    if error.filename is None:
+        raise
+    raise OmtwarpError(
+        f"compiled kernels cannot be kept in '{error.filename}': {error.strerror}; "
+        "name another folder in the environment variable WARP_CACHE_PATH"
+    ) from None
 
 # Options of every file of kernels. None is differentiated; the compiler unrolls loops, not the text it is
 # given. One header precedes all files and is compiled by every process that compiles kernels, once for every set of
