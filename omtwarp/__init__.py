@@ -24,8 +24,8 @@ _PUBLIC = {
     "OmtwarpWarning": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
     "TargetDensity": "omtwarp.measures",
-    "Material": "omtwarp.materials",
-    "PaintedMesh": "omtwarp.materials",
+    "Material": "omtwarp.texturing",
+    "PaintedMesh": "omtwarp.texturing",
     "align": "omtwarp.alignment",
     "TorusMap": "omtwarp.torus.torus_map",
     "barycentric_map": "omtwarp.baselines",
@@ -48,7 +48,7 @@ _PUBLIC = {
     "paper_flow": "omtwarp.transport.paper",
     "preview": "omtwarp.render",
     "read_mesh": "omtwarp.mesh.read",
-    "read_painted_mesh": "omtwarp.materials",
+    "read_painted_mesh": "omtwarp.texturing",
     "refine_map": "omtwarp.optimal.refinement",
     "register": "omtwarp.registration",
     "repair": "omtwarp.mesh.repair",
@@ -75,9 +75,6 @@ if TYPE_CHECKING:
     from omtwarp.conformal import mobius_centring as mobius_centring
     from omtwarp.errors import OmtwarpError as OmtwarpError
     from omtwarp.errors import OmtwarpWarning as OmtwarpWarning
-    from omtwarp.materials import Material as Material
-    from omtwarp.materials import PaintedMesh as PaintedMesh
-    from omtwarp.materials import read_painted_mesh as read_painted_mesh
     from omtwarp.measures import TargetDensity as TargetDensity
     from omtwarp.measures import weighted_surface as weighted_surface
     from omtwarp.mesh import shapes as shapes
@@ -105,6 +102,9 @@ if TYPE_CHECKING:
     from omtwarp.result import MapResult as MapResult
     from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
     from omtwarp.surface_map import SurfaceMap as SurfaceMap
+    from omtwarp.texturing import Material as Material
+    from omtwarp.texturing import PaintedMesh as PaintedMesh
+    from omtwarp.texturing import read_painted_mesh as read_painted_mesh
     from omtwarp.texturing import texture as texture
     from omtwarp.torus.torus_map import TorusMap as TorusMap
     from omtwarp.transport.cost import transport_cost as transport_cost

@@ -57,8 +57,8 @@ HEAVY_ROOMS = {
     # A picture by OpenGL needs no Warp, and the process that draws it nothing but its own modules.
     "omtwarp.render": {
         "omtwarp.device",
-        "omtwarp.materials.painted",
-        "omtwarp.materials.read",
+        "omtwarp.texturing.painted",
+        "omtwarp.texturing.read",
         "omtwarp.render.ray_caster",
         "omtwarp.render.pyrender_",
         "omtwarp.result",

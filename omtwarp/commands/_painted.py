@@ -11,10 +11,10 @@ from omtwarp.commands._work import load_map, make_map, require_bijective, requir
 from omtwarp.errors import OmtwarpError
 
 if TYPE_CHECKING:
-    from omtwarp.materials import PaintedMesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.options import MapChoices
     from omtwarp.result import MapResult
+    from omtwarp.texturing import PaintedMesh
     from omtwarp.torus.torus_map import TorusMap
 
 
@@ -24,9 +24,9 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     Raises:
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
-    from omtwarp.materials import read_painted_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import require_valid
+    from omtwarp.texturing import read_painted_mesh
 
     mesh = read_painted_mesh(path)
     notes = list(mesh.notes)
@@ -86,7 +86,7 @@ def painted_map(
     """
 
     if finished is not None:
-        from omtwarp.materials import read_painted_mesh
+        from omtwarp.texturing import read_painted_mesh
 
         result = load_map(finished, torus)
         require_bijective(result, finished)

@@ -49,9 +49,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from omtwarp.materials import PaintedMesh
     from omtwarp.options import MapChoices
     from omtwarp.result import MapResult
+    from omtwarp.texturing import PaintedMesh
     from omtwarp.torus.torus_map import TorusMap
 
 

@@ -340,6 +340,32 @@ def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDA
     return 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
 
 
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return the unit normals at vertices, shape [V, 3]: the mean of the faces' normals, weighted by area.
+
+    They are zero where the faces around a vertex cancel or have no area.
+    """
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    # Squares stay in range at any scale.
+    scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
+    p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
+    weighted = np.cross(p1 - p0, p2 - p0)
+    total = np.stack(
+        [np.bincount(faces.ravel(), np.repeat(weighted[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
+    )
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total / np.where(length > 0, length, 1.0)
+
+
+def unit_normals(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scale normals to unit length.
+
+    A zero normal becomes the direction of the z axis, as file formats require one.
+    """
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
+
+
 def face_neighbours(faces: NDArray[np.int32], vertex_count: int) -> NDArray[np.int32]:
     """Return the face across edge (k, k+1) of every face of an oriented manifold mesh, shape [F, 3].
 

@@ -124,16 +124,21 @@ def _name_targets(document: _Document) -> None:
 def ply_bytes(
     points: NDArray[np.float64], faces: NDArray[np.int32], properties: Mapping[str, NDArray[np.generic]] | None = None
 ) -> bytes:
-    """Encode a mesh as binary PLY with further properties of its vertices, all in double precision."""
+    """Encode a mesh as binary PLY with further properties of its vertices: bytes, else all in double precision."""
     given = properties or {}
     names = ["x", "y", "z", *("_".join(name.split()) or "value" for name in given)]
     head = f"ply\nformat binary_little_endian 1.0\ncomment omtwarp\nelement vertex {len(points)}\n"
-    head += "".join(f"property double {name}\n" for name in names)
+    columns = [*points.T, *map(np.asarray, given.values())]
+    kinds = ["u1" if column.dtype == np.uint8 else "<f8" for column in columns]
+    words = {"u1": "uchar", "<f8": "double"}
+    head += "".join(f"property {words[kind]} {name}\n" for kind, name in zip(kinds, names, strict=True))
     head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    columns = np.column_stack([points, *(np.asarray(values, dtype=np.float64) for values in given.values())])
+    table = np.empty(len(points), dtype=[(str(k), kind) for k, kind in enumerate(kinds)])
+    for k, column in enumerate(columns):
+        table[str(k)] = column
     rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, faces
-    return head.encode("ascii") + columns.astype("<f8").tobytes() + rows.tobytes()
+    return head.encode("ascii") + table.tobytes() + rows.tobytes()
 
 
 __all__ = ["SUFFIXES", "ply_bytes", "write_mesh"]

@@ -12,14 +12,13 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
-from omtwarp.materials.base import Bytes, Floats, Ints
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.data import read_data
-from omtwarp.mesh.surface import plane_areas, triangle_areas
+from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.painting import kernels
 from omtwarp.painting.texels import PADDING, bake_corners, covered
 from omtwarp.render.colors import colormap_table
-from omtwarp.texturing.textured import vertex_normals
+from omtwarp.texturing.materials import Bytes, Floats, Ints
 
 BAKES = ("normal", "ao", "curvature", "area")
 RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with noise of 1/16 at most
@@ -123,7 +122,7 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
 
     Args:
         target: the coarser surface.
-        tangents: at its corners, shape [T, 3, 4], as :func:`omtwarp.materials.tangents.corner_tangents` gives them.
+        tangents: at its corners, shape [T, 3, 4], as :func:`omtwarp.texturing.materials.corner_tangents` gives them.
         detail: vertices and faces of the detailed surface, in the same place.
 
     Returns:

@@ -14,20 +14,19 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.materials.base import WHITE, Bytes, Floats, Ints, Material
-from omtwarp.materials.painted import PaintedMesh
-from omtwarp.materials.tangents import corner_tangents
-from omtwarp.mesh.surface import plane_areas, triangle_areas
+from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.painting import bakes
 from omtwarp.painting.sheets import SIZE, Look, Sheet, sheet_of_parts, sphere_sheet, torus_picture, torus_sheet
 from omtwarp.painting.texels import PADDING, bake_materials, covered, over, overlap, tiled_copies, tinted
 from omtwarp.texturing.baking import Layout, Picture, bake_to_uv
 from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
+from omtwarp.texturing.materials import WHITE, Bytes, Floats, Ints, Material, corner_tangents
+from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.projection import rotation_matrix
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
-from omtwarp.texturing.textured import SphereMap, as_map, spheres_of, vertex_normals
+from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
 from omtwarp.torus.torus_map import TorusMap
 
 OPACITY = 0.5

@@ -9,15 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials.base import Bytes, Floats, Ints
 from omtwarp.mesh.arrays import TINY
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike
 from omtwarp.painting.shelves import on_shelves
 from omtwarp.texturing.atlas import check_size, make_atlas
 from omtwarp.texturing.image import PictureLike
+from omtwarp.texturing.materials import Bytes, Floats, Ints
 from omtwarp.texturing.patterns import Pattern, is_name
-from omtwarp.texturing.textured import TexturedSurface, texture, vertex_normals
+from omtwarp.texturing.textured import TexturedSurface, texture
 from omtwarp.torus.torus_map import TorusMap
 
 SIZE = 2048

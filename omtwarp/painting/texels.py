@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials.base import Floats, Ints, Material
 from omtwarp.mesh.arrays import ROUND_OFF
 from omtwarp.painting import kernels
 from omtwarp.srgb import to_linear, to_srgb
 from omtwarp.texturing.baking import SAMPLES_AT_ONCE, Layout, Picture, VertexValues, bake_to_uv
 from omtwarp.texturing.image import as_floats
 from omtwarp.texturing.kernels import average_samples
+from omtwarp.texturing.materials import Floats, Ints, Material
 
 PADDING = 16
 """Texels by which charts are continued beyond their borders: bilinear samples see them at the fifth mip level yet."""

@@ -11,8 +11,6 @@ from omtwarp.alignment import align
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.materials.base import Floats, Material
-from omtwarp.materials.painted import PaintedMesh
 from omtwarp.options import AtlasLike
 from omtwarp.painting.painter import SIZE
 from omtwarp.painting.texels import PADDING, bake_materials
@@ -22,6 +20,8 @@ from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.baking import bake_to_uv, own_at_parts, picture_source, sphere_layout
 from omtwarp.texturing.image import as_bytes
+from omtwarp.texturing.materials import Floats, Material
+from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.textured import SphereMap, as_map
 

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials.base import Floats, Ints, Material
-from omtwarp.materials.painted import PaintedMesh
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.options import Domain
 from omtwarp.painting.shelves import on_shelves
 from omtwarp.texturing.atlas import CUBE_FRAMES
+from omtwarp.texturing.materials import Floats, Ints, Material
+from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
 from omtwarp.torus.torus_map import TorusMap
 

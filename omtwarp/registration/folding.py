@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.geometry.edge_weights import cotangent_edge_weights
-from omtwarp.mesh.arrays import TINY
-from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.mesh.surface import Surface, triangle_areas, vertex_normals
 from omtwarp.solvers.mesh_factor import surface_factor
 from omtwarp.solvers.poisson import edge_laplacian
 
@@ -86,15 +85,6 @@ def vertex_areas(points: Floats, faces: NDArray[np.int32]) -> Floats:
     """Return a third of the areas of the triangles around every vertex, shape [V]."""
     shares = np.repeat(triangle_areas(points, faces) / 3.0, 3)
     return np.bincount(faces.ravel(), weights=shares, minlength=len(points)).astype(np.float64)
-
-
-def vertex_normals(points: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Return the unit normals of the vertices, weighted by the areas of triangles, shape [V, 3]."""
-    corner = points[faces]
-    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    flat = faces.ravel()
-    sums = np.stack([np.bincount(flat, np.repeat(across[:, d], 3), len(points)) for d in range(3)], axis=1)
-    return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1), TINY)[:, None])
 
 
 __all__ = ["HeatFlow", "folding_features", "smoothed", "vertex_areas"]

@@ -10,7 +10,6 @@ import os
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from omtwarp.srgb import to_linear
 pyrender = import_pyrender()
 
 from OpenGL import GL  # noqa: E402
+from pyrender.platforms.base import Platform  # noqa: E402
 from pyrender.shader_program import ShaderProgram, ShaderProgramCache  # noqa: E402
 
 # Of the supersampled picture: each pixel takes 40 bytes with its multisample buffers. Larger pictures are drawn with
@@ -146,7 +146,7 @@ class GLRenderer:
         self._renderer._update_context(pyrender.Scene(), pyrender.RenderFlags.NONE)
         return pictures
 
-    def _mesh(self, part: Part, roughness: float, textures: dict[tuple, _Texture]) -> Any:
+    def _mesh(self, part: Part, roughness: float, textures: dict[tuple, _Texture]) -> object:
         key = (id(part.image), part.repeat, part.repeat_rows, part.mipmaps)
         if part.image is not None and key not in textures:
             right, up = (GL.GL_REPEAT if on else GL.GL_CLAMP_TO_EDGE for on in (part.repeat, part.repeat_rows))
@@ -182,14 +182,14 @@ def _averaged(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
     return np.asarray(picture.reduce(side) if side > 1 else picture)
 
 
-def _camera(shot: Shot, aspect: float) -> Any:
+def _camera(shot: Shot, aspect: float) -> object:
     if shot.perspective:
         opening = 2.0 * np.arctan(shot.half_height)
         return pyrender.PerspectiveCamera(yfov=float(opening), znear=shot.near, zfar=shot.far, aspectRatio=aspect)
     return pyrender.OrthographicCamera(xmag=shot.half_width, ymag=shot.half_height, znear=shot.near, zfar=shot.far)
 
 
-def _open_context() -> Any:
+def _open_context() -> Platform:
     """Open an OpenGL context on the first device that provides one.
 
     Device 0 may be a graphics card the user may not open, so each is tried; ``EGL_DEVICE_ID`` goes first.

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import holds_array
-from omtwarp.materials.base import WHITE
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
 from omtwarp.srgb import to_srgb
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.image import read_image as read_picture
+from omtwarp.texturing.materials import WHITE
 
 # Of the checker for maps without a picture: fields around the equator, from pole to pole, and texels along each.
 COLUMNS, ROWS, CELL = 24, 12, 64
@@ -25,7 +25,7 @@ COLUMNS, ROWS, CELL = 24, 12, 64
 if TYPE_CHECKING:  # a picture of triangles loads neither Warp nor SciPy, which these need
     import trimesh
 
-    from omtwarp.materials.painted import PaintedMesh
+    from omtwarp.texturing.painted import PaintedMesh
     from omtwarp.torus.torus_map import TorusMap
 
 
@@ -73,7 +73,7 @@ def is_torus_map(subject: object) -> TypeGuard[TorusMap]:
 
 def _is_painted(subject: object) -> TypeGuard[PaintedMesh]:
     """Return whether a subject is a mesh with materials: one exists only where its module is loaded."""
-    module = sys.modules.get("omtwarp.materials.painted")
+    module = sys.modules.get("omtwarp.texturing.painted")
     return module is not None and isinstance(subject, module.PaintedMesh)
 
 
@@ -209,7 +209,7 @@ def read_image(image: Picture) -> NDArray[np.uint8]:
 
 def _file_view(path: Path) -> SurfaceView:
     """Return a view of a mesh file; of one with several materials, every triangle in its own."""
-    from omtwarp.materials.read import read_painted_mesh
+    from omtwarp.texturing.read import read_painted_mesh
 
     return painted_view(read_painted_mesh(path))
 

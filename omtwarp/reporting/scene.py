@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.policy import resolve_device
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
 from omtwarp.render.camera import DEFAULT_FRONT, axis_vector
 from omtwarp.render.colors import colormap_table
 from omtwarp.render.domains import fits_of
@@ -31,7 +31,6 @@ from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
 from omtwarp.texturing.baking import Source
 from omtwarp.texturing.bending import Look
-from omtwarp.texturing.textured import vertex_normals
 
 LARGEST_SPHERE = 0.8  # radius beside the surface's of 1: folds make a surface's area large
 COVERED = {"hemisphere": 0.5, "disk": 0.5}  # share of the sphere that has the surface's area; of caps nearly all

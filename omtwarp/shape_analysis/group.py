@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from omtwarp.alignment import GroupAlignment, procrustes_mean
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.options import Progress
 from omtwarp.resampling import as_points
 from omtwarp.result import MapResult
@@ -314,14 +314,6 @@ def hotelling(
     return observed, np.asarray(p_values)
 
 
-def vertex_normals(points: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Return the unit normals at vertices, triangles weighted with their areas, shape [V, 3]."""
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    sums = np.stack([np.bincount(faces.ravel(), np.repeat(n, 3), len(points)) for n in normals.T], axis=1)
-    return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), np.finfo(float).tiny))
-
-
 __all__ = [
     "PERMUTATIONS",
     "GroupDifference",
@@ -333,5 +325,4 @@ __all__ = [
     "principal_components",
     "study_group",
     "two_groups",
-    "vertex_normals",
 ]

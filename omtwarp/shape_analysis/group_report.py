@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import staged
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render import preview
 from omtwarp.render.scene import ScalarField
 from omtwarp.reporting.markup import Markup, element
 from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
-from omtwarp.shape_analysis.group import GroupStudy, mirrored_words, vertex_normals
+from omtwarp.shape_analysis.group import GroupStudy, mirrored_words
 
 SHOWN = 2.0  # standard deviations to either side of the mean
 SIGNIFICANT = 0.05  # level of the corrected p values, the customary one

@@ -1,4 +1,4 @@
-"""Textures on surfaces through their maps to the sphere: patterns, atlases, baking and export.
+"""Textures and materials of meshes: patterns, atlases, baking, reading and export.
 
 Names are imported at their first use, so that importing the package does not start Warp.
 """
@@ -16,17 +16,23 @@ if TYPE_CHECKING:
     from omtwarp.texturing.baking import resample as resample
     from omtwarp.texturing.baking import sample as sample
     from omtwarp.texturing.image import read_image as read_image
+    from omtwarp.texturing.materials import Material as Material
+    from omtwarp.texturing.painted import PaintedMesh as PaintedMesh
     from omtwarp.texturing.patterns import Pattern as Pattern
     from omtwarp.texturing.patterns import pattern as pattern
     from omtwarp.texturing.projection import direction_to_image as direction_to_image
     from omtwarp.texturing.projection import rotation_matrix as rotation_matrix
     from omtwarp.texturing.rasterizing import rasterize as rasterize
+    from omtwarp.texturing.read import read_painted_mesh as read_painted_mesh
     from omtwarp.texturing.seams import unwrap as unwrap
     from omtwarp.texturing.textured import TexturedSurface as TexturedSurface
     from omtwarp.texturing.textured import texture as texture
 
 
 _HOMES = {
+    "Material": "materials",
+    "PaintedMesh": "painted",
+    "read_painted_mesh": "read",
     "TexturedSurface": "textured",
     "texture": "textured",
     "pattern": "patterns",
@@ -48,6 +54,8 @@ _HOMES = {
 
 __all__ = [
     "ATLASES",
+    "Material",
+    "PaintedMesh",
     "Pattern",
     "TexturedSurface",
     "VertexValues",
@@ -59,6 +67,7 @@ __all__ = [
     "pattern",
     "rasterize",
     "read_image",
+    "read_painted_mesh",
     "resample",
     "rotation_matrix",
     "sample",

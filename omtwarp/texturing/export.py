@@ -1,85 +1,129 @@
-"""Writing textured meshes: GLB, OBJ with MTL and PNG, and PLY with colours at the vertices.
+"""Writing of meshes with materials: GLB, and OBJ with its MTL and PNG files.
 
 The files appear once all of them are complete, so that a failure, a full disk or Ctrl-C leaves the old ones or none.
 """
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterable
+import re
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import as_path, companion, staged
+from omtwarp.mesh.arrays import single_precision
+from omtwarp.mesh.write import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
 from omtwarp.options import TextureFormat, choose
-from omtwarp.texturing.gltf import GltfFile, flipped_rows, single_precision
-from omtwarp.texturing.image import png_bytes
-from omtwarp.texturing.mesh import ROUGHNESS
+from omtwarp.texturing.image import png_bytes, webp_bytes
+from omtwarp.texturing.materials import Bytes, Floats, Ints, Material, linear
 
-SUFFIXES = (".glb", ".obj", ".ply")
-
-
-class Exportable(Protocol):
-    """A mesh cut along the seams of its texture: :class:`omtwarp.texturing.mesh.TexturedMesh` has the attributes."""
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    uv: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    image: NDArray[np.uint8]
-    welded: NDArray[np.int32]
-    original_vertices: NDArray[np.float64]
-    original_faces: NDArray[np.int32]
-    source_image: Path | None
-
-    @property
-    def wraps(self) -> bool:
-        """Whether the image repeats to the right."""
-
-    @property
-    def wraps_rows(self) -> bool:
-        """Whether it repeats upwards."""
-
-    @property
-    def original_vertex_count(self) -> int:
-        """How many vertices the input has."""
-
-    @property
-    def vertex_colours(self) -> NDArray[np.uint8]:
-        """Colours of the texture at the input's vertices, uint8, shape [V, 4]."""
+SUFFIXES = (".glb", ".obj", ".ply")  # the last of which holds colours at the vertices alone
+# Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, modes.
+REPEAT, CLAMP = 10497, 33071
+LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
+FLOAT, UNSIGNED_INT = 5126, 5125
+TRIANGLES = 4
+WEBP = "EXT_texture_webp"  # of textures: without it, pictures are PNG or JPEG
+KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+# For coordinates of materials that have no picture: a file's checkers and some programs take coordinates that nothing
+# refers to for a mistake, or drop them. White leaves the material's colour as it is.
+BLANK = np.full((1, 1, 3), 255, dtype=np.uint8)
+# A material's pictures: glTF's name, our own, what the file calls them, and the statement of an OBJ's material library;
+# `norm` and `map_ao` are read by Blender's and other importers.
+_SLOTS = (
+    ("baseColorTexture", "picture", "color", "map_Kd"),
+    ("metallicRoughnessTexture", "roughness_picture", "roughness", None),
+    ("normalTexture", "normal_picture", "normal", "norm"),
+    ("occlusionTexture", "occlusion_picture", "occlusion", "map_ao"),
+    ("emissiveTexture", "emission_picture", "emission", "map_Ke"),
+)
 
 
-def check_suffix(path: str | os.PathLike[str]) -> str:
-    """Check that a textured mesh can be written to a path, and return the path's suffix in lower case.
+@dataclass(frozen=True)
+class Part:
+    """The triangles of one material; their corners are rows, of which a vertex has several along seams.
 
-    Raises:
-        OmtwarpError: another suffix.
+    Attributes:
+        material: how they look.
+        faces: rows of the corners, shape [F, 3].
+        vertex: of the mesh, of every row, shape [N].
+        uv: coordinates of the rows, v up, shape [N, 2]; None where some corner has none.
+        tangents: of the rows, with the sign of the bitangent, shape [N, 4].
     """
-    suffix = as_path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise OmtwarpError(
-            f"cannot write '{path}': a textured mesh is written as .glb, .obj (with .mtl and .png) or .ply"
-        )
-    return suffix
+
+    material: Material
+    faces: NDArray[np.integer]
+    vertex: NDArray[np.integer]
+    uv: Floats | None = None
+    tangents: Floats | None = None
+
+
+def split_corners(faces: Ints, values: Floats, count: int) -> tuple[Ints, Ints, Floats]:
+    """Make one row of every vertex and the values at its corners.
+
+    The first row of every vertex has the vertex's number; the others follow.
+
+    Args:
+        faces: shape [F, 3].
+        values: at the corners, finite, shape [F, 3, K].
+        count: of vertices, V.
+
+    Returns:
+        The rows of the corners, shape [F, 3], the vertices of the rows, shape [N], and their values, shape [N, K].
+    """
+    vertex, flat = faces.ravel(), values.reshape(faces.size, -1)
+    width = flat.shape[1]
+    at = np.zeros((count, width))
+    at[vertex] = flat
+    # Only vertices on borders have several: their corners are sorted, all others' are as they should be.
+    several = np.zeros(count, dtype=bool)
+    several[vertex[(flat != at[vertex]) @ np.ones(width, dtype=np.int8) > 0]] = True
+    some = np.flatnonzero(several[vertex])
+    order = some[np.lexsort((*flat[some].T[::-1], vertex[some]))]
+    v, each = vertex[order], flat[order]
+    new = np.ones(len(v), dtype=bool)
+    new[1:] = (v[1:] != v[:-1]) | np.any(each[1:] != each[:-1], axis=1)
+    owner = v[new]
+    main = np.ones(len(owner), dtype=bool)
+    main[1:] = owner[1:] != owner[:-1]
+    number = owner.astype(np.int64)
+    number[~main] = count + np.arange(np.count_nonzero(~main))
+    rows = vertex.astype(np.int32)
+    rows[order] = number[np.cumsum(new) - 1]
+    of_row = np.concatenate([np.arange(count), owner[~main]]).astype(np.int32)
+    at = np.concatenate([at, each[new][~main]])
+    at[number] = each[new]
+    return rows.reshape(-1, 3), of_row, at
 
 
 def export(
-    textured: Exportable,
     path: str | os.PathLike[str],
+    vertices: Floats,
+    normals: Floats,
+    parts: Sequence[Part],
     *,
+    colors: Bytes | None = None,
+    wraps: tuple[bool, bool] = (True, True),
     keep: Iterable[Path | None] = (),
     texture_format: str = TextureFormat.PNG,
 ) -> list[Path]:
-    """Write a textured surface in the format of the path's suffix.
+    """Write a mesh with materials in the format of the path's suffix.
 
     Args:
-        textured: the surface and its texture.
-        path: the file to write. The material and the picture of an OBJ get free names in the same folder, or those of
+        path: ``.glb``, or ``.obj``, whose material library and pictures get free names in the same folder, or those of
             files that the package wrote there before.
+        vertices: shape [V, 3].
+        normals: unit vectors at them, shape [V, 3].
+        parts: its triangles.
+        colors: sRGB and opacity at the vertices, shape [V, 4].
+        wraps: whether pictures repeat to the right, and upwards.
         keep: files that must not be replaced, such as inputs.
         texture_format: ``png`` or, in a .glb, ``webp``.
 
@@ -89,16 +133,18 @@ def export(
     Raises:
         OmtwarpError: another suffix or format, a place that cannot be written to, a full disk.
     """
-    suffix = check_suffix(path)
-    encoding = format_for(suffix, texture_format)
-    kept = (*keep, textured.source_image)
+    suffix = as_path(path).suffix.lower()
+    if suffix not in SUFFIXES[:2]:
+        raise OmtwarpError(
+            f"cannot write '{path}': use .glb, .obj (with .mtl and .png) or, for the colours of a texture at the "
+            "vertices, .ply"
+        )
+    encoding, kept = format_for(suffix, texture_format), tuple(keep)
     with staged(path, keep=kept) as file:
         if suffix == ".glb":
-            files = [(file, glb_bytes(textured, encoding))]
-        elif suffix == ".ply":
-            files = [(file, ply_bytes(textured))]
+            files = [(file, glb_bytes(vertices, normals, parts, colors, wraps, encoding))]
         else:
-            files = obj_files(textured, file, keep=kept)
+            files = obj_files(vertices, normals, parts, file, kept)
         for name, content in files:
             name.write_bytes(content)
     return [as_path(path).with_name(name.name) for name, _ in files[:-1]] + [as_path(path)]
@@ -116,104 +162,213 @@ def format_for(suffix: str, texture_format: str) -> TextureFormat:
     return chosen
 
 
-def glb_bytes(textured: Exportable, texture_format: TextureFormat = TextureFormat.PNG) -> bytes:
-    """Encode a textured mesh as a binary glTF 2.0 file.
+class GltfFile:
+    """The buffer of a binary glTF 2.0 file so far: views, accessors to them, and pictures.
 
-    One mesh, one PBR material with the texture embedded, lit from any side the same way.
+    Args:
+        wraps: whether pictures repeat to the right, and upwards: on a sphere the poles would bleed into each other.
+        texture_format: how pictures are encoded; WebP is the extension EXT_texture_webp of the format.
     """
-    file = GltfFile(textured.wraps, textured.wraps_rows, texture_format)
-    attributes = {
-        "POSITION": file.accessor(single_precision(textured.vertices, "positions"), bounds=True),
-        "NORMAL": file.accessor(single_precision(textured.normals, "normals")),
-        "TEXCOORD_0": file.accessor(flipped_rows(textured.uv)),
+
+    def __init__(self, wraps: tuple[bool, bool], texture_format: TextureFormat):
+        self._format = texture_format
+        self._buffer = bytearray()
+        self._views: list[dict[str, object]] = []
+        self._accessors: list[dict[str, object]] = []
+        self._images: list[dict[str, object]] = []
+        self._known: dict[int, int] = {}
+        self._sampler = {"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR}
+        self._sampler |= {name: REPEAT if on else CLAMP for name, on in zip(("wrapS", "wrapT"), wraps, strict=True)}
+
+    def _view(self, content: bytes, **more: int) -> int:
+        """Append bytes and return the number of their view."""
+        self._buffer.extend(b"\0" * (-len(self._buffer) % 4))
+        self._views.append({"buffer": 0, "byteOffset": len(self._buffer), "byteLength": len(content), **more})
+        self._buffer.extend(content)
+        return len(self._views) - 1
+
+    def accessor(self, values: NDArray[np.generic], bounds: bool = False) -> int:
+        """Append rows of numbers, float32 or uint32 indices, and return the number of their accessor."""
+        array = np.ascontiguousarray(values)
+        indices = array.dtype == np.uint32
+        entry: dict[str, object] = {
+            "bufferView": self._view(array.tobytes(), target=ELEMENT_ARRAY_BUFFER if indices else ARRAY_BUFFER),
+            "componentType": UNSIGNED_INT if indices else FLOAT,
+            "count": len(array),
+            "type": KINDS[1 if array.ndim == 1 else array.shape[1]],
+        }
+        if bounds:
+            entry |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        self._accessors.append(entry)
+        return len(self._accessors) - 1
+
+    def texture(self, picture: Bytes, name: str) -> dict[str, int]:
+        """Embed a picture, once however many materials share it, and return how a material refers to it."""
+        if id(picture) not in self._known:
+            self._known[id(picture)] = len(self._images)
+            view = self._view(png_bytes(picture) if self._format is TextureFormat.PNG else webp_bytes(picture))
+            self._images.append({"bufferView": view, "mimeType": f"image/{self._format}", "name": name})
+        return {"index": self._known[id(picture)], "texCoord": 0}
+
+    def content(self, primitives: list[dict[str, object]], materials: list[dict[str, object]]) -> bytes:
+        """Return the whole file, with one mesh of triangles.
+
+        Args:
+            primitives: attributes and indices of each, by the numbers of their accessors.
+            materials: of the primitives, one each.
+        """
+        drawn = [one | {"material": number, "mode": TRIANGLES} for number, one in enumerate(primitives)]
+        document: dict[str, object] = {
+            "asset": {"version": "2.0", "generator": "omtwarp"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0, "name": "surface"}],
+            "meshes": [{"name": "surface", "primitives": drawn}],
+            "materials": materials,
+        }
+        if self._images:
+            sources: list[dict[str, object]] = [{"source": source} for source in range(len(self._images))]
+            if self._format is TextureFormat.WEBP:
+                sources = [{"extensions": {WEBP: source}} for source in sources]
+                document |= {"extensionsUsed": [WEBP], "extensionsRequired": [WEBP]}
+            textures = [{"sampler": 0} | source for source in sources]
+            document |= {"textures": textures, "samplers": [self._sampler], "images": self._images}
+        blob = bytes(self._buffer) + b"\0" * (-len(self._buffer) % 4)
+        document |= {"accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": len(blob)}]}
+        text = json.dumps(document, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(blob))
+        return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+
+
+def glb_bytes(
+    vertices: Floats,
+    normals: Floats,
+    parts: Sequence[Part],
+    colors: Bytes | None,
+    wraps: tuple[bool, bool],
+    texture_format: TextureFormat,
+) -> bytes:
+    """Encode a mesh with materials as a binary glTF 2.0 file; arguments as of :func:`export`.
+
+    Raises:
+        OmtwarpError: positions are out of the range of single precision, the only one that the format has.
+    """
+    file = GltfFile(wraps, texture_format)
+    positions = single_precision(vertices, "cannot write positions as GLB")
+    primitives: list[dict[str, object]] = []
+    for part in parts:
+        attributes = {
+            "POSITION": file.accessor(positions[part.vertex], bounds=True),
+            "NORMAL": file.accessor(normals[part.vertex].astype(np.float32)),
+        }
+        if part.uv is not None:  # whose origin the format has at the top left
+            attributes["TEXCOORD_0"] = file.accessor((part.uv * (1.0, -1.0) + (0.0, 1.0)).astype(np.float32))
+        if part.tangents is not None:
+            attributes["TANGENT"] = file.accessor(part.tangents.astype(np.float32))
+        if colors is not None:
+            attributes["COLOR_0"] = file.accessor(linear(colors[part.vertex] / 255.0).astype(np.float32))
+        primitives.append({"attributes": attributes, "indices": file.accessor(part.faces.ravel().astype(np.uint32))})
+    return file.content(primitives, [_gltf_material(part.material, file, part.uv is not None) for part in parts])
+
+
+def _gltf_material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, object]:
+    """Convert a material to glTF's JSON, with pictures only where the mesh has texture coordinates.
+
+    A material without pictures gets a white texel, so that the coordinates belong to something.
+    """
+    surface: dict[str, object] = {
+        "baseColorFactor": linear(np.array(material.color)).tolist(),
+        "metallicFactor": material.metallic,
+        "roughnessFactor": material.roughness,
     }
-    primitive = {"attributes": attributes, "indices": file.accessor(textured.faces.ravel().astype(np.uint32))}
-    material = {
-        "name": "texture",
-        "pbrMetallicRoughness": {
-            "baseColorTexture": file.texture(textured.image, "texture"),
-            "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
-            "metallicFactor": 0.0,
-            "roughnessFactor": ROUGHNESS,
-        },
-        "alphaMode": "OPAQUE" if textured.image.shape[2] == 3 else "BLEND",
-        "doubleSided": False,
+    entry: dict[str, object] = {
+        "name": material.name,
+        "pbrMetallicRoughness": surface,
+        "alphaMode": "OPAQUE" if material.opaque else "BLEND",
+        "doubleSided": material.two_sided,
     }
-    return file.content([primitive], [material])
+    if any(material.emission):
+        entry["emissiveFactor"] = list(material.emission)
+    if with_uv and material.plain:
+        surface["baseColorTexture"] = file.texture(BLANK, "blank")
+    for slot, own, ending, _ in _SLOTS:
+        picture = getattr(material, own)
+        if with_uv and picture is not None:
+            place = surface if slot in ("baseColorTexture", "metallicRoughnessTexture") else entry
+            place[slot] = file.texture(picture, f"{material.name}-{ending}")
+    return entry
+
+
+def obj_files(
+    vertices: Floats, normals: Floats, parts: Sequence[Part], place: Path, keep: Iterable[Path | None] = ()
+) -> list[tuple[Path, bytes]]:
+    """Return the files of an OBJ: pictures and material library first, the OBJ last.
+
+    Vertices are written once and in their order, faces material by material; only texture coordinates are doubled along
+    seams, as the format allows. A picture that is the only one has the OBJ's own name.
+    """
+    kept = tuple(keep)
+    drawn = [
+        (number, statement, getattr(part.material, own), ending)
+        for number, part in enumerate(parts)
+        for _, own, ending, statement in _SLOTS
+        if statement and part.uv is not None and getattr(part.material, own) is not None
+    ]
+    alone = len({id(picture) for _, _, picture, _ in drawn}) == 1
+    names = _names([part.material.name for part in parts])
+    written: dict[int, tuple[Path, bytes]] = {}
+    for number, _, picture, ending in drawn:
+        if id(picture) not in written:
+            # Names without spaces, at which readers of these files end a name.
+            there = companion(place, ".png" if alone else f"-{names[number]}-{ending}.png", kept)
+            written[id(picture)] = (there, png_bytes(picture))
+    library = ["# omtwarp"]
+    for k, part in enumerate(parts):
+        red, green, blue, opacity = part.material.color
+        library += [f"newmtl {names[k]}", f"Kd {red:.6f} {green:.6f} {blue:.6f}", "Ks 0.000 0.000 0.000"]
+        library += [
+            f"d {opacity:.6f}",
+            "illum 1",
+            f"Pr {part.material.roughness:.4f}",
+            f"Pm {part.material.metallic:.4f}",
+        ]
+        # No options: several readers take them as a part of the name.
+        library += [f"{word} {written[id(picture)][0].name}" for number, word, picture, _ in drawn if number == k]
+        library.append("")
+    beside = companion(place, ".mtl", kept)
+    text = ["# omtwarp\n", f"mtllib {beside.name}\no surface\n", _lines("v", vertices, "%.17g")]
+    text.append(_lines("vn", normals, "%.5f"))
+    start = 1
+    for part, name in zip(parts, names, strict=True):
+        v = part.vertex[part.faces] + 1
+        if part.uv is not None:
+            text.append(_lines("vt", part.uv, "%.9g"))
+        text.append(f"usemtl {name}\ns 1\n")
+        columns = [v, v] if part.uv is None else [v, part.faces + start, v]
+        form = " ".join(["%d//%d" if part.uv is None else "%d/%d/%d"] * 3)
+        start += 0 if part.uv is None else len(part.uv)
+        text.append(_lines("f", np.stack(columns, axis=2).reshape(len(v), -1), form))
+    return [*written.values(), (beside, "\n".join(library).encode()), (place, "".join(text).encode())]
+
+
+def _names(given: list[str]) -> list[str]:
+    """Return distinct names of materials without spaces, which can also be names of files."""
+    names: list[str] = []
+    for name in given:
+        word = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "material"
+        taken = word
+        number = 2
+        while taken in names:
+            taken, number = f"{word}-{number}", number + 1
+        names.append(taken)
+    return names
 
 
 def _lines(prefix: str, rows: NDArray, form: str) -> str:
     """Write an array's rows as lines of text, with one format for all, which is much faster than a call per line."""
-    pattern = prefix + " " + " ".join([form] * rows.shape[1]) + "\n"
-    return (pattern * len(rows)) % tuple(rows.ravel().tolist())
+    line = f"{prefix} {form if prefix == 'f' else ' '.join([form] * rows.shape[1])}\n"
+    return (line * len(rows)) % tuple(rows.ravel().tolist())
 
 
-def obj_files(textured: Exportable, place: Path, *, keep: Iterable[Path | None] = ()) -> list[tuple[Path, bytes]]:
-    """Return the files of an OBJ: its picture and material first, the OBJ last.
-
-    Positions and normals are written once per vertex of the uncut mesh (the input's vertices first, in their order);
-    only texture coordinates are doubled along the seams, as the format allows.
-    """
-    # Names without spaces, at which readers of these files end a name.
-    material, picture = companion(place, ".mtl", keep), companion(place, ".png", keep)
-    count = int(textured.welded.max(initial=-1)) + 1
-    first = np.zeros(count, dtype=np.int64)
-    first[textured.welded[::-1]] = np.arange(len(textured.welded))[::-1]
-    v, vt = textured.welded[textured.faces] + 1, textured.faces + 1
-    corners = np.stack([v, vt, v], axis=2).reshape(len(v), 9)
-    face = "f %d/%d/%d %d/%d/%d %d/%d/%d\n"
-    text = "".join(
-        [
-            "# omtwarp: surface with a texture from its area-preserving map\n",
-            f"# the first {textured.original_vertex_count} vertices are those of the input, in its order\n",
-            f"mtllib {material.name}\no surface\n",
-            _lines("v", textured.vertices[first], "%.9g"),
-            _lines("vt", textured.uv, "%.8f"),
-            _lines("vn", textured.normals[first], "%.5f"),
-            "usemtl texture\ns 1\n",
-            (face * len(corners)) % tuple(corners.ravel().tolist()),
-        ]
-    )
-    lines = [
-        "# omtwarp",
-        "newmtl texture",
-        "Ka 1.000 1.000 1.000",
-        "Kd 1.000 1.000 1.000",
-        "Ks 0.000 0.000 0.000",
-        "d 1.0",
-        "illum 1",
-        f"Pr {ROUGHNESS}",
-        "Pm 0.0",
-        f"map_Kd {picture.name}",  # no options: several readers take them as a part of the name
-        "",
-    ]
-    return [(picture, png_bytes(textured.image)), (material, "\n".join(lines).encode()), (place, text.encode())]
-
-
-def ply_bytes(textured: Exportable) -> bytes:
-    """Return a binary PLY of the **input's** vertices and faces, unchanged and in order, with a colour per vertex."""
-    vertices, faces = textured.original_vertices, textured.original_faces
-    record = np.dtype(
-        [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("alpha", "u1")]
-    )
-    rows = np.empty(len(vertices), dtype=record)
-    for k, name in enumerate("xyz"):
-        rows[name] = vertices[:, k]
-    colours = textured.vertex_colours
-    for k, name in enumerate(("red", "green", "blue", "alpha")):
-        rows[name] = colours[:, k]
-    triangles = np.empty(len(faces), dtype=np.dtype([("n", "u1"), ("v", "<i4", (3,))]))
-    triangles["n"], triangles["v"] = 3, faces
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment omtwarp: colours of a texture on the area-preserving map",
-        f"element vertex {len(vertices)}",
-        *(f"property double {name}" for name in "xyz"),
-        *(f"property uchar {name}" for name in ("red", "green", "blue", "alpha")),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-        "",
-    ]
-    return "\n".join(header).encode() + rows.tobytes() + triangles.tobytes()
+__all__ = ["SUFFIXES", "Part", "export", "format_for", "split_corners"]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from omtwarp.texturing.atlas import Atlas
 from omtwarp.texturing.cutting import CutMesh, lengths, normalised
+from omtwarp.texturing.export import split_corners
 from omtwarp.texturing.openness import face_openness
 
 Floats = NDArray[np.float64]
@@ -85,7 +86,17 @@ def unwrap(sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None
     _refine(mesh, atlas)
     chart = _face_charts(mesh, atlas)
     corner_uv = atlas.corner_uv(mesh.points[mesh.faces], chart)
-    return _split_vertices(mesh, corner_uv, chart, turn, len(sphere))
+    rows, welded, uv = split_corners(mesh.faces, corner_uv, len(mesh.points))
+    return Unwrapped(
+        faces=rows,
+        uv=uv,
+        sphere=(normalised(mesh.points) @ turn.T)[welded],
+        source_vertex=np.where(welded < len(sphere), welded, -1).astype(np.int32),
+        source_face=mesh.source_face,
+        chart=chart,
+        welded=welded,
+        weights=mesh.weights[welded],
+    )
 
 
 def _face_charts(mesh: CutMesh, atlas: Atlas, which: NDArray | slice = slice(None)) -> Ints:
@@ -118,49 +129,6 @@ def _refine(mesh: CutMesh, atlas: Atlas) -> None:
         if len(face) == 0 or len(mesh.faces) > limit:
             return
         fresh = mesh.split_half_edges(which[face], corner, np.full(len(face), 0.5))
-
-
-def _split_vertices(mesh: CutMesh, corner_uv: Floats, chart: Ints, turn: Floats, count: int) -> Unwrapped:
-    """Make one vertex per pair of vertex and texture coordinates; the first copy of every vertex keeps its number."""
-    vertex = mesh.faces.ravel()
-    flat = corner_uv.reshape(-1, 2)
-    total = len(mesh.points)
-    out_uv = np.zeros((total, 2))
-    out_uv[vertex] = flat
-    # Only vertices on borders have several: their corners are sorted, all others' are as they should be.
-    several = np.zeros(total, dtype=bool)
-    several[vertex[(flat != out_uv[vertex]) @ np.ones(2, dtype=np.int8) > 0]] = True
-    some = np.flatnonzero(several[vertex])
-    order = some[np.lexsort((flat[some, 1], flat[some, 0], vertex[some]))]
-    v, uv = vertex[order], flat[order]
-    new = np.ones(len(v), dtype=bool)
-    new[1:] = (v[1:] != v[:-1]) | np.any(uv[1:] != uv[:-1], axis=1)
-    group = np.cumsum(new) - 1
-    owner, owner_uv = v[new], uv[new]
-    main = np.ones(len(owner), dtype=bool)
-    main[1:] = owner[1:] != owner[:-1]
-    # Main copies keep the numbers of their vertices; the rest follow.
-    number = np.empty(len(owner), dtype=np.int64)
-    number[main] = owner[main]
-    number[~main] = total + np.arange(np.count_nonzero(~main))
-    faces = vertex.astype(np.int32)
-    faces[order] = number[group]
-    welded = np.empty(total + np.count_nonzero(~main), dtype=np.int32)
-    out_uv = np.concatenate([out_uv, np.zeros((len(welded) - total, 2))])
-    welded[:total] = np.arange(total)  # also covers an unused vertex, should there be one
-    welded[number] = owner
-    out_uv[number] = owner_uv
-    source = np.where(welded < count, welded, -1).astype(np.int32)
-    return Unwrapped(
-        faces=faces.reshape(-1, 3),
-        uv=out_uv,
-        sphere=(normalised(mesh.points) @ turn.T)[welded],
-        source_vertex=source,
-        source_face=mesh.source_face,
-        chart=chart,
-        welded=welded,
-        weights=mesh.weights[welded],
-    )
 
 
 def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats) -> float:

@@ -7,28 +7,36 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import as_path
 from omtwarp.mesh.arrays import real_number, real_numbers
 from omtwarp.mesh.checks import as_faces, as_unit_vectors
+from omtwarp.mesh.surface import unit_normals, vertex_normals
+from omtwarp.mesh.write import write_mesh
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, TextureFormat
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
+from omtwarp.texturing.baking import sample
 from omtwarp.texturing.bending import Bending, BentLook, Look
-from omtwarp.texturing.export import export
+from omtwarp.texturing.export import Part, export, format_for
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
-from omtwarp.texturing.mesh import TexturedMesh
+from omtwarp.texturing.materials import Material
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
 from omtwarp.texturing.sharpness import LARGEST_SIZE, LARGEST_UNASKED, picture_size, sharp_size
 from omtwarp.texturing.smooth import smooth_curves
+
+if TYPE_CHECKING:
+    import trimesh
+    from PIL.Image import Image
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -44,8 +52,102 @@ OCTAHEDRAL_SHARE, CUBE_SHARE = 0.75, 0.75 * 12.0 / 11.0
 
 
 @dataclass(repr=False)
-class TexturedSurface(TexturedMesh):
-    """A textured mesh that can be written to files; the attributes are those of the mesh."""
+class TexturedSurface:
+    """A mesh cut along the seams of its texture, and the texture.
+
+    The surface is the input's, to round-off. The input's vertices come first, in their order; copies of them at seams
+    and the few vertices made by cuts follow.
+
+    Attributes:
+        vertices: float64, shape [N, 3], in the units of the input.
+        faces: int32, shape [M, 3].
+        uv: texture coordinates, float64, shape [N, 2], v up (0 is the bottom row of the image); beyond [0, 1] where the
+            image repeats.
+        normals: unit vectors, shape [N, 3], from the uncut mesh: the same on both sides of a seam.
+        image: uint8, shape [H, W, 3], or [H, W, 4] where something is transparent; row 0 on top.
+        welded: vertices with the same number are the same point of the uncut mesh, shape [N].
+        source_vertex: the input's vertex that each vertex is or is a copy of, -1 for one made by a cut, shape [N].
+        source_face: the input's face that each face is a part of, shape [M].
+        original_vertices, original_faces: the input.
+        wraps: whether the image is periodic in u, so that a sampler has to repeat there.
+        wraps_rows: whether it is periodic in v, which it is on a torus alone.
+        source_image: the file that the texture was made from, if any; an export never replaces it.
+        sphere: the map at every vertex, unit vectors, shape [N, 3]; of textures on the sphere alone, as what follows.
+        chart: chart of the atlas that each face lies in, shape [M].
+        atlas: how the sphere is laid out on the image.
+        rotation: the texture's rotation on the sphere, shape [3, 3].
+        original_sphere: the map of the input's vertices, shape [V, 3].
+    """
+
+    vertices: Floats
+    faces: Ints
+    uv: Floats
+    normals: Floats
+    image: NDArray[np.uint8]
+    welded: Ints
+    source_vertex: Ints
+    source_face: Ints
+    original_vertices: Floats
+    original_faces: Ints
+    wraps: bool
+    wraps_rows: bool
+    source_image: Path | None
+    sphere: Floats | None = None
+    chart: Ints | None = None
+    atlas: Atlas | None = None
+    rotation: Floats | None = None
+    original_sphere: Floats | None = None
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        return (
+            f"{type(self).__name__}({self.original_vertex_count} vertices cut into {len(self.vertices)}, "
+            f"{len(self.faces)} faces, {'torus' if self.atlas is None else self.atlas.name} texture {width}x{height})"
+        )
+
+    @property
+    def original_vertex_count(self) -> int:
+        """The number of vertices of the input, which come first."""
+        return len(self.original_vertices)
+
+    @property
+    def vertex_colours(self) -> NDArray[np.uint8]:
+        """Red, green, blue and alpha of the texture at the input's vertices, uint8, shape [V, 4]."""
+        if self.atlas is None or self.original_sphere is None or self.rotation is None:
+            at = np.floor(self.uv[: self.original_vertex_count] * (1.0, -1.0) % 1.0 * self.image.shape[1::-1])
+            column, row = np.minimum(at.astype(np.int64), np.subtract(self.image.shape[1::-1], 1)).T
+            values: NDArray = self.image[row, column]
+        else:
+            values = sample(self.image, self.original_sphere @ self.rotation, self.atlas, device="cpu")
+        colours = np.full((len(values), 4), 255, dtype=np.uint8)
+        colours[:, : values.shape[1]] = as_bytes(values)
+        return colours
+
+    def pil(self) -> Image:
+        """Return the texture as a PIL image."""
+        from PIL import Image
+
+        return Image.fromarray(self.image)
+
+    def trimesh(self) -> trimesh.Trimesh:
+        """Return the cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
+        import trimesh
+
+        look = trimesh.visual.material.PBRMaterial(
+            name="texture",
+            baseColorTexture=self.pil(),
+            baseColorFactor=[255, 255, 255, 255],
+            metallicFactor=Material.metallic,
+            roughnessFactor=Material.roughness,
+        )
+        return trimesh.Trimesh(
+            vertices=self.vertices,
+            faces=self.faces,
+            vertex_normals=self.normals,
+            visual=trimesh.visual.TextureVisuals(uv=self.uv, material=look),
+            process=False,
+            validate=False,
+        )
 
     def export(
         self,
@@ -72,7 +174,21 @@ class TexturedSurface(TexturedMesh):
         Raises:
             OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
         """
-        return export(self, path, keep=keep, texture_format=texture_format)
+        if as_path(path).suffix.lower() == ".ply":
+            format_for(".ply", texture_format)
+            channels = zip(("red", "green", "blue", "alpha"), self.vertex_colours.T, strict=True)
+            write_mesh(path, self.original_vertices, self.original_faces, beside=dict(channels))
+            return [as_path(path)]
+        _, first = np.unique(self.welded, return_index=True)
+        return export(
+            path,
+            self.vertices[first],
+            self.normals[first],
+            [Part(Material("texture", picture=self.image), self.faces, self.welded, self.uv)],
+            wraps=(self.wraps, self.wraps_rows),
+            keep=(*keep, self.source_image),
+            texture_format=texture_format,
+        )
 
 
 class TexturesItself(Protocol):
@@ -193,6 +309,8 @@ def texture(
         uv=cut.uv,
         normals=unit_normals(cut.weights @ vertex_normals(vertices, faces)),
         image=np.ascontiguousarray(texels),
+        wraps=layout.wraps,
+        wraps_rows=False,
         sphere=cut.sphere,
         source_vertex=cut.source_vertex,
         source_face=cut.source_face,
@@ -241,33 +359,6 @@ def _source(
     if unchanged and picture.shape[:2] == (layout.height, layout.width):
         return picture, *_shifted(picture, seam)
     return picture, layout, None
-
-
-def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
-    """Return the unit normals at vertices, shape [V, 3]: the mean of the faces' normals, weighted by area.
-
-    They are zero where the faces around a vertex cancel or have no area.
-    """
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    scaled = (vertices - low) / max(
-        float((high - low).max()), np.finfo(float).tiny
-    )  # squares stay in range at any scale
-    p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
-    weighted = np.cross(p1 - p0, p2 - p0)
-    total = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(weighted[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
-    )
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return total / np.where(length > 0, length, 1.0)
-
-
-def unit_normals(normals: Floats) -> Floats:
-    """Scale normals to unit length.
-
-    A zero normal becomes the direction of the z axis, as file formats require one.
-    """
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
 
 
 def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sphere: Floats) -> Floats:

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import TextureFormat
 from omtwarp.texturing.atlas import check_size, is_power_of_two
-from omtwarp.texturing.export import export
-from omtwarp.texturing.mesh import with_material
+from omtwarp.texturing.export import split_corners
+from omtwarp.texturing.textured import TexturedSurface
 
 MOST_TUBE = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
 KEPLER_STEPS = 40  # of Newton's method, at most: from the mean anomaly, seven reach round-off with MOST_TUBE
-
-if TYPE_CHECKING:
-    import trimesh
 
 Floats = NDArray[np.float64]
 
@@ -31,75 +23,6 @@ COVERAGE = 0.56  # the share of the torus that circles cover
 CHECKS = 6  # fields along the shorter lattice vector, an even number so that the picture closes up
 TEXELS = 1 << 21  # of a pattern, as many as a pattern 2048 wide has on the sphere
 LIGHT = np.array([0.96, 0.94, 0.90])  # sRGB between the circles, and of every other field
-
-
-@dataclass(repr=False)
-class TexturedTorus:
-    """A surface with a picture that repeats both ways, cut where texture coordinates would have to jump.
-
-    The input's vertices come first, in their order; copies of them follow.
-
-    Attributes:
-        vertices: float64, shape [N, 3].
-        faces: int32, shape [F, 3].
-        uv: texture coordinates, shape [N, 2], beyond [0, 1] where the picture repeats.
-        normals: unit vectors, shape [N, 3], the same for all copies of a vertex.
-        image: uint8, shape [H, W, 3] or [H, W, 4].
-        welded: the input's vertex that each vertex is a copy of, shape [N].
-        original_vertices, original_faces: the input.
-        vertex_colours: red, green, blue and alpha at the input's vertices, uint8, shape [V, 4].
-        source_image: the file that the texture was made from, if any; an export never replaces it.
-    """
-
-    vertices: Floats
-    faces: NDArray[np.int32]
-    uv: Floats
-    normals: Floats
-    image: NDArray[np.uint8]
-    welded: NDArray[np.int32]
-    original_vertices: Floats = field(repr=False)
-    original_faces: NDArray[np.int32] = field(repr=False)
-    vertex_colours: NDArray[np.uint8] = field(repr=False)
-    source_image: Path | None = field(default=None, repr=False)
-
-    wraps = True
-    wraps_rows = True
-
-    def __repr__(self) -> str:
-        height, width = self.image.shape[:2]
-        return f"TexturedTorus({len(self.vertices)} vertices, {len(self.faces)} faces, texture {width}x{height})"
-
-    @property
-    def original_vertex_count(self) -> int:
-        """How many vertices the input has: they are the first ones."""
-        return len(self.original_vertices)
-
-    def export(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        keep: Iterable[Path | None] = (),
-        texture_format: str = TextureFormat.PNG,
-    ) -> list[Path]:
-        """Write the surface as .glb, .obj (with .mtl and .png) or .ply (a colour per vertex).
-
-        Args:
-            path: the file to write.
-            keep: more files that must not be replaced.
-            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in fewer bytes, for viewers that know
-                the extension ``EXT_texture_webp``.
-
-        Returns:
-            The files written, the named one last.
-
-        Raises:
-            OmtwarpError: another suffix, a format that the suffix does not take, or a place that cannot be written to.
-        """
-        return export(self, path, keep=keep, texture_format=texture_format)
-
-    def trimesh(self) -> trimesh.Trimesh:
-        """Return the cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
-        return with_material(self)
 
 
 def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArray[np.uint8]:
@@ -180,7 +103,7 @@ def textured_torus(
     wraps: NDArray[np.int64],
     image: NDArray[np.uint8],
     source_image: Path | None = None,
-) -> TexturedTorus:
+) -> TexturedSurface:
     """Cut a surface where the texture coordinates of its map to a torus jump.
 
     Args:
@@ -189,38 +112,21 @@ def textured_torus(
         image: a picture that repeats both ways.
         source_image: where it is from.
     """
-    corner = coordinates[faces] + wraps
-    whole = wraps - np.floor(corner.min(axis=1, keepdims=True)).astype(np.int64)
-    low = whole.reshape(-1, 2).min(axis=0)
-    span = whole.reshape(-1, 2).max(axis=0) - low + 1
-    shifted = whole - low
-    kinds = int(span.prod())
-    keys = faces.astype(np.int64) * kinds + shifted[..., 0] * span[1] + shifted[..., 1]
-    unique, which = np.unique(keys.ravel(), return_inverse=True)
-    owner, rest = unique // kinds, unique % kinds
-    first = np.concatenate([[True], owner[1:] != owner[:-1]])
-    place = np.empty(len(unique), dtype=np.int64)
-    place[first] = owner[first]
-    place[~first] = len(vertices) + np.arange(int((~first).sum()))
-    welded = np.empty(len(unique), dtype=np.int32)
-    uv = np.empty((len(unique), 2))
-    welded[place] = owner
-    uv[place] = coordinates[owner] + np.stack([rest // span[1], rest % span[1]], axis=1) + low
-    height, width = image.shape[:2]
-    column = np.floor((coordinates[:, 0] % 1.0) * width).astype(np.int64) % width
-    row = np.floor((-coordinates[:, 1] % 1.0) * height).astype(np.int64) % height
-    colours = np.full((len(vertices), 4), 255, dtype=np.uint8)
-    colours[:, : image.shape[2]] = image[row, column]
-    return TexturedTorus(
+    whole = wraps - np.floor((coordinates[faces] + wraps).min(axis=1, keepdims=True))
+    rows, welded, uv = split_corners(faces, coordinates[faces] + whole, len(vertices))
+    return TexturedSurface(
         vertices=vertices[welded],
-        faces=place[which].reshape(-1, 3).astype(np.int32),
+        faces=rows,
         uv=uv,
         normals=normals[welded],
         image=image,
         welded=welded,
+        source_vertex=welded,
+        source_face=np.arange(len(faces), dtype=np.int32),
         original_vertices=vertices,
         original_faces=faces,
-        vertex_colours=colours,
+        wraps=True,
+        wraps_rows=True,
         source_image=source_image,
     )
 
@@ -253,4 +159,4 @@ def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
     return np.stack([reach * np.cos(ring), reach * np.sin(ring), turned * share * np.sin(angle)], axis=1)
 
 
-__all__ = ["PATTERNS", "TexturedTorus", "ring_torus", "textured_torus", "torus_pattern", "tube_radius"]
+__all__ = ["PATTERNS", "ring_torus", "textured_torus", "torus_pattern", "tube_radius"]

@@ -18,13 +18,13 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.inputs import open_input, read_arrays, write_arrays
 from omtwarp.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
-from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas, unit_normals, vertex_normals
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.options import Record
 from omtwarp.result import OF_A_TORUS, MeshReport, StageReport
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
-from omtwarp.texturing.textured import unit_normals, vertex_normals
-from omtwarp.torus.pictures import TexturedTorus, ring_torus, textured_torus, torus_pattern
+from omtwarp.texturing.textured import TexturedSurface
+from omtwarp.torus.pictures import ring_torus, textured_torus, torus_pattern
 
 if TYPE_CHECKING:
     import trimesh
@@ -173,7 +173,7 @@ class TorusMap(Shown):
 
     def textured(
         self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
-    ) -> TexturedTorus:
+    ) -> TexturedSurface:
         """Texture the surface with a picture that closes up both ways; ``.export("name.glb")`` writes it.
 
         Args:

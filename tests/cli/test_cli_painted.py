@@ -9,8 +9,8 @@ import pytest
 from test_cli_commands import run
 
 import omtwarp
-from omtwarp.materials import read_painted_mesh
 from omtwarp.mesh.write import write_mesh
+from omtwarp.texturing import read_painted_mesh
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "materials"))
 from two_materials import two_halves

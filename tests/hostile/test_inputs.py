@@ -21,7 +21,6 @@ from PIL import Image
 from omtwarp import limits
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import read_bytes
-from omtwarp.materials.read import read_painted_mesh
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
@@ -29,6 +28,7 @@ from omtwarp.mesh.write import write_mesh
 from omtwarp.render import film, preview
 from omtwarp.result import MapResult
 from omtwarp.texturing import make_atlas, read_image
+from omtwarp.texturing.read import read_painted_mesh
 
 BALL = shapes.icosphere(3)
 posix = pytest.mark.skipif(os.name != "posix", reason="of POSIX")
@@ -110,7 +110,7 @@ def test_a_mesh_of_more_triangles_than_its_limit_is_refused(tmp_path, monkeypatc
         np.savez(path, vertices=BALL.vertices, faces=BALL.faces)
     else:
         write_mesh(path, BALL.vertices, BALL.faces)
-    modules = ("omtwarp.mesh.read", "omtwarp.materials.read")
+    modules = ("omtwarp.mesh.read", "omtwarp.texturing.read")
     for most in (BALL.face_count, BALL.face_count - 1):
         for module in modules:
             monkeypatch.setattr(f"{module}.MOST_FACES", most)

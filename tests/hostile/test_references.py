@@ -15,11 +15,11 @@ from PIL import Image
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials.read import read_painted_mesh
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.render import preview
 from omtwarp.texturing.image import FORMATS, png_bytes
+from omtwarp.texturing.read import read_painted_mesh
 
 BALL = shapes.icosphere(2)
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EndComments\nshowpage\n%%EOF\n"

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials import PaintedMesh, read_painted_mesh
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
+from omtwarp.texturing import PaintedMesh, read_painted_mesh
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]

@@ -10,13 +10,13 @@ import pytest
 
 from omtwarp.cli import main
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials import read_painted_mesh
 from omtwarp.mesh import shapes
 from omtwarp.mesh.other_formats import WAYS_ROUND
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
 from omtwarp.mesh.write import write_mesh
 from omtwarp.surface_map import SurfaceMap
+from omtwarp.texturing import read_painted_mesh
 
 BALL = shapes.icosphere(2)
 V, F = BALL.vertex_count, BALL.face_count

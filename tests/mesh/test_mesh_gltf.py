@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials import read_painted_mesh
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
 from omtwarp.render.subject import as_surface_view as drawn_mesh
+from omtwarp.texturing import read_painted_mesh
 
 BALL = shapes.icosphere(3)
 TYPES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}

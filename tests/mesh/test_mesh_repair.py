@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from omtwarp.cli import main
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials import PaintedMesh, read_painted_mesh
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.repair import LARGEST_HOLE, Repaired, repair
 from omtwarp.mesh.validate import check
 from omtwarp.mesh.write import write_mesh
+from omtwarp.texturing import PaintedMesh, read_painted_mesh
 
 
 def ball(frequency: int = 4) -> tuple[np.ndarray, np.ndarray]:

@@ -9,14 +9,14 @@ import trimesh
 
 import omtwarp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.materials import Material, PaintedMesh, read_painted_mesh
-from omtwarp.materials.tangents import corner_tangents
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.painting import paint, unwrap_uv
 from omtwarp.painting.bakes import area_ratio, mean_curvature
 from omtwarp.painting.texels import over, tiled_copies
+from omtwarp.texturing import Material, PaintedMesh, read_painted_mesh
+from omtwarp.texturing.materials import corner_tangents
 from omtwarp.texturing.patterns.checker import Checker
-from omtwarp.texturing.textured import texture, vertex_normals
+from omtwarp.texturing.textured import texture
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "materials"))
 from two_materials import RED, two_halves

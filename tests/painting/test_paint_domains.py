@@ -6,11 +6,11 @@ import trimesh
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials import Material, read_painted_mesh
 from omtwarp.mesh.surface import plane_areas
 from omtwarp.painting import paint, unwrap_uv
 from omtwarp.painting.bakes import area_ratio
 from omtwarp.render.colors import colormap_table
+from omtwarp.texturing import Material, read_painted_mesh
 from omtwarp.texturing.patterns.checker import Checker
 
 

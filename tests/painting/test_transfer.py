@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.materials import PaintedMesh
 from omtwarp.painting import paint, transfer_texture, unwrap_uv
+from omtwarp.texturing import PaintedMesh
 from omtwarp.texturing.patterns.checker import Checker
 
 AXES = np.array([1.0, 0.7, 1.3])

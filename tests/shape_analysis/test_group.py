@@ -13,8 +13,9 @@ import omtwarp
 from omtwarp.cli import main
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.shapes import hippocampus, icosphere
+from omtwarp.mesh.surface import vertex_normals
 from omtwarp.shape_analysis.distance import coefficient_distance, density_distance, shape_distance
-from omtwarp.shape_analysis.group import group_difference, hotelling, principal_components, study_group, vertex_normals
+from omtwarp.shape_analysis.group import group_difference, hotelling, principal_components, study_group
 from omtwarp.spheres import named_grid
 
 SPHERE = icosphere(8)

@@ -11,10 +11,9 @@ from node import package, validated
 from two_materials import BLUE, RED, two_halves
 
 from omtwarp import map_surface, shapes
-from omtwarp.materials import read_painted_mesh
 from omtwarp.mesh.write import write_mesh
 from omtwarp.painting import paint, transfer_texture, unwrap_uv
-from omtwarp.texturing import texture
+from omtwarp.texturing import read_painted_mesh, texture
 from omtwarp.texturing.atlas import ATLASES
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))

@@ -2,81 +2,26 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import WELD, whole_numbers
-from omtwarp.srgb import to_linear
+from omtwarp.mesh.seams import compressed, seam_copies
+from omtwarp.mesh.surface import unit_normals, vertex_normals
+from omtwarp.options import TextureFormat
+from omtwarp.texturing.export import Part, export, split_corners
+from omtwarp.texturing.materials import Bytes, Floats, Ints, Material, corner_tangents
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Bytes = NDArray[np.uint8]
-
-WHITE = (1.0, 1.0, 1.0, 1.0)  # sRGB and opacity: the factor that does not change a picture
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 SAME_PLACE = 1e-5
 ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of another mesh"
-
-
-def linear(color: Floats) -> Floats:
-    """Convert colours from sRGB to linear light (IEC 61966-2-1), shape [..., 4]; their opacity does not change."""
-    return np.concatenate([to_linear(color[..., :3]), color[..., 3:]], axis=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class Material:
-    """How the triangles of one material look, in the terms of glTF 2.0.
-
-    Attributes:
-        name: as the file calls it.
-        color: red, green, blue (sRGB) and opacity, from 0 to 1; a factor on the picture where there is one.
-        picture: colours, uint8 sRGB, shape [H, W, 3] or [H, W, 4], row 0 on top; None for one colour.
-        metallic: 0 for a dielectric, 1 for a metal.
-        roughness: 0 for a mirror, 1 for a matt surface.
-        emission: factor on the light that the material sends out, linear red, green and blue.
-        two_sided: whether the triangles are seen from behind.
-        normal_picture: tangent-space normals as glTF's ``normalTexture`` holds them.
-        occlusion_picture: ambient occlusion in red, as glTF's ``occlusionTexture`` holds it; 255 is open.
-        roughness_picture: roughness in green and metalness in blue, glTF's ``metallicRoughnessTexture``.
-        emission_picture: the light that is sent out, glTF's ``emissiveTexture``.
-        own_tangents: whether ``normal_picture`` belongs to the tangents that a file is written with, rather than to
-            those that a reader computes.
-
-    Example:
-        >>> import omtwarp
-        >>> omtwarp.Material("glass", color=(0.9, 1.0, 1.0, 0.3)).opaque
-        False
-    """
-
-    name: str = "material"
-    color: tuple[float, float, float, float] = WHITE
-    picture: Bytes | None = None
-    metallic: float = 0.0
-    roughness: float = 0.65
-    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    two_sided: bool = False
-    normal_picture: Bytes | None = None
-    occlusion_picture: Bytes | None = None
-    roughness_picture: Bytes | None = None
-    emission_picture: Bytes | None = None
-    own_tangents: bool = False
-
-    @property
-    def plain(self) -> bool:
-        """Whether the material has no picture of any kind."""
-        pictures = (self.picture, self.normal_picture, self.occlusion_picture)
-        return all(one is None for one in (*pictures, self.roughness_picture, self.emission_picture))
-
-    @property
-    def opaque(self) -> bool:
-        """Whether the material is opaque."""
-        transparent = self.picture is not None and self.picture.shape[2] == 4 and self.picture[..., 3].min() < 255
-        return self.color[3] >= 1.0 and not transparent
 
 
 def corners_of(faces: ArrayLike, count: int) -> Ints:
@@ -89,7 +34,7 @@ def corners_of(faces: ArrayLike, count: int) -> Ints:
 
 
 @dataclass(frozen=True, eq=False)
-class PaintedArrays:
+class PaintedMesh:
     """A triangle mesh with its texture coordinates and materials.
 
     Attributes:
@@ -106,6 +51,14 @@ class PaintedArrays:
 
     Raises:
         OmtwarpError: the arrays do not belong together.
+
+    Example:
+        >>> import omtwarp
+        >>> ball = omtwarp.shapes.icosphere(4)
+        >>> halves = (ball.vertices[ball.faces].mean(axis=1)[:, 2] > 0).astype(int)
+        >>> red, blue = omtwarp.Material("red", (1, 0, 0, 1)), omtwarp.Material("blue", (0, 0, 1, 1))
+        >>> omtwarp.PaintedMesh(ball.vertices, ball.faces, materials=(red, blue), face_material=halves)
+        PaintedMesh(162 vertices, 320 faces without texture coordinates, 2 materials)
     """
 
     vertices: Floats
@@ -210,6 +163,57 @@ class PaintedArrays:
             colors[triangles[kept]] = self.vertex_colors[self.faces[origin[kept, None], corner]]
         return replace(self, vertices=points, faces=triangles, uv=uv, face_material=materials, vertex_colors=colors)
 
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        keep: Iterable[Path | None] = (),
+        texture_format: str = TextureFormat.PNG,
+    ) -> list[Path]:
+        """Write the mesh with its materials.
+
+        ``.glb`` holds a primitive for every material, its pictures embedded; ``.obj`` is written with its ``.mtl`` and
+        a ``.png`` for every picture in the same folder.
+
+        Args:
+            path: the file to write.
+            keep: more files that must not be replaced.
+            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in fewer bytes, for viewers that
+                read the extension ``EXT_texture_webp``.
+
+        Returns:
+            The files written, the named one last.
+
+        Raises:
+            OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
+        """
+        normals = unit_normals(vertex_normals(self.vertices, self.faces))
+        parts = [self._part(int(number), normals) for number in np.unique(self.material_of)]
+        return export(
+            path,
+            self.vertices,
+            normals,
+            parts,
+            colors=self.vertex_colors,
+            wraps=(True, self.wraps_rows),
+            keep=(*keep, *self.source_files),
+            texture_format=texture_format,
+        )
+
+    def _part(self, number: int, normals: Floats) -> Part:
+        """Return the triangles of one material; corners that agree in all attributes share a row."""
+        material, of_it = self.materials[number], self.material_of == number
+        used, local = np.unique(self.faces[of_it], return_inverse=True)
+        corners = local.reshape(-1, 3).astype(np.int32)
+        if self.uv is None or not np.isfinite(self.uv[of_it]).all():
+            return Part(material, corners, used)
+        values = self.uv[of_it]
+        if material.normal_picture is not None and material.own_tangents:
+            tangents = corner_tangents(self.vertices, self.faces[of_it], values, normals)
+            values = np.concatenate([values, tangents], axis=2)
+        rows, vertex, values = split_corners(corners, values, len(used))
+        return Part(material, rows, used[vertex], values[:, :2], values[:, 2:] if values.shape[1] > 2 else None)
+
     @property
     def _same_place(self) -> float:
         """Return the distance within which two vertices count as copies of each other."""
@@ -254,4 +258,23 @@ class PaintedArrays:
         return origin
 
 
-__all__ = ["Material", "PaintedArrays", "corners_of", "linear"]
+def joined_seams(mesh: PaintedMesh) -> PaintedMesh:
+    """Join vertices of boundaries that lie at the same place, as formats double them along seams of a texture.
+
+    Faces keep their numbers and corners; vertices keep their order, without copies.
+    """
+    number = seam_copies(mesh.vertices, mesh.faces) if len(mesh.faces) else None
+    if number is None:
+        return mesh
+    stays, after = compressed(number)
+    doubled = len(stays) - int(stays.sum())
+    return replace(
+        mesh,
+        vertices=mesh.vertices[stays],
+        faces=after[mesh.faces].astype(np.int32),
+        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[stays],
+        notes=(*mesh.notes, f"joined {doubled} copies of vertices along seams"),
+    )
+
+
+__all__ = ["PaintedMesh", "corners_of", "joined_seams"]

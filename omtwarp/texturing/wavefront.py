@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials.base import Bytes, Floats, Ints, Material
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.read import require_counted_from_one
+from omtwarp.texturing.materials import Bytes, Floats, Ints, Material
 
 _STATEMENT = re.compile(rb"^[ \t]*(vt|v|f|usemtl|mtllib)[ \t]+([^\n#]*)|^[ \t]*(usemtl)[ \t]*$", flags=re.MULTILINE)
 

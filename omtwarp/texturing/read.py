@@ -15,17 +15,16 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.inputs import file_beside, read_bytes
 from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.materials.base import Bytes, Floats, Ints, Material, corners_of
-from omtwarp.materials.painted import PaintedMesh
-from omtwarp.materials.wavefront import read_mtl, read_obj
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.read import OWN_FORMATS, mesh_content, read_mesh, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
-from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.srgb import to_linear, to_srgb
 from omtwarp.texturing.image import decoded, read_image
+from omtwarp.texturing.materials import Bytes, Floats, Ints, Material
+from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
+from omtwarp.texturing.wavefront import read_mtl, read_obj
 
 if TYPE_CHECKING:
     import trimesh
@@ -377,27 +376,4 @@ def _opaque(colors: Bytes) -> Bytes:
     return np.column_stack([colors, np.full(len(colors), 255, dtype=np.uint8)])
 
 
-def joined_seams(mesh: PaintedMesh) -> PaintedMesh:
-    """Join vertices of boundaries that lie at the same place, as formats double them along seams of a texture.
-
-    Faces keep their numbers and corners; vertices keep their order, without copies.
-    """
-    number = seam_copies(mesh.vertices, mesh.faces) if len(mesh.faces) else None
-    if number is None:
-        return mesh
-    stays, after = compressed(number)
-    doubled = len(stays) - int(stays.sum())
-    return replace(
-        mesh,
-        vertices=mesh.vertices[stays],
-        faces=_as_ints(after[mesh.faces]),
-        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[stays],
-        notes=(*mesh.notes, f"joined {doubled} copies of vertices along seams"),
-    )
-
-
-def _as_ints(values: NDArray) -> Ints:
-    return np.ascontiguousarray(values, dtype=np.int32)
-
-
-__all__ = ["joined_seams", "read_painted_mesh"]
+__all__ = ["read_painted_mesh"]

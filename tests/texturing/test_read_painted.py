@@ -10,7 +10,7 @@ from two_materials import BLUE, RED, two_halves
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
-from omtwarp.materials import Material, PaintedMesh, read_painted_mesh
+from omtwarp.texturing import Material, PaintedMesh, read_painted_mesh
 
 
 def test_obj_keeps_coordinates_and_materials_in_the_order_of_read_mesh(tmp_path):
