@@ -30,9 +30,9 @@ from pathlib import Path
 import omtwarp
 from omtwarp.device.policy import resolve_device
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
+from omtwarp.mapping.pipeline import as_surface
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
-from omtwarp.pipeline import as_surface
 from omtwarp.refine.solver import Refiner
 
 LENGTHS = (4.0, 12.0, 24.0)

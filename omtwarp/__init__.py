@@ -13,13 +13,13 @@ import importlib
 from types import ModuleType as _ModuleType
 from typing import TYPE_CHECKING
 
-from omtwarp.display import Shown as _Shown
+from omtwarp.maps.display import Shown as _Shown
 
 # The module that every public name comes from; `shapes` is itself a module.
 _PUBLIC = {
     "Defect": "omtwarp.mesh.validate",
-    "MapResult": "omtwarp.result",
-    "SurfaceMap": "omtwarp.surface_map",
+    "MapResult": "omtwarp.maps.result",
+    "SurfaceMap": "omtwarp.maps.surface_map",
     "OmtwarpError": "omtwarp.errors",
     "OmtwarpWarning": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
@@ -27,7 +27,7 @@ _PUBLIC = {
     "Material": "omtwarp.texturing",
     "PaintedMesh": "omtwarp.texturing",
     "align": "omtwarp.alignment",
-    "TorusMap": "omtwarp.torus.torus_map",
+    "TorusMap": "omtwarp.maps.torus_map",
     "barycentric_map": "omtwarp.baselines",
     "certify": "omtwarp.metrics.certificate",
     "check": "omtwarp.mesh.validate",
@@ -37,8 +37,8 @@ _PUBLIC = {
     "harmonic_points": "omtwarp.conformal",
     "hierarchical_embedding": "omtwarp.start.hierarchical",
     "map_optimality": "omtwarp.metrics.optimality",
-    "map_surface": "omtwarp.any_surface",
-    "map_to_sphere": "omtwarp.pipeline",
+    "map_surface": "omtwarp.mapping.any_surface",
+    "map_to_sphere": "omtwarp.mapping.pipeline",
     "mobius_centring": "omtwarp.conformal",
     "moser_map": "omtwarp.moser",
     "optimal_map": "omtwarp.optimal",
@@ -68,13 +68,17 @@ if TYPE_CHECKING:
     __version__: str
     from omtwarp import benchmark as benchmark
     from omtwarp.alignment import align as align
-    from omtwarp.any_surface import map_surface as map_surface
     from omtwarp.baselines import barycentric_map as barycentric_map
     from omtwarp.conformal import conformal_map as conformal_map
     from omtwarp.conformal import harmonic_points as harmonic_points
     from omtwarp.conformal import mobius_centring as mobius_centring
     from omtwarp.errors import OmtwarpError as OmtwarpError
     from omtwarp.errors import OmtwarpWarning as OmtwarpWarning
+    from omtwarp.mapping.any_surface import map_surface as map_surface
+    from omtwarp.mapping.pipeline import map_to_sphere as map_to_sphere
+    from omtwarp.maps.result import MapResult as MapResult
+    from omtwarp.maps.surface_map import SurfaceMap as SurfaceMap
+    from omtwarp.maps.torus_map import TorusMap as TorusMap
     from omtwarp.measures import TargetDensity as TargetDensity
     from omtwarp.measures import weighted_surface as weighted_surface
     from omtwarp.mesh import shapes as shapes
@@ -93,20 +97,16 @@ if TYPE_CHECKING:
     from omtwarp.painting import paint as paint
     from omtwarp.painting import transfer_texture as transfer_texture
     from omtwarp.painting import unwrap_uv as unwrap_uv
-    from omtwarp.pipeline import map_to_sphere as map_to_sphere
     from omtwarp.registration import register as register
     from omtwarp.render import preview as preview
     from omtwarp.render.films import film as film
     from omtwarp.reporting import write_report as write_report
     from omtwarp.resampling import resample as resample
-    from omtwarp.result import MapResult as MapResult
     from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
-    from omtwarp.surface_map import SurfaceMap as SurfaceMap
     from omtwarp.texturing import Material as Material
     from omtwarp.texturing import PaintedMesh as PaintedMesh
     from omtwarp.texturing import read_painted_mesh as read_painted_mesh
     from omtwarp.texturing import texture as texture
-    from omtwarp.torus.torus_map import TorusMap as TorusMap
     from omtwarp.transport.cost import transport_cost as transport_cost
     from omtwarp.transport.flow import optimal_transport as optimal_transport
     from omtwarp.transport.paper import paper_flow as paper_flow

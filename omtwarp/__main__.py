@@ -33,14 +33,14 @@ def _open_streams() -> None:
 
 
 def main() -> None:
-    """Run the command line, see :func:`omtwarp.cli.main`."""
+    """Run the command line, see :func:`omtwarp.commands._cli.main`."""
     _open_streams()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
-    from omtwarp.interruptions import ending_the_process
+    from omtwarp.files.interruptions import ending_the_process
 
     with ending_the_process(restore=False, instead_of=_end):
-        from omtwarp.cli import main as run
+        from omtwarp.commands._cli import main as run
 
         run()
 

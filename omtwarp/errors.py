@@ -1,6 +1,10 @@
-"""The package's exception, the category of its warnings, and their form in a terminal."""
+"""The package's exception, the category of its warnings, their form in a terminal, and the choice of a known value."""
 
 import re
+from enum import StrEnum
+from typing import TypeVar
+
+Kind = TypeVar("Kind", bound=StrEnum)
 
 ARGUMENT = re.compile(r"\b([a-z_]+)=(?:True|\[?'([^']+)'\]?)(?! in Python)")
 INTERRUPTED = 130  # exit status of a command that is interrupted: 128 and the number of the signal, as shells report it
@@ -69,3 +73,27 @@ class OmtwarpWarning(UserWarning):
         >>> len(caught), result.report["warnings"]
         (0, [])
     """
+
+
+def choose(kind: type[Kind], value: object, *, without: tuple[Kind, ...] = ()) -> Kind:
+    """Return the member of an option's values that a text names.
+
+    Args:
+        kind: the option, such as :class:`omtwarp.options.Cost`.
+        value: a member, or its text.
+        without: members that are not offered here.
+
+    Raises:
+        OmtwarpError: the option has no such value; the message lists those it has.
+    """
+    offered = [member for member in kind if member not in without]
+    for member in offered:
+        if isinstance(value, str) and value == member.value:
+            return member
+    name = re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
+    raise OmtwarpError(f"unknown {name} {shown(value)}: use {', '.join(offered)}")
+
+
+def shown(value: object) -> str:
+    """Return a value as text for a message: itself where it is text or a number, its type otherwise."""
+    return f"'{value}'" if isinstance(value, str | int | float) else f"of type {type(value).__name__}"

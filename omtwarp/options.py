@@ -5,13 +5,13 @@ The command line and Python take their options from here. Nothing heavy is impor
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, NotRequired, TypeAlias, TypedDict, TypeVar
+from typing import Literal, NotRequired, TypeAlias, TypedDict
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.device.names import Solver, parse_device
+from omtwarp.errors import OmtwarpError, choose, shown
 
 Record: TypeAlias = dict[str, float]
 """Numbers of one step of a stage by their names, ready for JSON; counts are int and yes or no is bool."""
@@ -119,16 +119,6 @@ class CutAlong(StrEnum):
     HOLES = "holes"
 
 
-class Solver(StrEnum):
-    """How sparse systems are solved: by SciPy, a built-in solver or, on a GPU, cuDSS; ``auto`` takes a built-in one."""
-
-    AUTO = "auto"
-    SCIPY = "scipy"
-    CHOLESKY = "cholesky"
-    MULTIGRID = "multigrid"
-    CUDSS = "cudss"
-
-
 class Backend(StrEnum):
     """Programs that draw pictures: OpenGL through pyrender, the built-in ray caster, or whichever works."""
 
@@ -205,47 +195,6 @@ PICTURE_SIZE = (1024, 1024)  # pixels of a view where no size is given
 BACKGROUND = "white"
 FILM_RATE = 20.0  # frames per second; a .gif counts in hundredths of a second, of which this is a whole number
 
-Kind = TypeVar("Kind", bound=StrEnum)
-
-_NAMES: dict[type[StrEnum], str] = {
-    WeightsAt: "place of weights",
-    Method: "method",
-    Stage: "stage",
-    Cost: "cost",
-    Scheme: "scheme",
-    Refinement: "refinement",
-    Solver: "solver",
-    Backend: "backend",
-    Interpolation: "interpolation",
-    Domain: "domain",
-    FillArea: "fill area",
-    CutAlong: "loops to cut along",
-    AlignBy: "way to align",
-}
-
-
-def choose(kind: type[Kind], value: object, *, without: tuple[Kind, ...] = ()) -> Kind:
-    """Return the member of an option's values that a text names.
-
-    Args:
-        kind: the option, such as :class:`Cost`.
-        value: a member, or its text.
-        without: members that are not offered here.
-
-    Raises:
-        OmtwarpError: the option has no such value; the message lists those it has.
-    """
-    offered = [member for member in kind if member not in without]
-    for member in offered:
-        if isinstance(value, str) and value == member.value:
-            return member
-    raise OmtwarpError(f"unknown {_NAMES[kind]} {_shown(value)}: use {', '.join(offered)}")
-
-
-def _shown(value: object) -> str:
-    """Return a value as text for a message: itself where it is text or a number, its type otherwise."""
-    return f"'{value}'" if isinstance(value, str | int | float) else f"of type {type(value).__name__}"
-
 
 @dataclass(frozen=True)
 class AreaMatch:
@@ -280,21 +229,9 @@ def parse_refinement(value: object) -> Refinement | AreaMatch | float | None:
     if matched or not 0.0 < number < float("inf"):
         names = ", ".join(Refinement)
         raise OmtwarpError(
-            f"unknown refinement {_shown(value)}: use {names}, a positive number, or match:AREA, AREA above 2"
+            f"unknown refinement {shown(value)}: use {names}, a positive number, or match:AREA, AREA above 2"
         )
     return number
-
-
-def parse_device(value: object) -> str:
-    """Check a device's name: ``auto`` (also for None), ``cpu``, ``cuda`` or ``cuda:N``; it need not exist.
-
-    Raises:
-        OmtwarpError: the name has another form.
-    """
-    name = "auto" if value is None else str(value)
-    if name not in ("auto", "cpu", "cuda") and not (re.fullmatch(r"cuda:[0-9]{1,4}", name)):
-        raise OmtwarpError(f"unknown device {_shown(value)}: use auto, cpu, cuda or cuda:N")
-    return name
 
 
 class ChosenOptions(TypedDict):

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.mesh.arrays import TINY, in_range, real_numbers, whole_numbers
 
 Floats = NDArray[np.float64]
@@ -211,7 +212,6 @@ def named_grid(name: str) -> SphereGrid:
     text = name.strip().lower()
     if match := re.fullmatch(r"ico(\d+)", text):
         level = _within(int(match[1]), 0, 8, name)
-        from omtwarp.wavelets.hierarchy import sphere_hierarchy  # with kernels that a map does not need
 
         hierarchy = sphere_hierarchy(level)
         return SphereGrid(text, hierarchy.vertices, hierarchy.faces, (hierarchy.node_count,))

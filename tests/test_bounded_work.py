@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 import omtwarp
-from omtwarp import map_to_sphere, pipeline
+from omtwarp import map_to_sphere
+from omtwarp.mapping import pipeline
 from omtwarp.untangling import steps
 from omtwarp.untangling.untangle import STEP_WORK, WORK_PER_VERTEX, RepairBudget
 from tests.hostile.hostile_meshes import large_face, urchin

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.shapes import blob, icosphere
-from omtwarp.result import MapResult
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.write import write_mesh
@@ -166,7 +166,7 @@ def test_every_command_and_public_name_is_documented():
     import typer
 
     import omtwarp
-    from omtwarp.cli import app
+    from omtwarp.commands._cli import app
 
     listed = (ROOT / "docs" / "api.rst").read_text("utf-8")
     for name in set(omtwarp.__all__) - {"__version__", "shapes"}:

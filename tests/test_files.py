@@ -7,7 +7,7 @@ import os
 import pytest
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import RECORD, check_output, staged
+from omtwarp.files.output import RECORD, check_output, staged
 
 
 def test_staging_leaves_nothing_after_an_error(tmp_path):

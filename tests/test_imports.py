@@ -39,8 +39,7 @@ HEAVY = {
 }
 HEAVY_ROOMS = {
     # Kernels that few maps launch: reading their text takes as long as a tenth of a small map.
-    "omtwarp.measures": {"omtwarp.wavelets"},
-    "omtwarp.pipeline": {
+    "omtwarp.mapping": {
         "omtwarp.baselines",
         "omtwarp.transport.flow",
         "omtwarp.transport.paper",
@@ -49,7 +48,6 @@ HEAVY_ROOMS = {
     "omtwarp.optimal": {"omtwarp.start.hierarchical"},
     "omtwarp.refine": {"omtwarp.refine.device_newton"},
     "omtwarp.solvers": {"omtwarp.solvers.multigrid"},
-    "omtwarp.spheres": {"omtwarp.wavelets"},
     "omtwarp.start": {"omtwarp.start.hierarchical"},
     "omtwarp.open_surfaces": {"omtwarp.start.hemispherical"},
     # A driver waits for processes, and draws pictures at the end.
@@ -61,9 +59,8 @@ HEAVY_ROOMS = {
         "omtwarp.texturing.read",
         "omtwarp.render.ray_caster",
         "omtwarp.render.pyrender_",
-        "omtwarp.result",
+        "omtwarp.maps",
         "omtwarp.texturing.smooth",
-        "omtwarp.torus",
     },
 }
 
@@ -195,14 +192,18 @@ def test_commands_load_inside_of_functions_what_is_slow_to_load(module):
 
 
 def test_modules_that_are_slow_to_load_are_known():
-    assert is_slow_to_load("numpy") and is_slow_to_load("omtwarp.pipeline") and is_slow_to_load("omtwarp.mesh.read")
+    assert (
+        is_slow_to_load("numpy")
+        and is_slow_to_load("omtwarp.mapping.pipeline")
+        and is_slow_to_load("omtwarp.mesh.read")
+    )
     assert is_slow_to_load("omtwarp.texturing")  # names are loaded with it when they are asked for
     assert not is_slow_to_load("omtwarp.options") and not is_slow_to_load("json")
 
 
 @pytest.mark.parametrize("module", sorted(set(FILES) - {"omtwarp"}))
 def test_imports_stand_at_the_top(module):
-    if module.startswith(("omtwarp.commands", "omtwarp.cli", "omtwarp.__main__")):
+    if module.startswith(("omtwarp.commands", "omtwarp.commands._cli", "omtwarp.__main__")):
         pytest.skip("commands load what is slow inside of functions, and their entry does all, behind its handler")
     inside = {name for name, in_function in imports(module) if in_function}
     rooms = HEAVY_ROOMS.get(room_of(module), set())

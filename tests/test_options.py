@@ -7,11 +7,11 @@ import pytest
 
 import omtwarp
 from omtwarp import options
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.write import write_mesh
 from omtwarp.options import Cost, MapOptions, Method, Refinement, Scheme, Stage, choose, parse_device
-from omtwarp.pipeline import map_to_sphere
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from sphere_truths import SHARED, apart, judge, mean_edge, random_rotation, ring
 import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.shapes import blob, demo_shape, icosphere, random_sphere, tube
 from omtwarp.mesh.surface import Surface
@@ -24,7 +25,6 @@ from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.metrics.optimality import map_optimality
 from omtwarp.optimal.nested import smoothed
 from omtwarp.options import Stage, parse_refinement
-from omtwarp.pipeline import map_to_sphere
 from omtwarp.transport.cost import transport_cost
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -345,7 +345,7 @@ SCRIPT = """
 import hashlib, sys
 from omtwarp.mesh.shapes import blob
 from omtwarp.metrics.optimality import map_optimality
-from omtwarp.pipeline import map_to_sphere
+from omtwarp.mapping.pipeline import map_to_sphere
 surface = blob(seed=1, amplitude=0.35, degree=5, sphere=1280)
 result = map_to_sphere((surface.vertices, surface.faces), until="omt", device="cpu")
 for name in ("conformal", "transported", "sphere", "density"):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mapping.pipeline import map_to_sphere
+from omtwarp.maps.result import REQUIRED, MapResult
 from omtwarp.mesh.shapes import blob
 from omtwarp.metrics import measure_triangles
-from omtwarp.pipeline import map_to_sphere
-from omtwarp.result import REQUIRED, MapResult
 
 OPTIONAL = ("face_density", "source", "moser", "transported")  # where their stage was run
 

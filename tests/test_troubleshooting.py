@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from omtwarp.mapping.verdict import Finding
 from omtwarp.mesh.validate import Defect
-from omtwarp.verdict import Finding
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")

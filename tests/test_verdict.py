@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from omtwarp import pipeline
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.mapping import pipeline
+from omtwarp.mapping.pipeline import map_to_sphere
+from omtwarp.mapping.verdict import elongation, foretell, judge
+from omtwarp.maps.result import StageRecord
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, tube
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import MapOptions
-from omtwarp.pipeline import map_to_sphere
-from omtwarp.result import StageRecord
-from omtwarp.verdict import elongation, foretell, judge
 
 sys.path.insert(0, str(Path(__file__).parent / "hostile"))
 from hostile_meshes import creature, large_face, needle_pair, prism

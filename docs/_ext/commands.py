@@ -15,7 +15,7 @@ class CommandLine(Directive):
     def run(self) -> list[nodes.Node]:
         import typer
 
-        from omtwarp.cli import app
+        from omtwarp.commands._cli import app
 
         group: Any = typer.main.get_command(app)
         context = group.make_context("omtwarp", [], resilient_parsing=True)

@@ -16,15 +16,15 @@ from omtwarp.alignment.features import (
     varying_features,
 )
 from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, choose
 from omtwarp.harmonics import check_degree
+from omtwarp.maps.result import MapResult
+from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.mesh.arrays import TINY
-from omtwarp.options import AlignBy, AlignByLike, choose
+from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.resampling.resample import PointsLike
-from omtwarp.result import MapResult
 from omtwarp.spheres import SphereGrid
-from omtwarp.surface_map import SurfaceMap
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files.output import staged
 from omtwarp.options import parse_device
 from omtwarp.reporting.markup import Markup, element
 from omtwarp.reporting.plain import table, write_plain_page

@@ -22,9 +22,9 @@ from omtwarp.device.policy import is_cuda, resolve_device
 from omtwarp.device.prewarm import prewarm
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mapping.pipeline import map_to_sphere
+from omtwarp.maps.result import MapResult
 from omtwarp.options import MapKeywords, Scheme, Solver
-from omtwarp.pipeline import map_to_sphere
-from omtwarp.result import MapResult
 
 Record = dict[str, object]
 

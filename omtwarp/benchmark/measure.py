@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.benchmark.records import Gpu, Machine
-from omtwarp.children import interpreter
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count
-from omtwarp.pipeline import versions
+from omtwarp.files.children import interpreter
+from omtwarp.mapping.pipeline import versions
 
 
 class Clock:

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 from omtwarp.benchmark.records import FlowTimes, KernelRow, KernelTable
 from omtwarp.device.graphs import step_by_step
 from omtwarp.device.start import wp
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.surface import Surface
-from omtwarp.pipeline import map_to_sphere
 from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
 
 PER_THREAD = 16  # elements of an array that a thread is taken to touch at most: a vertex has six neighbours on average

@@ -18,9 +18,9 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Record
-from omtwarp.pipeline import map_to_sphere
 from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
 from omtwarp.solvers.cholesky.saddle import expand
 

@@ -12,9 +12,9 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
-from omtwarp.children import interpreter, safe_paths
 from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
 from omtwarp.errors import OmtwarpError
+from omtwarp.files.children import interpreter, safe_paths
 
 Record: TypeAlias = Row
 

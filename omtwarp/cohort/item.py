@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-from omtwarp.files import staged
+from omtwarp.files.output import staged
 from omtwarp.version import package_version
 
 Row: TypeAlias = dict[str, str | float | None]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TextIO
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import read_bytes
+from omtwarp.files.inputs import read_bytes
 
 LARGEST_MANIFEST = 2**28  # bytes; a million rows of 256
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf", ".gii", ".vtk", ".white", ".pial", ".orig")

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from omtwarp.cohort.item import OK, Row
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY
 from omtwarp.render import preview
 from omtwarp.reporting.markup import Markup, element
 from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
-from omtwarp.result import MapResult
 
 OUTLIERS = 6  # pictures on the page
 MEASURES = {

@@ -15,9 +15,9 @@ from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, 
 from omtwarp.cohort.manifest import Item
 from omtwarp.cohort.table import write_table
 from omtwarp.device.cores import core_count
-from omtwarp.errors import OmtwarpError
-from omtwarp.files import folder_of_results
-from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, choose
+from omtwarp.errors import OmtwarpError, choose
+from omtwarp.files.output import folder_of_results
+from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress
 
 LONGEST = 1e8  # seconds of a time limit: three years, and less than timers of the system take
 LARGEST_LIMIT = 1e6  # GiB of a memory limit, in bytes less than 2^63

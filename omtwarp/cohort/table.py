@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omtwarp.cohort.item import NUMBERS, WHOLE, Row
-from omtwarp.files import staged
+from omtwarp.files.output import staged
 
 ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "key")
 

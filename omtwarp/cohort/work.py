@@ -11,16 +11,16 @@ from typing import cast
 
 import numpy as np
 
-from omtwarp.any_surface import map_surface
 from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, locked, read_record, write_record
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, unexpected
+from omtwarp.mapping.any_surface import map_surface
+from omtwarp.mapping.pipeline import map_to_sphere
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Domain, MapKeywords
-from omtwarp.pipeline import map_to_sphere
-from omtwarp.result import MapResult
 
 
 def run_item(job: Job) -> Row:

@@ -11,7 +11,7 @@ from typing import Protocol, cast
 
 import typer
 
-from omtwarp.files import keeping
+from omtwarp.files.output import keeping
 
 GROUPS = {
     "Input": (

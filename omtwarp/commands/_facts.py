@@ -14,8 +14,8 @@ WHOLE_COVER = 1e-6
 LOOSE_GAP = 1.0
 
 if TYPE_CHECKING:
-    from omtwarp.result import MapReport, MapResult
-    from omtwarp.torus.torus_map import TorusMap
+    from omtwarp.maps.result import MapReport, MapResult
+    from omtwarp.maps.torus_map import TorusMap
 
 
 class MapFacts(TypedDict):

@@ -11,19 +11,17 @@ import typer
 from typer.models import OptionInfo
 
 from omtwarp.commands._streams import input_file, output_file
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import Kind, OmtwarpError, choose
 from omtwarp.options import (
     Backend,
     Cost,
     CutAlong,
     FillArea,
-    Kind,
     Method,
     Scheme,
     Solver,
     Stage,
     WeightsAt,
-    choose,
     parse_refinement,
 )
 

@@ -11,11 +11,11 @@ from omtwarp.commands._work import load_map, make_map, require_bijective, requir
 from omtwarp.errors import OmtwarpError
 
 if TYPE_CHECKING:
+    from omtwarp.maps.result import MapResult
+    from omtwarp.maps.torus_map import TorusMap
     from omtwarp.mesh.surface import Surface
     from omtwarp.options import MapChoices
-    from omtwarp.result import MapResult
     from omtwarp.texturing import PaintedMesh
-    from omtwarp.torus.torus_map import TorusMap
 
 
 def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TextIO, cast
 
 from omtwarp.errors import OmtwarpError, one_line, with_options
-from omtwarp.files import scratch
-from omtwarp.limits import LARGEST_MESH_FILE, amount
+from omtwarp.files.limits import LARGEST_MESH_FILE, amount
+from omtwarp.files.output import scratch
 
 STREAM = Path("-")
 _HEADS = (

@@ -19,10 +19,10 @@ from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, WeightsAt,
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from omtwarp.maps.result import MapResult
+    from omtwarp.maps.torus_map import TorusMap
     from omtwarp.measures import TargetDensity
     from omtwarp.mesh.surface import Surface
-    from omtwarp.result import MapResult
-    from omtwarp.torus.torus_map import TorusMap
 
 
 @dataclass
@@ -111,8 +111,8 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
 
 def of_a_map(path: Path) -> list[str]:
     """Return a note where a file that is read as a mesh is that of a map, whole or not; otherwise none."""
-    from omtwarp.inputs import holds_array
-    from omtwarp.result import OF_MAPS
+    from omtwarp.files.inputs import holds_array
+    from omtwarp.maps.result import OF_MAPS
 
     found = path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
     return ["a map's file, of which only the mesh is read"] if found else []
@@ -248,12 +248,12 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
     Raises:
         OmtwarpError: the file is missing or is no map, or is a map to a torus where the command takes none.
     """
-    from omtwarp.inputs import holds_array
-    from omtwarp.result import OF_TORUS_MAPS
-    from omtwarp.surface_map import read_map
+    from omtwarp.files.inputs import holds_array
+    from omtwarp.maps.result import OF_TORUS_MAPS
+    from omtwarp.maps.surface_map import read_map
 
     if path.is_file() and holds_array(path, *OF_TORUS_MAPS):
-        from omtwarp.torus.torus_map import TorusMap
+        from omtwarp.maps.torus_map import TorusMap
 
         if not torus:
             raise OmtwarpError(f"'{path}' is a map to a torus: this command takes maps to the sphere, as --cut makes")
@@ -356,14 +356,14 @@ def make_map(
         target: the density on the sphere.
         options: those of :func:`omtwarp.map_to_sphere`.
     """
-    from omtwarp.pipeline import map_to_sphere
+    from omtwarp.mapping.pipeline import map_to_sphere
 
     result: MapResult | TorusMap
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
         with progress_bar(quiet) as progress:
             if any_surface is not None:
-                from omtwarp.any_surface import map_surface
+                from omtwarp.mapping.any_surface import map_surface
 
                 result = map_surface(
                     surface,
@@ -449,8 +449,8 @@ def map_from(
         OmtwarpError: neither or both of mesh and map are given, or the one given cannot be used.
     """
     if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
-        from omtwarp.inputs import holds_array
-        from omtwarp.result import OF_MAPS
+        from omtwarp.files.inputs import holds_array
+        from omtwarp.maps.result import OF_MAPS
 
         if holds_array(mesh, *OF_MAPS):
             mesh, finished = None, mesh  # a map in place of a mesh

@@ -12,8 +12,8 @@ from omtwarp.commands._options import RefineOption, VerboseOption, output_option
 from omtwarp.commands._streams import input_file, output_file, say
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
-from omtwarp.limits import MOST_FACES, MOST_REPEATS
+from omtwarp.files.limits import MOST_FACES, MOST_REPEATS
+from omtwarp.files.output import check_output, staged
 
 
 def face_counts(text: str) -> str:

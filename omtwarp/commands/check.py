@@ -12,13 +12,13 @@ from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import say
 from omtwarp.commands._work import each, of_a_map, outputs_of, report_text
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from omtwarp.maps.result import Warned
     from omtwarp.mesh.validate import Defect
-    from omtwarp.result import Warned
 
 
 def check_mesh(
@@ -99,11 +99,11 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
     Raises:
         OmtwarpError: the file cannot be read, or the repaired mesh cannot be written.
     """
+    from omtwarp.mapping.verdict import foretell
     from omtwarp.mesh.seams import read_joined_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import check
     from omtwarp.mesh.write import write_mesh
-    from omtwarp.verdict import foretell
 
     with step_times(verbose) as done:
         given = read_joined_mesh(mesh, together=repair)
@@ -141,7 +141,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
 
 def lines_about(facts: MeshFacts) -> list[str]:
     """Describe a mesh for readers, one fact on each line."""
-    from omtwarp.verdict import MAX_AREA_DISTORTION, NEEDLES
+    from omtwarp.mapping.verdict import MAX_AREA_DISTORTION, NEEDLES
 
     lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]
     lines += [f"  note: {note}" for note in facts["notes"]]

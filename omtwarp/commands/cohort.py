@@ -29,7 +29,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._streams import input_table, say
 from omtwarp.errors import INTERRUPTED, OmtwarpError
-from omtwarp.interruptions import LINE, raised
+from omtwarp.files.interruptions import LINE, raised
 from omtwarp.options import MapOptions, Refinement
 
 if TYPE_CHECKING:
@@ -146,8 +146,8 @@ def cohort(
 def _ended_when_interrupted() -> Iterator[None]:
     """Let an interruption end the items at work, and say what is done.
 
-    Other commands end at once, see :mod:`omtwarp.interruptions`: they are in native code, which this one waits for in
-    other processes.
+    Other commands end at once, see :mod:`omtwarp.files.interruptions`: they are in native code, which this one
+    waits for in other processes.
     """
     try:
         with raised():

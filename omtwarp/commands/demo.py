@@ -13,8 +13,8 @@ from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, Ver
 from omtwarp.commands._work import make_map, report_text, say_stages, start_device
 from omtwarp.commands.map import save
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, folder_of_results, staged
-from omtwarp.limits import MOST_DEMO_FACES
+from omtwarp.files.limits import MOST_DEMO_FACES
+from omtwarp.files.output import check_output, folder_of_results, staged
 from omtwarp.options import MapOptions
 
 UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)

@@ -34,7 +34,7 @@ from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 from omtwarp.options import Backend, MapOptions, Refinement
 
 FILMS = (".mp4", ".gif", ".webp")

@@ -13,7 +13,7 @@ from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import STREAM, input_file, input_table, say
 from omtwarp.commands._work import load_whole_map, report_text, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.files import check_folder, folder_of_results
+from omtwarp.files.output import check_folder, folder_of_results
 
 
 def group(

@@ -49,7 +49,7 @@ from omtwarp.commands._work import (
     start_device,
 )
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output, staged
+from omtwarp.files.output import check_output, staged
 from omtwarp.options import CutAlong, Domain, FillArea, MapOptions, Refinement, SurfaceKeywords, WeightsAt
 
 if TYPE_CHECKING:
@@ -59,8 +59,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from omtwarp.commands._work import Input
-    from omtwarp.result import MapResult
-    from omtwarp.torus.torus_map import TorusMap
+    from omtwarp.maps.result import MapResult
+    from omtwarp.maps.torus_map import TorusMap
 
 RIMS = (Domain.HEMISPHERE, Domain.DISK, Domain.CAP, Domain.TORUS)
 
@@ -243,7 +243,7 @@ def as_in_file(
     Returns:
         The map, and the file's faces where vertices that are doubled along seams are to be written as there.
     """
-    from omtwarp.result import MapResult
+    from omtwarp.maps.result import MapResult
 
     file_faces = None
     joined = to_sphere and sound.vertex_of_file is not None
@@ -335,8 +335,8 @@ def save(
         beside: write the surface, with the sphere at its vertices.
         file_faces: the faces of ``like`` where copies of its vertices were joined: a mesh is written with the copies.
     """
+    from omtwarp.maps.result import MapResult
     from omtwarp.mesh.write import write_mesh
-    from omtwarp.result import MapResult
 
     of_file: NDArray | slice = slice(None)
     faces = result.faces

@@ -26,7 +26,7 @@ from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import show_each, targets_of
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend
 
 DEFAULT_SIZE = size_text(PICTURE_SIZE)

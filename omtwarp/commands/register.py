@@ -13,7 +13,7 @@ from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import load_map, report_text
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 
 if TYPE_CHECKING:
     from omtwarp.registration import Registration

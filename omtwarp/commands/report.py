@@ -28,7 +28,7 @@ from omtwarp.commands._options import (
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 from omtwarp.options import MapOptions, Refinement
 
 

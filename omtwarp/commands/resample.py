@@ -12,7 +12,7 @@ from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import STREAM, input_file, output_file
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 from omtwarp.options import Interpolation, MapOptions
 
 if TYPE_CHECKING:

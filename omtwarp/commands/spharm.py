@@ -20,7 +20,7 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._work import map_from, require_whole, start_device
-from omtwarp.files import check_output, staged
+from omtwarp.files.output import check_output, staged
 
 if TYPE_CHECKING:
     from omtwarp.shape_analysis.expansion import Expansion
@@ -106,8 +106,8 @@ def save(path: Path, found: Expansion) -> None:
     """Write coefficients in the format of the file's suffix."""
     import numpy as np
 
+    from omtwarp.files.inputs import write_arrays
     from omtwarp.harmonics import degrees
-    from omtwarp.inputs import write_arrays
     from omtwarp.shape_analysis.coef_file import write_coef
 
     suffix = path.suffix.lower()

@@ -31,7 +31,7 @@ from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import say
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 from omtwarp.options import (
     AtlasName,
     Coordinates,
@@ -49,10 +49,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from omtwarp.maps.result import MapResult
+    from omtwarp.maps.torus_map import TorusMap
     from omtwarp.options import MapChoices
-    from omtwarp.result import MapResult
     from omtwarp.texturing import PaintedMesh
-    from omtwarp.torus.torus_map import TorusMap
 
 
 PatternOption = Annotated[PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")]
@@ -256,7 +256,7 @@ def _texture(
     Returns:
         The facts of what was written, and a line about them.
     """
-    from omtwarp.result import MapResult
+    from omtwarp.maps.result import MapResult
     from omtwarp.texturing import texture
 
     chosen, blurred = sides_of(size), ""
@@ -296,7 +296,7 @@ def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tup
     Raises:
         OmtwarpError: the map is one to a torus.
     """
-    from omtwarp.result import MapResult
+    from omtwarp.maps.result import MapResult
     from omtwarp.texturing.sharpness import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
 
     if not isinstance(result, MapResult):

@@ -15,7 +15,7 @@ from omtwarp.commands._streams import input_file, say
 from omtwarp.commands._work import show_facts, with_files
 from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.errors import OmtwarpWarning
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 from omtwarp.options import MapOptions
 
 

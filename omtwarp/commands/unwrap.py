@@ -19,7 +19,7 @@ from omtwarp.commands._options import (
     output_option,
 )
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
-from omtwarp.files import check_output
+from omtwarp.files.output import check_output
 from omtwarp.options import MapOptions, Refinement
 
 

@@ -7,9 +7,9 @@ import os
 from collections.abc import Iterator
 from contextvars import ContextVar
 
+from omtwarp.device.names import Solver, parse_device
 from omtwarp.device.start import wp
-from omtwarp.errors import OmtwarpError
-from omtwarp.options import Solver, choose, parse_device
+from omtwarp.errors import OmtwarpError, choose
 
 # An iteration on the device is a hundred launches or more, whatever the size of the mesh: below this many vertices
 # they have little work, and the host factorises a Laplacian in 0.03 s.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 
@@ -47,7 +48,6 @@ class TargetDensity:
             )
         self._density = density
         self._lowest = 0.0
-        from omtwarp.wavelets import sphere_hierarchy  # with kernels that a map without a target does not need
 
         hierarchy = sphere_hierarchy(QUADRATURE_LEVEL)
         values = self._values(hierarchy.vertices, positive=floor == 0.0)

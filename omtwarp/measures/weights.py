@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import array_of, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.errors import OmtwarpError, choose
+from omtwarp.files.inputs import array_of, read_bytes
+from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.data import from_text
 from omtwarp.mesh.surface import Surface
-from omtwarp.options import WeightsAt, choose
+from omtwarp.options import WeightsAt
 
 
 def weighted_surface(surface: Surface, weights: ArrayLike | None, at: str = WeightsAt.AUTO) -> Surface:

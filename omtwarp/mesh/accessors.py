@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.limits import LARGEST_MESH_FILE, amount
+from omtwarp.files.limits import LARGEST_MESH_FILE, amount
 from omtwarp.mesh.arrays import whole_numbers
 
 Numbers = NDArray[np.generic]

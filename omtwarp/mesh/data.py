@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
-from omtwarp.inputs import array_of, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.files.inputs import array_of, read_bytes
+from omtwarp.files.limits import LARGEST_MESH_FILE
+from omtwarp.files.output import staged
 from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import gifti_image, nibabel_module, structure_of
 from omtwarp.mesh.write import ply_bytes

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import file_beside, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.files.inputs import file_beside, read_bytes
+from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import single_precision
 
 if TYPE_CHECKING:

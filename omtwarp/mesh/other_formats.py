@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import scratch
+from omtwarp.files.output import scratch
 
 MESHIO_FORMATS = {"msh": "gmsh", "mesh": "medit", "inp": "abaqus"}
 """Suffixes of formats that are read by meshio, and its names of them."""

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, scratch
-from omtwarp.inputs import read_arrays, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES, amount
+from omtwarp.files.inputs import read_arrays, read_bytes
+from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
+from omtwarp.files.output import as_path, scratch
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.neuro import nibabel_module, require_files_beside
 from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND, read_by_meshio

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import file_beside, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE, amount
+from omtwarp.files.inputs import file_beside, read_bytes
+from omtwarp.files.limits import LARGEST_MESH_FILE, amount
 from omtwarp.mesh.accessors import Document, pictures_of, with_document, with_plain_accessors
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, staged
+from omtwarp.files.output import as_path, staged
 from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
 from omtwarp.mesh.vtk import write_vtk

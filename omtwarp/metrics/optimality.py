@@ -48,7 +48,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry import DifferentialOperators
 from omtwarp.geometry.axes import turned_towards
 from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
@@ -58,7 +58,7 @@ from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality_dual import Bound, TransportDual
 from omtwarp.metrics.optimality_sources import SourceBound, SourceDual
-from omtwarp.options import Cost, Progress, Record, choose
+from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.poisson import SurfaceLaplacianSolver
 
 Array = NDArray[np.float64]

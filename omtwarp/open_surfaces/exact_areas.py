@@ -22,9 +22,9 @@ from scipy.optimize import brentq
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.geometry.lambert import cap_to_disk, disk_to_cap
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.open_surfaces.area_steps import AreaSteps, Measured, Placed
-from omtwarp.open_surfaces.lambert import cap_to_disk, disk_to_cap
 from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_on_sphere
 from omtwarp.spheres import triangle_solid_angles
 

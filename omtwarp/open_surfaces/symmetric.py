@@ -23,8 +23,8 @@ from omtwarp.optimal.solver import GAIN, PENALTY, SHAPE_WEIGHT, OptimalMap, mini
 from omtwarp.options import Cost, Progress
 from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor, saddle_factor_of_cells
+from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
 from omtwarp.topology.doubling import Double
-from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Floats = NDArray[np.float64]

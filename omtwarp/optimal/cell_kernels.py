@@ -7,7 +7,7 @@ middle of the edge from corner k to the next, and the parts of cell c are faces 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.geometry.spherical import logarithm
 from omtwarp.optimal.kernels import area_gradient, cost_slope, moving_cost
-from omtwarp.triangle_newton.triangle import first_tangent
+from omtwarp.solvers.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -36,7 +36,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, transport_gradient
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, surface_saddle_factor
-from omtwarp.triangle_newton.newton import NewtonMatrix
+from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
 from omtwarp.untangling.kernels import solid_angles
 from omtwarp.untangling.steps import FlipFreeSteps
 

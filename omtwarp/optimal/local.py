@@ -22,9 +22,9 @@ from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, tra
 from omtwarp.refine.energy import TriangleKernels
 from omtwarp.solvers.cholesky import NotPositiveDefinite, part_dissection
 from omtwarp.solvers.mesh_factor import saddle_factor
-from omtwarp.triangle_newton.line_search import search_patches
-from omtwarp.triangle_newton.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
-from omtwarp.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
+from omtwarp.solvers.triangle_newton.line_search import search_patches
+from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
+from omtwarp.solvers.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 from omtwarp.untangling.kernels import solid_angles
 
 Numbers = NDArray[np.float64]

@@ -15,10 +15,10 @@ from omtwarp.solvers.cholesky.envelope_kernels import (
     factorise_saddle_envelope,
     solve_saddle_envelope,
 )
-from omtwarp.triangle_newton.motion_kernels import keeps_volume
-from omtwarp.triangle_newton.newton_kernels import packed
-from omtwarp.triangle_newton.patch_kernels import SUFFICIENT_DECREASE
-from omtwarp.triangle_newton.triangle import first_tangent, in_tangent
+from omtwarp.solvers.triangle_newton.motion_kernels import keeps_volume
+from omtwarp.solvers.triangle_newton.newton_kernels import packed
+from omtwarp.solvers.triangle_newton.patch_kernels import SUFFICIENT_DECREASE
+from omtwarp.solvers.triangle_newton.triangle import first_tangent, in_tangent
 from omtwarp.untangling.kernels import solid_angle
 
 wp.set_module_options(KERNEL_OPTIONS)

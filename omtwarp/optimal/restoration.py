@@ -19,7 +19,7 @@ from omtwarp.device.start import wp
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.triangle_newton.motion_kernels import from_tangent
+from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]

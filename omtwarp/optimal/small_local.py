@@ -21,7 +21,7 @@ from omtwarp.optimal.local import LEAST_DAMPING, MAX_HALVINGS, MAX_STEPS, REGULA
 from omtwarp.optimal.patch_kernels import LocalEnergy, LocalScratch, SaddlePatches, settle_small_patches
 from omtwarp.solvers.cholesky.envelope import Envelopes
 from omtwarp.solvers.cholesky.saddle import UNKNOWNS
-from omtwarp.triangle_newton.small_patches import launch_patches, shared
+from omtwarp.solvers.triangle_newton.small_patches import launch_patches, shared
 
 Numbers = NDArray[np.float64]
 

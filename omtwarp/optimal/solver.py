@@ -27,7 +27,7 @@ from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, choose
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
@@ -36,10 +36,10 @@ from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import AREA_WEIGHT, MIN_CURVATURE_SHARE, MapTerms, TransportEnergy
 from omtwarp.optimal.local import GAIN_SHARE, LEAST_DAMPING, MAX_STEPS, LocalSteps, freed_vertices
 from omtwarp.optimal.small_local import SmallLocalSteps
-from omtwarp.options import Cost, Progress, Record, choose
+from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.cholesky import NotPositiveDefinite
-from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
-from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
+from omtwarp.solvers.triangle_newton.line_search import SUFFICIENT_DECREASE
+from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
 
 Numbers = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.painting import bakes
@@ -27,7 +28,6 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.projection import rotation_matrix
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
 from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
-from omtwarp.torus.torus_map import TorusMap
 
 OPACITY = 0.5
 """Of the upper layer where a pattern and a material are laid over one another: half of each shows."""

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike
@@ -18,7 +19,6 @@ from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.materials import Bytes, Floats, Ints
 from omtwarp.texturing.patterns import Pattern, is_name
 from omtwarp.texturing.textured import TexturedSurface, texture
-from omtwarp.torus.torus_map import TorusMap
 
 SIZE = 2048
 """Texels of a side of a picture for own coordinates where the material has none whose size could be taken."""

@@ -11,11 +11,11 @@ from omtwarp.alignment import align
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.maps.result import MapResult
 from omtwarp.options import AtlasLike
 from omtwarp.painting.painter import SIZE
 from omtwarp.painting.texels import PADDING, bake_materials
 from omtwarp.resampling import SpherePoints, as_points
-from omtwarp.result import MapResult
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.baking import bake_to_uv, own_at_parts, picture_source, sphere_layout

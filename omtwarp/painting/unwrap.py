@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.options import Domain
@@ -16,7 +17,6 @@ from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.materials import Floats, Ints, Material
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
-from omtwarp.torus.torus_map import TorusMap
 
 MARGIN = 1.0 / 128.0
 """Free space around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""

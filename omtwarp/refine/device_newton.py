@@ -12,7 +12,7 @@ from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.step_kernels import add_to_diagonal, block_traces, gather_rows, rotation_blocks
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.solvers.multigrid import STRONG_BLOCKS, MultigridSolver, positioned_hierarchy, release_hierarchy
-from omtwarp.triangle_newton.newton import GROWTH, REGULARISATION, factorise_stiffened
+from omtwarp.solvers.triangle_newton.newton import GROWTH, REGULARISATION, factorise_stiffened
 
 # Relative, in the energy's norm. Refinement ends where a step gains a thousandth; with this tolerance its steps do not
 # change.
@@ -20,7 +20,7 @@ TOLERANCE = 1e-9
 
 
 class DeviceNewtonMatrix:
-    """The matrix of :class:`omtwarp.triangle_newton.newton.NewtonMatrix` over all vertices of a surface.
+    """The matrix of :class:`omtwarp.solvers.triangle_newton.newton.NewtonMatrix` over all vertices of a surface.
 
     The levels are those of the image's cotangent Laplacian at the first map; later maps are not far from it.
 

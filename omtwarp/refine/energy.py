@@ -17,7 +17,7 @@ from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_h
 from omtwarp.refine.strain import StrainBarrier
 from omtwarp.refine.sums import DistortionSums
 from omtwarp.refine.vertex_term import VertexDerivatives, VertexTerm, tangent_blocks
-from omtwarp.triangle_newton.frames import triangle_frames
+from omtwarp.solvers.triangle_newton.frames import triangle_frames
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class TriangleKernels:
 
     Args:
         faces: their corners among the points given, vec3i, shape [F].
-        frames: see :func:`omtwarp.triangle_newton.frames.triangle_frames`, vec3d, shape [F].
+        frames: see :func:`omtwarp.solvers.triangle_newton.frames.triangle_frames`, vec3d, shape [F].
         areas: on the original surface, float64, shape [F].
         rows: corners of the triangles around the first points, those with a gradient: offsets and corners, int32.
         workspace: on the CPU, memory for the results of :meth:`gradient` and :meth:`hessian`. On CUDA, where

@@ -14,8 +14,8 @@ from omtwarp.device.start import wp
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation_kernels import Relaxing, relax_small_patches
-from omtwarp.triangle_newton.newton import GROWTH
-from omtwarp.triangle_newton.small_patches import SmallPatches
+from omtwarp.solvers.triangle_newton.newton import GROWTH
+from omtwarp.solvers.triangle_newton.small_patches import SmallPatches
 
 # A vertex is relaxed if it alone gains this many times what a step of all vertices gains on average for each.
 MIN_GAIN_RATIO = 3.0

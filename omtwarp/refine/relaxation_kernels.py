@@ -4,15 +4,15 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms
-from omtwarp.triangle_newton.motion_kernels import keeps_volume
-from omtwarp.triangle_newton.patch_kernels import (
+from omtwarp.solvers.triangle_newton.motion_kernels import keeps_volume
+from omtwarp.solvers.triangle_newton.patch_kernels import (
     SUFFICIENT_DECREASE,
     PatchMeshes,
     PatchScratch,
     find_direction,
     longest_move,
 )
-from omtwarp.triangle_newton.triangle import first_tangent, in_tangent
+from omtwarp.solvers.triangle_newton.triangle import first_tangent, in_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -21,7 +21,7 @@ from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation import relax, stiff_vertices
 from omtwarp.refine.steps import Direction, steps_for
 from omtwarp.refine.vertex_term import VertexTerm
-from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
+from omtwarp.solvers.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.untangling.steps import FlipFreeSteps
 from omtwarp.untangling.untangle import RepairBudget
 

@@ -2,8 +2,8 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, wp
 from omtwarp.mesh import surface
-from omtwarp.triangle_newton.newton_kernels import edge_block, vertex_block
-from omtwarp.triangle_newton.triangle import first_tangent
+from omtwarp.solvers.triangle_newton.newton_kernels import edge_block, vertex_block
+from omtwarp.solvers.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -25,8 +25,8 @@ from omtwarp.refine.step_kernels import (
     largest_of_strides,
     subtract_share,
 )
-from omtwarp.triangle_newton.motion_kernels import from_tangent, to_tangent
-from omtwarp.triangle_newton.newton import NewtonMatrix
+from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
+from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
 
 MAX_PAIRS = 8  # (s, y) that limited-memory BFGS keeps; 3 to 20 are usual (Nocedal and Wright 2006, chapter 7)
 MIN_CURVATURE = 1e-12  # s · y over |s| |y|: pairs with less are not kept, their inverse curvature is round-off

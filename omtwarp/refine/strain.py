@@ -30,7 +30,7 @@ class StrainBarrier:
 
     Args:
         faces: corners of the triangles, vec3i, shape [F], on the host as all that follows.
-        frames: see :func:`omtwarp.triangle_newton.frames.triangle_frames`, vec3d, shape [F].
+        frames: see :func:`omtwarp.solvers.triangle_newton.frames.triangle_frames`, vec3d, shape [F].
         areas: on the original surface, float64, shape [F].
         rows: corners of the triangles around the vertices: offsets and corners, int32.
         limit: see :func:`strain_limit`.

@@ -6,8 +6,8 @@ R that of the two stretches. The barrier is w² / (limit - w): small where w is 
 
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms
-from omtwarp.triangle_newton.newton_kernels import packed
-from omtwarp.triangle_newton.triangle import first_tangent
+from omtwarp.solvers.triangle_newton.newton_kernels import packed
+from omtwarp.solvers.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
-from omtwarp.triangle_newton.motion_kernels import from_tangent
+from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent
 
 
 @dataclass(frozen=True)

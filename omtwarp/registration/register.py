@@ -14,6 +14,8 @@ from omtwarp.alignment.align import feature_rotations
 from omtwarp.alignment.features import checked_features, sphere_weights
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.maps.result import MapResult
+from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -24,8 +26,6 @@ from omtwarp.registration.templates import HEMISPHERES, template
 from omtwarp.registration.warp import COARSE, FINE, Warping, feature_grid
 from omtwarp.resampling import Resampling, SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
-from omtwarp.result import MapResult
-from omtwarp.surface_map import SurfaceMap
 
 Floats = NDArray[np.float64]
 

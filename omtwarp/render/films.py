@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw
 
-from omtwarp.errors import OmtwarpError
-from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
-from omtwarp.options import Backend, BackendLike, PatternLike, Progress, choose
+from omtwarp.errors import OmtwarpError, choose
+from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
+from omtwarp.options import Backend, BackendLike, PatternLike, Progress
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_view, frame
 from omtwarp.render.colors import backdrop
@@ -29,7 +29,7 @@ from omtwarp.render.subject import FinishedMap
 from omtwarp.texturing.image import PictureLike
 
 if TYPE_CHECKING:
-    from omtwarp.torus.torus_map import TorusMap
+    from omtwarp.maps.torus_map import TorusMap
 
 Floats = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from typing import TypeAlias, TypedDict, TypeVar
 
 from numpy.typing import ArrayLike
 
-from omtwarp.errors import OmtwarpError
-from omtwarp.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
+from omtwarp.errors import OmtwarpError, choose
+from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.mesh.arrays import real_number, whole_number
-from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike, choose
+from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike
 from omtwarp.render import gl_client
 from omtwarp.render.camera import Camera, as_views, turntable
 from omtwarp.render.colors import backdrop

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypedDict, cast
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, check_output, staged
+from omtwarp.files.output import as_path, check_output, staged
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path
+from omtwarp.files.output import as_path
 from omtwarp.render import annotate, gl_client, output
 from omtwarp.render.arrows import arrow_part
 from omtwarp.render.camera import VIEWS, Camera, frame

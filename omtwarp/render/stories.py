@@ -22,7 +22,7 @@ from omtwarp.texturing.rasterizing import rasterize
 from omtwarp.texturing.smooth import grid_points, grid_triangles, smooth_map
 
 if TYPE_CHECKING:
-    from omtwarp.torus.torus_map import TorusMap
+    from omtwarp.maps.torus_map import TorusMap
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -203,7 +203,7 @@ def _on_torus(
     result: TorusMap, pattern: str, image: Picture | None, texels: int, up: str | None, front: str | None
 ) -> tuple[Story, SurfaceView]:
     """Return the course of a film of a map to a torus, which ends with a ring torus."""
-    from omtwarp.torus.pictures import ring_torus, tube_radius
+    from omtwarp.maps.torus_pictures import ring_torus, tube_radius
 
     cut = result.textured(image, pattern=None if image is not None else pattern, size=texels)
     shown = posed(torus_view(result, cut.image), up, front)

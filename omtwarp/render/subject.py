@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import holds_array
+from omtwarp.files.inputs import holds_array
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
 from omtwarp.srgb import to_srgb
 from omtwarp.texturing.image import PictureLike
@@ -25,8 +25,8 @@ COLUMNS, ROWS, CELL = 24, 12, 64
 if TYPE_CHECKING:  # a picture of triangles loads neither Warp nor SciPy, which these need
     import trimesh
 
+    from omtwarp.maps.torus_map import TorusMap
     from omtwarp.texturing.painted import PaintedMesh
-    from omtwarp.torus.torus_map import TorusMap
 
 
 @runtime_checkable
@@ -67,7 +67,7 @@ Subject: TypeAlias = "str | os.PathLike[str] | Triangles | SurfaceView | tuple[A
 
 def is_torus_map(subject: object) -> TypeGuard[TorusMap]:
     """Return whether a subject is a map to a torus: one exists only where its module is loaded."""
-    module = sys.modules.get("omtwarp.torus.torus_map")
+    module = sys.modules.get("omtwarp.maps.torus_map")
     return module is not None and isinstance(subject, module.TorusMap)
 
 
@@ -92,8 +92,8 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
     elif isinstance(subject, (str, os.PathLike)):
         path = Path(subject)
         if path.suffix.lower() == ".npz":
-            from omtwarp.result import OF_TORUS_MAPS, MapResult
-            from omtwarp.torus.torus_map import TorusMap
+            from omtwarp.maps.result import OF_TORUS_MAPS, MapResult
+            from omtwarp.maps.torus_map import TorusMap
 
             if holds_array(path, *OF_TORUS_MAPS):
                 return torus_view(TorusMap.load(path), image)

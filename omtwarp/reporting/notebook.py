@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Unpack, cast
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.options import PreviewOptions
 from omtwarp.render.subject import map_view, torus_view
@@ -14,9 +16,7 @@ from omtwarp.reporting.markup import asset, data_block, fill_page, html, script,
 from omtwarp.reporting.scene import data_uri, make_scene
 from omtwarp.reporting.stages import Stage, stages_of
 from omtwarp.reporting.viewer import viewer_section
-from omtwarp.result import MapResult
 from omtwarp.texturing.rasterizing import rasterize
-from omtwarp.torus.torus_map import TorusMap
 
 if TYPE_CHECKING:
     import polyscope
@@ -81,7 +81,7 @@ def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
 
 
 def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:
-    """Draw a map; see :meth:`omtwarp.display.Shown.plot`."""
+    """Draw a map; see :meth:`omtwarp.maps.display.Shown.plot`."""
     options.setdefault("size", SIZE)
     image = options.pop("image", None)
     if options.get("scalar") is not None:
@@ -93,7 +93,7 @@ def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unp
 
 
 def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
-    """Make PyVista's mesh of a map; see :meth:`omtwarp.display.Shown.to_pyvista`."""
+    """Make PyVista's mesh of a map; see :meth:`omtwarp.maps.display.Shown.to_pyvista`."""
     try:
         import pyvista
     except ImportError:
@@ -107,7 +107,7 @@ def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
 
 
 def to_polyscope(result: MapResult | TorusMap, name: str = "surface") -> polyscope.SurfaceMesh:
-    """Register a map with Polyscope; see :meth:`omtwarp.display.Shown.to_polyscope`."""
+    """Register a map with Polyscope; see :meth:`omtwarp.maps.display.Shown.to_polyscope`."""
     try:
         import polyscope
     except ImportError:

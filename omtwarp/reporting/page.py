@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, check_output, staged
+from omtwarp.files.output import as_path, check_output, staged
+from omtwarp.maps.result import MapReport, MapResult
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView
 from omtwarp.render.pictures import draw_in_background
@@ -24,13 +26,11 @@ from omtwarp.reporting.scene import AREA_COLOURS, AREA_RANGE, Scene, data_uri, l
 from omtwarp.reporting.stages import Stage, stages_of, view_on_domain
 from omtwarp.reporting.torus_page import write_torus_report
 from omtwarp.reporting.viewer import page_with_view, verdict, viewer_section
-from omtwarp.result import MapReport, MapResult
 from omtwarp.texturing import read_image
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
 from omtwarp.texturing.rasterizing import rasterize
-from omtwarp.torus.torus_map import TorusMap
 
 MOST_EDGES = 60_000  # faces: with more, edges would hide the surface between them
 PICTURE_WIDTH = 1536  # texels around the sphere of the texture of still pictures: three for each pixel of the surface
@@ -55,7 +55,7 @@ def write_report(
     (section 6 of the paper), the cost of the transport over its iterations, what each stage did, and the certificate.
 
     Args:
-        result: a :class:`~omtwarp.result.MapResult`; or a :class:`omtwarp.TorusMap`, of which the view shows the
+        result: a :class:`~omtwarp.maps.result.MapResult`; or a :class:`omtwarp.TorusMap`, of which the view shows the
             ring torus.
         path: the file to write; it appears whole or not at all.
         title: heading of the page; "Map report" by default.

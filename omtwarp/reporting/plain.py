@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from omtwarp.files import staged
+from omtwarp.files.output import staged
 from omtwarp.reporting.markup import Markup, element, html, join
 from omtwarp.reporting.scene import data_uri
 

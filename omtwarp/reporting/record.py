@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import cast
 
+from omtwarp.maps.result import MapReport, MapResult
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.options import Record
-from omtwarp.result import MapReport, MapResult
-from omtwarp.torus.torus_map import TorusMap
 
 NUMBER, COUNT, TEXT, FLAG = "number", "count", "text", "flag"
 _LARGEST = 1e300  # of a number that is shown: sums and squares of roots of more would overflow

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.policy import resolve_device
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
 from omtwarp.render.camera import DEFAULT_FRONT, axis_vector
 from omtwarp.render.colors import colormap_table
@@ -25,7 +26,6 @@ from omtwarp.render.domains import fits_of
 from omtwarp.render.scene import SurfaceView
 from omtwarp.render.upright import posed
 from omtwarp.reporting.stages import Stage
-from omtwarp.result import MapResult
 from omtwarp.start.decimation import simplify
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import CUBE_FRAMES, Cube

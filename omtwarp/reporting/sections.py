@@ -9,12 +9,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.maps.result import MapReport
 from omtwarp.options import Record
 from omtwarp.reporting import charts
 from omtwarp.reporting.markup import Markup, html, join
 from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
-from omtwarp.result import MapReport
 
 NINE_TENTHS = (0.05, 0.95)  # quantiles between which nine tenths of a distribution lie, as the words say
 # Degrees are whole numbers but for the round-off of a million solid angles, or the share of the sphere that is covered.

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.geometry.lambert import disk_to_cap
+from omtwarp.maps.result import MapResult, StageReport
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
-from omtwarp.open_surfaces.lambert import disk_to_cap
 from omtwarp.options import Domain
 from omtwarp.render.camera import Camera, camera_axes
 from omtwarp.render.domains import domain_name, domains_of, fits_of, placed_on
 from omtwarp.render.scene import SurfaceView
 from omtwarp.reporting.record import shown_report
-from omtwarp.result import MapResult, StageReport
 
 # Attribute of the result, name of its record in the report, label, and the colours on light and dark paper.
 KNOWN = (
@@ -72,7 +72,7 @@ class Stage:
 
 
 def stages_of(result: MapResult) -> list[Stage]:
-    """Return the stages of a :class:`~omtwarp.result.MapResult` in order, each map once; the last is the final map."""
+    """Return the stages of a :class:`~omtwarp.MapResult` in order, each map once; the last is the final map."""
     report = shown_report(result)
     records = {record.get("name"): record for record in report.get("stages", ())}
     route = report.get("start", {}).get("route", "conformal")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from omtwarp.files import staged
+from omtwarp.files.output import staged
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.subject import torus_view
 from omtwarp.render.upright import posed
@@ -19,7 +20,6 @@ from omtwarp.reporting.scene import data_uri
 from omtwarp.reporting.torus_scene import torus_scene, torus_stages
 from omtwarp.reporting.viewer import page_with_view, verdict, viewer_section
 from omtwarp.texturing.image import PictureLike
-from omtwarp.torus.torus_map import TorusMap
 
 FIGURES = (
     ("seconds", "seconds", "{:.2f}"),

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.maps.result import StageReport
+from omtwarp.maps.torus_map import TorusMap
+from omtwarp.maps.torus_pictures import ring_torus, tube_radius
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.render.scene import SurfaceView
 from omtwarp.reporting.record import shown_report
@@ -23,10 +26,7 @@ from omtwarp.reporting.scene import (
     view_axes,
 )
 from omtwarp.reporting.stages import TORUS, Stage
-from omtwarp.result import StageReport
 from omtwarp.texturing.image import PictureLike
-from omtwarp.torus.pictures import ring_torus, tube_radius
-from omtwarp.torus.torus_map import TorusMap
 
 Floats = NDArray[np.float64]
 

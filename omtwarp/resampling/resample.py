@@ -11,20 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, staged
-from omtwarp.inputs import holds_array, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.errors import OmtwarpError, choose
+from omtwarp.files.inputs import holds_array, read_bytes
+from omtwarp.files.limits import LARGEST_MESH_FILE
+from omtwarp.files.output import as_path, staged
+from omtwarp.maps.result import OF_MAPS, MapResult
+from omtwarp.maps.surface_map import read_map
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
-from omtwarp.options import Domain, Interpolation, InterpolationLike, choose
+from omtwarp.options import Domain, Interpolation, InterpolationLike
 from omtwarp.resampling import weights
-from omtwarp.result import OF_MAPS, MapResult
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
-from omtwarp.surface_map import read_map
 
 Floats = NDArray[np.float64]
 

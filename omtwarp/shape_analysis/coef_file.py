@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, staged
+from omtwarp.files.inputs import read_bytes
+from omtwarp.files.output import as_path, staged
 from omtwarp.harmonics import degree_of
-from omtwarp.inputs import read_bytes
 from omtwarp.shape_analysis.expansion import Expansion
 
 LARGEST_FILE = 2**26  # bytes; degree 500 has 251,001 rows of at most 80

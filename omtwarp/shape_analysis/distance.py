@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from omtwarp.alignment import align
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
+from omtwarp.maps.result import MapResult
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.checks import HasTriangles
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.moser import moser_map
 from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints
-from omtwarp.result import MapResult
 from omtwarp.shape_analysis.expansion import expand
 from omtwarp.spheres import mesh_grid, unit_sphere
 from omtwarp.texturing.density import vertex_density

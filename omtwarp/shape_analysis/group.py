@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from omtwarp.alignment import GroupAlignment, procrustes_mean
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.options import Progress
 from omtwarp.resampling import as_points
-from omtwarp.result import MapResult
 from omtwarp.shape_analysis.distance import DEGREE, distance_matrix, transport_matrix
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import staged
+from omtwarp.files.output import staged
 from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render import preview

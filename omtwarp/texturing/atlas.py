@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.limits import LONGEST_SIDE, MOST_TEXELS
+from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
 from omtwarp.mesh.arrays import TINY
 from omtwarp.options import AtlasName
 from omtwarp.texturing.cutting import ON_CUT, Arc, normalised

@@ -23,7 +23,7 @@ from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
-from omtwarp.limits import LONGEST_SIDE
+from omtwarp.files.limits import LONGEST_SIDE
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.image import PictureLike, as_floats, read_image

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, companion, staged
+from omtwarp.errors import OmtwarpError, choose
+from omtwarp.files.output import as_path, companion, staged
 from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.write import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
-from omtwarp.options import TextureFormat, choose
+from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
 from omtwarp.texturing.materials import Bytes, Floats, Ints, Material, linear
 

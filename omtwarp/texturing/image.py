@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import open_input
-from omtwarp.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
+from omtwarp.files.inputs import open_input
+from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 
 if TYPE_CHECKING:
     from PIL.Image import Image

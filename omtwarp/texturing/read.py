@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import file_beside, read_bytes
-from omtwarp.limits import LARGEST_MESH_FILE, MOST_FACES
+from omtwarp.files.inputs import file_beside, read_bytes
+from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans

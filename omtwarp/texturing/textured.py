@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path
+from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import real_number, real_numbers
 from omtwarp.mesh.checks import as_faces, as_unit_vectors
 from omtwarp.mesh.surface import unit_normals, vertex_normals
@@ -232,7 +232,7 @@ def texture(
     """Texture a surface through its map to the sphere (section 5 of the paper).
 
     Args:
-        result: a :class:`~omtwarp.result.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three
+        result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three
             as a tuple; or a :class:`omtwarp.TorusMap`, whose texture repeats both ways.
         image: a path, a PIL image or an array [H, W, 3]; its left and right borders are longitude -180 and 180 degrees,
             its top is the north pole (+z).

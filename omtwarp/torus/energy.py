@@ -18,10 +18,10 @@ from omtwarp.device.start import wp
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.energy import AREA_WEIGHT, MAX_RING_ERROR, MAX_RING_RMS
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, surface_saddle_factor
+from omtwarp.solvers.triangle_newton.frames import triangle_frames
+from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
 from omtwarp.torus import kernels
 from omtwarp.torus.harmonic import FlatTorus
-from omtwarp.triangle_newton.frames import triangle_frames
-from omtwarp.triangle_newton.newton import NewtonMatrix
 
 Floats = NDArray[np.float64]
 

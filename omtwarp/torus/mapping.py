@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.maps.result import StageReport
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import AreaMatch, Progress, Record, continued
-from omtwarp.result import StageReport
 from omtwarp.torus.cells import TorusCellEnergy, quartered_torus
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.optimality import torus_optimality
-from omtwarp.torus.torus_map import TorusMap
 from omtwarp.torus.transport import (
     Report,
     TorusTransport,

@@ -38,11 +38,11 @@ from omtwarp.options import AreaMatch, Record, parse_refinement
 from omtwarp.refine.matching import MOST_WEIGHT, match_area
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
+from omtwarp.solvers.triangle_newton.line_search import SUFFICIENT_DECREASE
+from omtwarp.solvers.triangle_newton.motion_kernels import hold_back
 from omtwarp.torus.cells import TorusCellEnergy
 from omtwarp.torus.energy import PlaneTerms, TorusEnergy
 from omtwarp.torus.harmonic import FlatTorus
-from omtwarp.triangle_newton.line_search import SUFFICIENT_DECREASE
-from omtwarp.triangle_newton.motion_kernels import hold_back
 
 Floats = NDArray[np.float64]
 Report: TypeAlias = Callable[[int, int, Record], None]
@@ -50,7 +50,7 @@ Report: TypeAlias = Callable[[int, int, Record], None]
 
 ITERATIONS = 100  # largest number of steps; a map that needs more reports that it has not converged
 # β is this times the root mean squared distance of the start where that is less than the sphere's: see
-# omtwarp.pipeline. The least one is for surfaces whose conformal map already keeps areas.
+# omtwarp.mapping.pipeline. The least one is for surfaces whose conformal map already keeps areas.
 SHAPE_BY_DISTANCE, LEAST_SHAPE_WEIGHT = 0.036, 1e-6
 REACH = 0.5  # the farthest that a vertex goes in one step; the torus has the area 4π
 HALVINGS = 20  # of a step with a fresh matrix, down to a millionth

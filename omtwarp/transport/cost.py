@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.errors import choose
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
-from omtwarp.options import Cost, choose
+from omtwarp.options import Cost
 from omtwarp.transport.cost_kernels import centre_distance
 
 

@@ -20,13 +20,14 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
+from omtwarp.errors import choose
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import relative_curl
-from omtwarp.options import Cost, Progress, Record, Scheme, choose
+from omtwarp.options import Cost, Progress, Record, Scheme
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
     FlowState,

@@ -42,12 +42,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.start import wp
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.mesh.arrays import TINY, real_number, whole_number, whole_numbers
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.options import Cost, Progress, Record, choose
+from omtwarp.options import Cost, Progress, Record
 from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 

@@ -8,14 +8,14 @@ polynomial of the three points,
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: "Foldover-free maps in 50 lines of code", 2021).
 
 :mod:`omtwarp.refine.kernels` begins with the same columns of the Jacobian, from
-:mod:`omtwarp.triangle_newton.triangle`; its D has no sign and its terms other derivatives, so that a common kernel
-would be two behind a switch.
+:mod:`omtwarp.solvers.triangle_newton.triangle`; its D has no sign and its terms other derivatives, so that a common
+kernel would be two behind a switch.
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
-from omtwarp.triangle_newton.newton_kernels import packed
-from omtwarp.triangle_newton.triangle import (
+from omtwarp.solvers.triangle_newton.newton_kernels import packed
+from omtwarp.solvers.triangle_newton.triangle import (
     barrier,
     barrier_curvature,
     barrier_slope,

@@ -3,7 +3,7 @@
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
 from omtwarp.mesh import surface
-from omtwarp.triangle_newton.patch_kernels import (
+from omtwarp.solvers.triangle_newton.patch_kernels import (
     SUFFICIENT_DECREASE,
     PatchMeshes,
     PatchScratch,
@@ -11,7 +11,7 @@ from omtwarp.triangle_newton.patch_kernels import (
     find_direction,
     longest_move,
 )
-from omtwarp.triangle_newton.triangle import in_tangent
+from omtwarp.solvers.triangle_newton.triangle import in_tangent
 from omtwarp.untangling.kernels import solid_angle, untangle_derivatives, untangle_energy
 
 wp.set_module_options(KERNEL_OPTIONS)

@@ -11,7 +11,7 @@ from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import Surface
-from omtwarp.triangle_newton.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
+from omtwarp.solvers.triangle_newton.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.untangling.untangle import STEP_WORK, RepairBudget, Schedule, untangle_patches
 
 HOLDS = 30  # halvings of the shares of corners of triangles in trouble

@@ -28,10 +28,10 @@ from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Progress
-from omtwarp.triangle_newton.frames import triangle_frames
-from omtwarp.triangle_newton.line_search import search_patches
-from omtwarp.triangle_newton.newton import NewtonMatrix
-from omtwarp.triangle_newton.small_patches import SmallPatches, shared
+from omtwarp.solvers.triangle_newton.frames import triangle_frames
+from omtwarp.solvers.triangle_newton.line_search import search_patches
+from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
+from omtwarp.solvers.triangle_newton.small_patches import SmallPatches, shared
 from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
 from omtwarp.untangling.patch_kernels import Untangling, untangle_small_patches
 
@@ -44,7 +44,7 @@ class Schedule:
         rings: rings of vertices freed around every flipped triangle.
         factor: what ε is multiplied by from one round to the next.
         steps: Newton steps in a round, at most.
-        thinnest: see :func:`omtwarp.triangle_newton.frames.triangle_frames`.
+        thinnest: see :func:`omtwarp.solvers.triangle_newton.frames.triangle_frames`.
         weight: λ, how much area counts against angle.
         largest: the first ε; the larger, the freer are triangles to pass through one another.
         most: flipped triangles of a patch, at most; patches with more are left to later attempts.

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
+from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.wavelets import kernels
-from omtwarp.wavelets.hierarchy import SphereHierarchy
 from omtwarp.wavelets.transform import SphericalWavelets
 
 

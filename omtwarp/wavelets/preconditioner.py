@@ -10,8 +10,8 @@ from scipy import sparse
 
 from omtwarp.device.start import wp
 from omtwarp.geometry import cotangent_laplacian
+from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.wavelets import kernels
-from omtwarp.wavelets.hierarchy import SphereHierarchy
 from omtwarp.wavelets.transform import SphericalWavelets
 
 RANK = 1e-10  # relative, of eigenvalues that are zero but for rounding: that of the constants, of the solid's few nodes

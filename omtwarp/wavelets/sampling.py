@@ -15,8 +15,8 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.wavelets import sampling_kernels as kernels
-from omtwarp.wavelets.hierarchy import SphereHierarchy
 from omtwarp.wavelets.sampling_kernels import (
     gather_corners_to_nodes,
     level_face_gradients,

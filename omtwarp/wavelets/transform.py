@@ -27,8 +27,8 @@ from omtwarp.device.graphs import GraphsByArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.sphere_hierarchy import SphereHierarchy, predict_stencil
 from omtwarp.wavelets import kernels
-from omtwarp.wavelets.hierarchy import SphereHierarchy, predict_stencil
 
 
 def transposed_rows(stencil: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

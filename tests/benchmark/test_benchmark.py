@@ -221,7 +221,7 @@ def test_labels_sizes_and_tables():
 
 
 def test_the_command_writes_both_files(tmp_path):
-    from omtwarp.cli import app
+    from omtwarp.commands._cli import app
 
     files = tmp_path / "b.json", tmp_path / "b.md"
     arguments = ["benchmark", "--sizes", "400", "--repeats", "1", "--device", "cpu", "--refine", "none"]

@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh

@@ -12,14 +12,14 @@ import time
 import numpy as np
 import pytest
 
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import SUFFIXES, write_mesh
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.metrics.distortion import measure_triangles
-from omtwarp.result import MapResult
 
 
 def run(capsys, *arguments) -> tuple[int, str, str]:
@@ -157,7 +157,8 @@ def test_output_through_a_link_keeps_the_link(tmp_path, capsys, radial, blob):
 def test_help_and_version_answer_without_anything_heavy():
     """No array, mesh or kernel library is loaded to print help."""
     heavy = ["numpy", "scipy", "warp", "trimesh", "matplotlib", "pyrender", "PIL"]
-    code = "import sys\nfrom omtwarp.cli import main\ntry:\n    main(['map', '--help'])\nexcept SystemExit:\n    pass\n"
+    code = "import sys\nfrom omtwarp.commands._cli import main\n"
+    code += "try:\n    main(['map', '--help'])\nexcept SystemExit:\n    pass\n"
     code += f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "[]"
@@ -168,7 +169,8 @@ def test_a_map_reads_no_kernels_of_stages_that_it_does_not_have(tmp_path, blob):
     """Kernels of the flow, of baselines and of textures would be read for nothing."""
     unused = ["omtwarp.transport.kernels", "omtwarp.wavelets.sampling_kernels", "omtwarp.baselines.kernels", "PIL"]
     unused += ["omtwarp.texturing.kernels", "trimesh", "rich"]
-    code = "import sys\nfrom omtwarp.cli import main\ntry:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+    code = "import sys\nfrom omtwarp.commands._cli import main\n"
+    code += "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
     code += f"print([name for name in {unused} if name in sys.modules])\n"
     argv = ["map", tmp_path / "blob.ply", "-o", tmp_path / "blob.npz", "--quiet", "--device", "cpu"]
     done = subprocess.run([sys.executable, "-c", code, *argv], capture_output=True, text=True, check=True)
@@ -200,7 +202,7 @@ import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from pathlib import Path
 import omtwarp.commands.map as map_command
-from omtwarp import cli
+from omtwarp.commands import _cli as cli
 def busy(*args, **options):
     print("busy", file=sys.stderr, flush=True)
     {busy}
@@ -251,7 +253,10 @@ runpy.run_module("omtwarp", run_name="__main__")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
-@pytest.mark.parametrize("module", ["omtwarp.interruptions", "omtwarp.cli", "omtwarp.commands.map", "typer"])
+@pytest.mark.parametrize(
+    "module",
+    ["omtwarp.files.interruptions", "omtwarp.commands._cli", "omtwarp.commands.map", "typer"],
+)
 def test_an_interruption_while_the_command_is_read_gives_one_line(module):
     """Control-C before the command line has been read ends the process with one line too."""
     done = subprocess.run(

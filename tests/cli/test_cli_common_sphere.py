@@ -13,11 +13,11 @@ import pytest
 from scipy import sparse
 from sphere_truths import random_rotation
 
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
-from omtwarp.result import MapResult
 
 SPHERE = shapes.icosphere(10)
 BLOB = shapes.blob(seed=3, sphere=SPHERE)

@@ -12,9 +12,9 @@ import pytest
 import typer
 from PIL import Image
 
-from omtwarp.cli import SUMMARIES, app, main
 from omtwarp.cohort.executors import Host
 from omtwarp.cohort.work import run_item
+from omtwarp.commands._cli import SUMMARIES, app, main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 

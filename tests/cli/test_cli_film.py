@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.render import films
-from omtwarp.result import MapResult
 
 DRAWING = ["--size", "64x36", "--seconds", "1", "--fps", "4", "--backend", "warp", "--device", "cpu"]
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import omtwarp.flips.rings
+import omtwarp.mapping.pipeline
+import omtwarp.maps.result
 import omtwarp.mesh.validate
-import omtwarp.pipeline
-import omtwarp.result
 from omtwarp import shapes
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.mesh.write import write_mesh
 
 
@@ -30,7 +30,7 @@ def counted(monkeypatch):
             monkeypatch.setattr(module, name, counting)
 
     count("check", omtwarp.mesh.validate)
-    count("certify_triangles", omtwarp.pipeline, omtwarp.result)
+    count("certify_triangles", omtwarp.mapping.pipeline, omtwarp.maps.result)
     count("savez", np)
     decide = omtwarp.flips.rings.orientation_signs
 

@@ -15,12 +15,12 @@ import pytest
 import trimesh
 import typer
 
-from omtwarp.cli import EXAMPLES, SUMMARIES, app, main
+from omtwarp.commands._cli import EXAMPLES, SUMMARIES, app, main
 from omtwarp.commands._command import heading_of
-from omtwarp.files import PREFIX
+from omtwarp.files.output import PREFIX
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import SUFFIXES, write_mesh
-from omtwarp.result import MapResult
 
 BALL = shapes.icosphere(2)
 
@@ -183,7 +183,7 @@ def test_every_command_is_summed_up():
 
 
 def test_completion_knows_the_commands():
-    code = "from omtwarp.cli import main; main()"
+    code = "from omtwarp.commands._cli import main; main()"
     environment = {"_OMTWARP_COMPLETE": "complete_bash", "COMP_WORDS": "omtwarp te", "COMP_CWORD": "1"}
 
     command = [sys.executable, "-c", code]
@@ -313,7 +313,7 @@ def test_values_are_those_that_typer_reads(folder, monkeypatch):
 def test_plain_options_need_no_checker_of_types(folder):
     """Where typer has pydantic check values, a command whose options are paths and flags does not import it."""
     code = (
-        "import sys, omtwarp.cli as c\n"
+        "import sys, omtwarp.commands._cli as c\n"
         "try: c.main(['check', 'ball.ply', '--json'])\n"
         "finally: print('pydantic' in sys.modules, file=sys.stderr)"
     )

@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 from scipy import sparse
 
 import omtwarp
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.commands._facts import quality
 from omtwarp.commands._work import load_map
 from omtwarp.mesh import shapes

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.write import write_mesh
 

@@ -9,7 +9,7 @@ import pytest
 from test_cli_bad_input import bad_meshes
 
 import omtwarp
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 from omtwarp.texturing.sharpness import LARGEST_UNASKED, sharp_size

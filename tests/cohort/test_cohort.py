@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from omtwarp.cli import main
 from omtwarp.cohort import read_manifest, run_cohort
 from omtwarp.cohort.executors import Host, make_folders
 from omtwarp.cohort.item import (
@@ -31,11 +30,12 @@ from omtwarp.cohort.item import (
 from omtwarp.cohort.page import outliers
 from omtwarp.cohort.table import read_table
 from omtwarp.cohort.work import run_item
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
+from omtwarp.maps.surface_map import read_map
 from omtwarp.mesh.shapes import blob, demo_shape
 from omtwarp.mesh.write import write_mesh
-from omtwarp.result import MapResult
-from omtwarp.surface_map import read_map
 
 PATIENCE = 240.0  # seconds; only a machine that does nothing for us makes a test wait so long
 PR_SET_CHILD_SUBREAPER = 36  # of Linux's prctl

@@ -5,10 +5,10 @@ import pytest
 
 from omtwarp.conformal import conformal_map
 from omtwarp.device.start import wp
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.surface import Surface
 from omtwarp.moser import moser_map
-from omtwarp.pipeline import map_to_sphere
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.wavelets import SphereSampler, WaveletPreconditioner, sphere_hierarchy
 

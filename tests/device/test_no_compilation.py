@@ -4,8 +4,8 @@ import pytest
 
 from omtwarp.device.prewarm import prewarm
 from omtwarp.device.start import wp
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import blob
-from omtwarp.pipeline import map_to_sphere
 
 
 def test_a_second_map_makes_no_kernel_and_compiles_none(device, monkeypatch):

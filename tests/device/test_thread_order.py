@@ -31,8 +31,8 @@ def digests() -> list[str]:
     """Hashes of all stages of maps on the fake device."""
     from fake_device import install
 
+    from omtwarp.mapping.pipeline import map_to_sphere
     from omtwarp.mesh.shapes import blob
-    from omtwarp.pipeline import map_to_sphere
 
     surface = blob(seed=11, amplitude=0.4, sphere=1500)
     with pytest.MonkeyPatch.context() as monkeypatch:

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from sphere_truths import random_rotation
 
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import blob, ellipsoid, icosphere
 from omtwarp.mesh.surface import Surface
-from omtwarp.pipeline import map_to_sphere
 
 
 def wedge():

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from omtwarp.geometry.limbs import rings, thinnest_ring, vertices_needed
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import flip_edges, icosphere, tube
-from omtwarp.pipeline import map_to_sphere
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 2.0))

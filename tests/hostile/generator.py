@@ -16,10 +16,10 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from omtwarp.any_surface import map_surface
+from omtwarp.mapping.any_surface import map_surface
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
-from omtwarp.result import MapResult
 
 CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "1940"))
 SEED = int(os.environ.get("OMTWARP_HOSTILE_SEED", "0"))

@@ -51,7 +51,7 @@ def hook(event, words):
         os.write(touched, (json.dumps([event, str(place)[:300]]) + chr(10)).encode())
 
 sys.addaudithook(hook)
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 for folders, words in lines:
     allowed[:] = [*own, *system, *map(os.path.realpath, folders)]
     try:

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from omtwarp import files
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
+from omtwarp.files import output as files
+from omtwarp.maps.result import MapResult
+from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
-from omtwarp.result import MapResult
-from omtwarp.surface_map import SurfaceMap
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="of POSIX")
 
@@ -168,7 +168,7 @@ def test_maps_that_cover_a_part_of_the_sphere_have_no_harmonics(place, capsys, n
 INTERRUPTED = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # which a child of a script in the background lacks
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 main()
 """
 
@@ -212,7 +212,7 @@ def test_an_interrupted_cohort_leaves_no_process_and_no_partial_file(tmp_path):
 # One process loads everything, and forks for every command: a process each would take most of the time to begin.
 AT_ANY_MOMENT = """
 import json, os, signal, sys, time
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.render import films
 films.PROBE_WIDTH = 16  # which otherwise takes most of the time
 

@@ -13,10 +13,10 @@ import sys
 import numpy as np
 import pytest
 
-from omtwarp.cli import SUMMARIES, main
+from omtwarp.commands._cli import SUMMARIES, main
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
-from omtwarp.result import MapResult
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="commands run in forks of a process that is loaded")
 
@@ -62,7 +62,7 @@ TEMPORARY = {"no temporary folder": {"TMPDIR": "/proc/nothing"}}
 TABLE = """
 import importlib, io, json, os, sys, tempfile
 import numpy, scipy.optimize, scipy.sparse.linalg, scipy.spatial, PIL.Image, rich.progress, trimesh, warp
-import omtwarp.cli
+import omtwarp.commands._cli
 from omtwarp.__main__ import main
 
 def stream(name, number, given, encoding, errors):

@@ -15,7 +15,7 @@ import pytest
 import typer.main
 from generator import CASES, Case, cases
 
-import omtwarp.cli
+import omtwarp.commands._cli
 
 LONGEST = 60  # seconds that a case may take
 ON_A_DEVICE = ("map", "texture", "report", "preview", "spharm", "distance", "group", "resample")
@@ -74,7 +74,9 @@ def complaint(case: Case, folder: Path, capsys) -> str:
     try:
         with limited(LONGEST), warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
-            omtwarp.cli.main([*case.arguments, "--device", "cpu"] if needs_device(case) else list(case.arguments))
+            omtwarp.commands._cli.main(
+                [*case.arguments, "--device", "cpu"] if needs_device(case) else list(case.arguments)
+            )
     except SystemExit as end:
         status = end.code or 0
     except TooLong:

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from hostile_meshes import lognormal_sphere, prism, random_mesh
 
-from omtwarp.any_surface import map_surface
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
+from omtwarp.mapping.any_surface import map_surface
+from omtwarp.mapping.pipeline import map_to_sphere
+from omtwarp.mapping.verdict import foretell
 from omtwarp.mesh import shapes
 from omtwarp.mesh.names import InputNames, named_face, named_vertex
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import check
-from omtwarp.pipeline import map_to_sphere
-from omtwarp.verdict import foretell
 
 
 def every_stage(result):

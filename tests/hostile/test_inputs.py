@@ -18,15 +18,15 @@ import pytest
 from generator import ascii_ply, ascii_stl
 from PIL import Image
 
-from omtwarp import limits
 from omtwarp.errors import OmtwarpError
-from omtwarp.inputs import read_bytes
+from omtwarp.files import limits
+from omtwarp.files.inputs import read_bytes
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render import film, preview
-from omtwarp.result import MapResult
 from omtwarp.texturing import make_atlas, read_image
 from omtwarp.texturing.read import read_painted_mesh
 
@@ -72,7 +72,7 @@ def test_what_is_no_file_is_one_line(tmp_path, name, monkeypatch):
     assert "no such file" in error_of(lambda: read(tmp_path / f"none-{name}"))
     assert "no such file" in error_of(lambda: read(tmp_path / name / name))
     assert "cannot be read: File name too long" in error_of(lambda: read(tmp_path / ("a" * 300 + name)))
-    readers = ("materials.read", "mesh.read", "mesh.scenes", "result")
+    readers = ("texturing.read", "mesh.read", "mesh.scenes", "maps.result")
     for module in (f"omtwarp.{reader}" for reader in readers):
         monkeypatch.setattr(f"{module}.LARGEST_MESH_FILE", 4000)
     monkeypatch.setattr("omtwarp.texturing.image.LARGEST_PICTURE_FILE", 4000)
@@ -95,9 +95,9 @@ def test_a_report_longer_than_its_limit_is_not_read(tmp_path, monkeypatch):
     result.report["warnings"] = [{"kind": "area-distortion", "where": -1, "text": "x" * 20_000}]
     result.save(path)
     assert MapResult.load(path).report["warnings"][0]["text"] == "x" * 20_000
-    monkeypatch.setattr("omtwarp.inputs.LARGEST_REPORT", 10_000)
+    monkeypatch.setattr("omtwarp.files.inputs.LARGEST_REPORT", 10_000)
     read = []
-    monkeypatch.setattr("omtwarp.result.json.loads", read.append)
+    monkeypatch.setattr("omtwarp.maps.result.json.loads", read.append)
     words = error_of(lambda: MapResult.load(path))
     assert "map.npz" in words and "kB of text, and 10.0 kB is the most" in words and not read
 
@@ -170,7 +170,7 @@ def npy(shape, dtype="<f8", data: bytes = b"") -> bytes:
 def test_archives_that_inflate_or_lie(tmp_path, monkeypatch, load):
     path = tmp_path / "map.npz"
     names = ("vertices", "faces", "sphere", "conformal", "density", "report")
-    monkeypatch.setattr("omtwarp.inputs.LARGEST_ARRAYS", 2**22)
+    monkeypatch.setattr("omtwarp.files.inputs.LARGEST_ARRAYS", 2**22)
     bomb(path, {f"{name}.npy": npy((2**19,), data=bytes(2**22)) for name in names})
     assert os.path.getsize(path) < 50_000
     assert "inflate to" in error_of(lambda: load(path))
@@ -197,7 +197,7 @@ def test_archives_with_endless_lists_of_arrays(tmp_path, load):
 
 def test_an_array_that_is_not_asked_for_is_not_inflated(tmp_path, monkeypatch):
     """An array that no reader asks for is not inflated, whatever it holds."""
-    monkeypatch.setattr("omtwarp.inputs.LARGEST_ARRAYS", 2**20)
+    monkeypatch.setattr("omtwarp.files.inputs.LARGEST_ARRAYS", 2**20)
     path = tmp_path / "mesh.npz"
     np.savez(path, vertices=BALL.vertices, faces=BALL.faces, other=np.zeros(2**19))
     assert len(read_mesh(path).faces) == len(BALL.faces)
@@ -366,7 +366,7 @@ def slow():
     print("ending", flush=True)
     time.sleep(30)
 atexit.register(slow)
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 sys.argv[1:] = ["--version"]
 main()
 """

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from omtwarp import files
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import output as files
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render.output import save_film, save_still
 from omtwarp.reporting import write_report
-from omtwarp.result import MapResult
 from omtwarp.texturing import texture
 
 posix = pytest.mark.skipif(os.name != "posix", reason="of POSIX")
@@ -224,7 +224,7 @@ def test_folders_left_by_killed_processes_are_swept(tmp_path):
     code = """
 import os, sys, time
 from pathlib import Path
-from omtwarp.files import staged
+from omtwarp.files.output import staged
 with staged(Path(sys.argv[1])) as file:
     file.write_text("half")
     print("ready", flush=True)

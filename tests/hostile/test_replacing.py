@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from omtwarp import files
-from omtwarp.cli import main
 from omtwarp.cohort import read_manifest, run_cohort
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import output as files
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
-from omtwarp.result import MapResult
 
 BALL = shapes.icosphere(2)
 

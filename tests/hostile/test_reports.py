@@ -19,15 +19,15 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from omtwarp.cohort.page import write_page
+from omtwarp.maps.result import MapResult
+from omtwarp.maps.surface_map import SurfaceMap
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh import shapes
 from omtwarp.reporting import report_page, scene, write_report
 from omtwarp.reporting.record import REPORT
 from omtwarp.reporting.torus_page import FIGURES
-from omtwarp.result import MapResult
 from omtwarp.shape_analysis import study_group
 from omtwarp.shape_analysis.group_report import write_group_report
-from omtwarp.surface_map import SurfaceMap
-from omtwarp.torus.torus_map import TorusMap
 
 INJECTION = """</script></style></title><script>alert(1)</script><img src=x onerror="alert(1)">' onload='x' "><!--"""
 BALL = shapes.icosphere(2)

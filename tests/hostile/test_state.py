@@ -8,9 +8,9 @@ import os
 import numpy as np
 import pytest
 
-from omtwarp.cli import main
 from omtwarp.cohort import read_manifest, run_cohort
 from omtwarp.cohort.item import Job, key_of, read_journal, read_record
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh

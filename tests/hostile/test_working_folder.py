@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import omtwarp
-from omtwarp.children import interpreter
+from omtwarp.files.children import interpreter
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 
@@ -67,7 +67,7 @@ def test_an_interpreter_finds_the_package_and_not_the_folder(trap):
 def test_commands_start_no_module_of_the_working_folder(trap, line):
     if line.startswith("preview") and importlib.util.find_spec("pyrender") is None:
         pytest.skip("no drawing process without pyrender")
-    done = run([sys.executable, "-P", "-c", "from omtwarp.cli import main; main()", *line.split()], trap)
+    done = run([sys.executable, "-P", "-c", "from omtwarp.commands._cli import main; main()", *line.split()], trap)
     assert done.returncode == 0, done.stderr
     assert imported(trap) == []
 
@@ -81,4 +81,8 @@ def test_every_interpreter_is_started_in_one_place():
         if re.search(r"sys\.executable", file.read_text("utf-8"))
     }
     # The pass over a graphics card starts modules and pytest, with the same option.
-    assert named == {"children.py", str(Path("render") / "gl_client.py"), str(Path("benchmark") / "gpu.py")}
+    assert named == {
+        str(Path("files") / "children.py"),
+        str(Path("render") / "gl_client.py"),
+        str(Path("benchmark") / "gpu.py"),
+    }

@@ -11,11 +11,11 @@ from trimesh.triangles import closest_point
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import orientation_signs
+from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.location import Locator
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
 from omtwarp.moser.kernels import walk as moser_walk
-from omtwarp.wavelets.hierarchy import sphere_hierarchy
 from omtwarp.wavelets.sampling import SphereSampler
 
 

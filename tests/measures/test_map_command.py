@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.write import write_mesh
 

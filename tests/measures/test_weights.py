@@ -8,7 +8,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.measures import weighted_surface
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.triangle_newton.frames import triangle_frames
+from omtwarp.solvers.triangle_newton.frames import triangle_frames
 
 SURFACE = blob(4, sphere=600)
 WEIGHTS = 1.0 + np.arange(SURFACE.face_count) % 7
@@ -104,5 +104,5 @@ def test_weights_of_the_other_kind_than_is_said_are_refused():
         weighted_surface(SURFACE, WEIGHTS, "vertices")
     with pytest.raises(OmtwarpError, match=f"give one for each of {SURFACE.face_count} triangles$"):
         weighted_surface(SURFACE, np.ones(SURFACE.vertex_count), "triangles")
-    with pytest.raises(OmtwarpError, match="unknown place of weights"):
+    with pytest.raises(OmtwarpError, match="unknown weights_at"):
         weighted_surface(SURFACE, WEIGHTS, "edges")

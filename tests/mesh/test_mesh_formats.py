@@ -8,14 +8,14 @@ import struct
 import numpy as np
 import pytest
 
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.mesh import shapes
 from omtwarp.mesh.other_formats import WAYS_ROUND
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
 from omtwarp.mesh.write import write_mesh
-from omtwarp.surface_map import SurfaceMap
 from omtwarp.texturing import read_painted_mesh
 
 BALL = shapes.icosphere(2)

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import omtwarp
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.seams import read_joined_mesh, seam_copies
 

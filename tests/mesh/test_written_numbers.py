@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import omtwarp
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import VertexData, read_data, write_data

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
@@ -15,7 +16,6 @@ from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality import exact_transport, map_optimality, optimality, relative_curl
 from omtwarp.metrics.optimality_dual import TransportDual, order_by_halves, tree_segments
 from omtwarp.metrics.optimality_sources import SourceDual
-from omtwarp.result import MapResult
 
 
 def latitude_map(frequency: int, shift: float = 0.6, twist: float = 0.0):

@@ -8,9 +8,9 @@ from plane_truths import round_disk
 
 import omtwarp
 from omtwarp.flips.predicates import count_flips, flipped_faces
+from omtwarp.geometry.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
-from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import cap_radius, pack_caps
 from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_sphere
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops
@@ -307,8 +307,8 @@ def test_a_disk_matches_an_area_distortion():
 
 def test_a_disk_is_laid_flat_without_a_refinement_that_is_not_symmetric(monkeypatch):
     answers = iter([False, True, False])
-    monkeypatch.setattr(omtwarp.any_surface, "is_symmetric", lambda *_: next(answers))
-    monkeypatch.setattr(omtwarp.any_surface, "symmetric_map", lambda *_, **__: None)
+    monkeypatch.setattr(omtwarp.mapping.any_surface, "is_symmetric", lambda *_: next(answers))
+    monkeypatch.setattr(omtwarp.mapping.any_surface, "symmetric_map", lambda *_, **__: None)
     disk = omtwarp.map_surface(face_with_hole(), domain="disk", refine="angle", optimality=False, device="cpu")
     assert disk.certificate.bijective and np.array_equal(disk.sphere, disk.transported)
     with pytest.raises(omtwarp.OmtwarpError, match="let area count more"):
@@ -364,7 +364,7 @@ def test_flipped_triangles_of_a_large_cap_are_untangled():
     [
         (shapes.icosphere(4), {"domain": "disk"}, "without a boundary"),
         (shapes.icosphere(4), {"domain": "plane"}, "unknown domain"),
-        (shapes.icosphere(4), {"fill_area": "large"}, "unknown fill area"),
+        (shapes.icosphere(4), {"fill_area": "large"}, "unknown fill_area"),
         (([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 1]]), {}, "zero area"),
         ("mesh.ply", {}, "expected a trimesh"),
         (face_with_hole(), {"weights": np.ones(4)}, "give one for each"),

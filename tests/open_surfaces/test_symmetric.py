@@ -65,7 +65,7 @@ def test_half_system_has_the_symmetric_solution_of_the_whole_one(solver):
 def in_bases(sphere: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """Tangent vectors in the bases that matrices are written in, shape [V, 2]."""
     from omtwarp.device.start import wp
-    from omtwarp.triangle_newton.motion_kernels import to_tangent
+    from omtwarp.solvers.triangle_newton.motion_kernels import to_tangent
 
     out = wp.empty((len(sphere), 2), dtype=wp.float64, device="cpu")
     inputs = [wp.array(points, dtype=wp.vec3d, device="cpu") for points in (sphere, tangent)]

@@ -6,13 +6,13 @@ import pytest
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.flips.rings import is_bijective
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.shapes import blob, demo_shape, icosphere
 from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.local import FREED_RINGS, MAX_CHOSEN_SHARE, LocalSteps, freed_vertices
 from omtwarp.optimal.small_local import SmallLocalSteps
 from omtwarp.optimal.solver import PENALTY, minimise
-from omtwarp.pipeline import map_to_sphere
 
 CPU = resolve_device("cpu")
 

@@ -5,7 +5,7 @@ import pytest
 from sphere_truths import SHARED
 
 import omtwarp
-from omtwarp import pipeline
+from omtwarp.mapping import pipeline
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob, demo_shape
 

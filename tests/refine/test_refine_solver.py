@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, tube
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.optimal.refinement import refine_map, refinement_weight
-from omtwarp.pipeline import map_to_sphere
+from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
 from omtwarp.start.hierarchical import hierarchical_embedding
-from omtwarp.triangle_newton.newton import NewtonMatrix
 from omtwarp.untangling.untangle import untangle
 
 

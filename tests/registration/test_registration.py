@@ -10,6 +10,7 @@ import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.harmonics import real_harmonics
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
@@ -17,7 +18,6 @@ from omtwarp.registration.folding import HeatFlow, folding_features
 from omtwarp.registration.strain import kept_within, octaves
 from omtwarp.registration.templates import template
 from omtwarp.resampling import SpherePoints
-from omtwarp.result import MapResult
 from omtwarp.spheres import mesh_grid
 
 BALL = shapes.icosphere(16)

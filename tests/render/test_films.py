@@ -14,12 +14,12 @@ from PIL import Image
 
 from omtwarp import film
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.render import Camera, SurfaceView, films, preview
 from omtwarp.render.films import _scene_of, film_frames
 from omtwarp.render.stories import along_great_circles
 from omtwarp.render.subject import map_view
-from omtwarp.result import MapResult
 from omtwarp.texturing import rasterize
 
 SIZE = (96, 54)

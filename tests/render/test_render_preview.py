@@ -13,6 +13,7 @@ import trimesh
 from PIL import Image
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
 from omtwarp.render import (
     Arrows,
     Camera,
@@ -26,7 +27,6 @@ from omtwarp.render import (
     sheet,
 )
 from omtwarp.render.camera import SIX_VIEWS, VIEWS, frame
-from omtwarp.result import MapResult
 from omtwarp.srgb import to_linear
 
 DARK, LIGHT = np.array([40, 90, 160]), np.array([240, 225, 205])

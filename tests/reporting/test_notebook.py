@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from omtwarp.any_surface import map_surface
-from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
+from omtwarp.mapping.any_surface import map_surface
+from omtwarp.maps.display import Shown
+from omtwarp.maps.result import MapResult
+from omtwarp.maps.surface_map import SurfaceMap
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh import shapes
-from omtwarp.result import MapResult
-from omtwarp.surface_map import SurfaceMap
-from omtwarp.torus.torus_map import TorusMap
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_repr_computes_nothing(result, monkeypatch):
         monkeypatch.setattr(MapResult, name, property(fails) if name == "certificate" else fails)
     assert repr(result) == "MapResult(642 vertices, 1280 faces)" == str(result)
     code = (
-        "import sys, numpy as np; from omtwarp.result import MapResult\n"
+        "import sys, numpy as np; from omtwarp.maps.result import MapResult\n"
         "from omtwarp.mesh.shapes import icosphere; ball = icosphere(2)\n"
         "made = MapResult(ball.vertices, ball.faces, ball.vertices, ball.vertices, np.ones(42))\n"
         "made; repr(made); dir(made)\n"

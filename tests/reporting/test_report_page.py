@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 import omtwarp
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.reporting import report_page, scene, write_report

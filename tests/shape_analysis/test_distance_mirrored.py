@@ -10,7 +10,7 @@ import pytest
 
 import omtwarp
 from omtwarp import shapes
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.shape_analysis import shape_distance, study_group
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

@@ -10,7 +10,7 @@ import pytest
 from sphere_truths import pushed_north, random_rotation
 
 import omtwarp
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.shapes import hippocampus, icosphere
 from omtwarp.mesh.surface import vertex_normals

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import omtwarp
-from omtwarp.cli import main
+from omtwarp.commands._cli import main
 from omtwarp.mesh.shapes import blob
 from omtwarp.shape_analysis.coef_file import read_coef
 

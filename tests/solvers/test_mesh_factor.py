@@ -11,8 +11,8 @@ from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.options import Solver
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SparseFactor, cell_saddle_factor, surface_factor, surface_saddle_factor
+from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
 from omtwarp.transport.polish import polish_transport
-from omtwarp.triangle_newton.newton import NewtonMatrix
 
 SURFACE = blob(seed=3, amplitude=0.3, sphere=1280)
 EVERY = (Solver.SCIPY, Solver.CHOLESKY, Solver.MULTIGRID)

@@ -173,7 +173,7 @@ def test_where_limbs_would_be_thin_holes_are_closed(thin_pretzel):
 
 
 def test_unknown_loops_are_refused():
-    with pytest.raises(OmtwarpError, match="unknown loops to cut along 'short'"):
+    with pytest.raises(OmtwarpError, match="unknown cut_along 'short'"):
         omtwarp.map_surface(shapes.rings(2, cell=0.4), cut_along="short")
 
 

@@ -16,13 +16,13 @@ from texture_truths import jumps_across_edges
 import omtwarp
 from omtwarp.geometry.intrinsic import delaunay_edges
 from omtwarp.geometry.operators import corner_cotangents
+from omtwarp.maps.torus_pictures import ring_torus as on_ring_torus
+from omtwarp.maps.torus_pictures import torus_pattern
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
 from omtwarp.torus.mapping import map_to_torus
 from omtwarp.torus.optimality import torus_optimality
-from omtwarp.torus.pictures import ring_torus as on_ring_torus
-from omtwarp.torus.pictures import torus_pattern
 from omtwarp.torus.transport import transport_on_torus
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))

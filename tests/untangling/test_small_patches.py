@@ -11,8 +11,8 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.metrics.certificate import certify_triangles
-from omtwarp.triangle_newton import small_patches
-from omtwarp.triangle_newton.small_patches import SmallPatches
+from omtwarp.solvers.triangle_newton import small_patches
+from omtwarp.solvers.triangle_newton.small_patches import SmallPatches
 from omtwarp.untangling.untangle import RepairBudget, untangle
 
 

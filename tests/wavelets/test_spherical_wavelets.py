@@ -11,6 +11,7 @@ from omtwarp.device.graphs import GraphsByArray, step_by_step
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
+from omtwarp.geometry.sphere_hierarchy import SOLIDS
 from omtwarp.wavelets import (
     SphereSampler,
     SphericalWavelets,
@@ -19,7 +20,6 @@ from omtwarp.wavelets import (
     platonic_solid,
     sphere_hierarchy,
 )
-from omtwarp.wavelets.hierarchy import SOLIDS
 
 LEVEL = {"icosahedron": 3, "octahedron": 4, "tetrahedron": 4}
 

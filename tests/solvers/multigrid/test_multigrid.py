@@ -18,8 +18,8 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.multigrid import MeshHierarchy, MultigridSolver
 from omtwarp.solvers.multigrid.hierarchy import COARSEST, aggregate, colour
+from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
 from omtwarp.start.hierarchical import hierarchical_embedding
-from omtwarp.triangle_newton.newton import NewtonMatrix
 
 SHAPES = {
     "blob": lambda: blob(0, amplitude=0.4, sphere=5120),
@@ -77,7 +77,7 @@ def newton(surface: Surface, sphere: np.ndarray, weight: float = 100.0, curvatur
     blocks = energy.hessian(points, energy.terms(points), weight, curvature_share).numpy()
     diagonal, off = NewtonMatrix.of_surface(surface).assemble(blocks)
     diagonal = diagonal + 1e-8 * np.einsum("vuu->v", diagonal).mean() / 2.0 * np.eye(2)
-    # The bases of omtwarp.triangle_newton.triangle.first_tangent.
+    # The bases of omtwarp.solvers.triangle_newton.triangle.first_tangent.
     axis = np.where(
         (np.abs(sphere[:, 1]) < np.abs(sphere[:, 0])) & (np.abs(sphere[:, 1]) <= np.abs(sphere[:, 2])),
         1,

@@ -9,9 +9,9 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import MAX_PARTIAL_ROWS
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
+from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import blob, needle
 from omtwarp.moser import moser_map
-from omtwarp.pipeline import map_to_sphere
 from omtwarp.solvers.multigrid import DeviceLaplacian, Outcome, laplacian
 from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver, solve_arrays
 from omtwarp.transport.flow import optimal_transport

@@ -7,8 +7,8 @@ from omtwarp.solvers.cholesky.envelope_kernels import (
     factorise_envelope,
     solve_envelope,
 )
-from omtwarp.triangle_newton import line_search
-from omtwarp.triangle_newton.newton_kernels import packed
+from omtwarp.solvers.triangle_newton import line_search
+from omtwarp.solvers.triangle_newton.newton_kernels import packed
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -14,7 +14,7 @@ EQUILATERAL_HEIGHT = np.sqrt(3.0) / 2.0  # over an edge
 def triangle_frames(
     surface: Surface, thinnest: float = 0.0, triangles: NDArray[np.integer] | None = None
 ) -> NDArray[np.float64]:
-    """Return the frames (1/l, -x/(l h), 1/h) of the scaled triangles, see :mod:`omtwarp.triangle_newton.triangle`.
+    """Return the frames (1/l, -x/(l h), 1/h) of the scaled triangles, see :mod:`.triangle`.
 
     Args:
         surface: the surface; its area is taken as 4π. With another measure than area, every triangle is scaled to the

@@ -8,8 +8,8 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.result import MapReport
-from omtwarp.surface_map import SEVERAL, SurfaceMap
+from omtwarp.maps.result import MapReport
+from omtwarp.maps.surface_map import SEVERAL, SurfaceMap
 
 Floats = NDArray[np.float64]
 

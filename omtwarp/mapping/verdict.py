@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
+from omtwarp.maps.result import StageRecord, Warned
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.names import named_face, named_vertex
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import MapOptions, Method, Refinement, Stage
-from omtwarp.result import StageRecord, Warned
 from omtwarp.spheres import triangle_solid_angles
 
 # Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are

@@ -13,7 +13,7 @@ from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import NotPositiveDefinite, part_dissection
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
-from omtwarp.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
+from omtwarp.solvers.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
 
 REGULARISATION = 1e-8  # of the mean diagonal: holds the three rotations and triangles cut off entirely
 # Of the diagonal at each vertex: the Hessian is only semidefinite, and steps along directions without curvature are as

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.geometry.space_order import CORNERS
+from omtwarp.maps.result import LAYOUT
+from omtwarp.maps.surface_map import OWN_LAYOUT, SurfaceMap
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.quarter import PARTS
-from omtwarp.result import LAYOUT
-from omtwarp.surface_map import OWN_LAYOUT, SurfaceMap
 from omtwarp.topology.kind import Part
-from omtwarp.torus.torus_map import TorusMap
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]

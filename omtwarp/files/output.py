@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.interruptions import removed_at_the_end
+from omtwarp.files.interruptions import removed_at_the_end
 
 try:
     import fcntl

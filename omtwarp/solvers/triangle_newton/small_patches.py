@@ -15,8 +15,8 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, load, run_all
 from omtwarp.mesh.patches import Patches, sides_of
 from omtwarp.solvers.cholesky.envelope import Envelopes
-from omtwarp.triangle_newton.newton import DIAGONAL_SHIFTS
-from omtwarp.triangle_newton.patch_kernels import PatchMeshes, PatchScratch
+from omtwarp.solvers.triangle_newton.newton import DIAGONAL_SHIFTS
+from omtwarp.solvers.triangle_newton.patch_kernels import PatchMeshes, PatchScratch
 
 # Multiplications of the largest patch's factorisation: beyond some 2,600 vertices the multifrontal one takes less time.
 MAX_OPERATIONS = 6e7
@@ -62,7 +62,7 @@ class SmallPatches:
         """Return what kernels read of the patches.
 
         Args:
-            frames: of their triangles, shape [T, 3]; see :mod:`omtwarp.triangle_newton.triangle`.
+            frames: of their triangles, shape [T, 3]; see :mod:`omtwarp.solvers.triangle_newton.triangle`.
             areas: of their triangles on the surface, shape [T].
         """
         order = self.envelopes.order

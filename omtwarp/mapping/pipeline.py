@@ -24,6 +24,8 @@ from omtwarp.flips.guard import hold_back
 from omtwarp.flips.rings import Examined, examine, is_bijective
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, turned_towards
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
+from omtwarp.mapping.verdict import judge, refusal
+from omtwarp.maps.result import MapReport, MapResult, StageRecord, renumbered
 from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.arrays import TINY, normalised
@@ -42,7 +44,6 @@ from omtwarp.optimal.cells import exact_map
 from omtwarp.optimal.nested import EMBEDDED, NESTED, embedded_start, minimised, nested_start, shape_term
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, WeightsAt, continued
-from omtwarp.result import MapReport, MapResult, StageRecord, renumbered
 from omtwarp.solvers.mesh_factor import begin_saddle_order
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import TargetLike, as_target
@@ -50,7 +51,6 @@ from omtwarp.topology.doubling import Double, quartered_double
 from omtwarp.transport.area import AreaMonitor
 from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import RepairBudget, untangle
-from omtwarp.verdict import judge, refusal
 from omtwarp.version import package_version
 
 # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended, about

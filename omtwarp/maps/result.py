@@ -13,11 +13,11 @@ from typing import NotRequired, TypedDict, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path
-from omtwarp.inputs import open_input, read_arrays, write_arrays
-from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.files.inputs import open_input, read_arrays, write_arrays
+from omtwarp.files.limits import LARGEST_MESH_FILE
+from omtwarp.files.output import as_path
+from omtwarp.maps.display import Shown
 from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_triangles

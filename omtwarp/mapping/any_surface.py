@@ -13,9 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.geometry.space_order import in_space_order
-from omtwarp.input_order import in_input_order, torus_in_input_order
-from omtwarp.joined_maps import joined
+from omtwarp.mapping.input_order import in_input_order, torus_in_input_order
+from omtwarp.mapping.joined import joined
+from omtwarp.mapping.pipeline import map_double, map_to_sphere
+from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport
+from omtwarp.maps.surface_map import SurfaceMap
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.measures.weights import face_weights
 from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.checks import MeshLike
@@ -26,7 +31,6 @@ from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap, shares_of_polygons
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
-from omtwarp.open_surfaces.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.open_surfaces.packing import pack_caps
 from omtwarp.open_surfaces.planar import (
     match_in_plane,
@@ -49,10 +53,7 @@ from omtwarp.options import (
     choose,
     parse_refinement,
 )
-from omtwarp.pipeline import map_double, map_to_sphere
-from omtwarp.result import MapResult, MeshReport, StageReport, SurfaceReport
 from omtwarp.spheres import triangle_solid_angles
-from omtwarp.surface_map import SurfaceMap
 from omtwarp.texturing.density import TargetLike
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops, loop_length
 from omtwarp.topology.cuts import cut_open
@@ -61,7 +62,6 @@ from omtwarp.topology.filling import FilledSurface, fill_holes
 from omtwarp.topology.handles import cut_handles, slit_open
 from omtwarp.topology.kind import Part, described, numbered_in_space, options_for, parts_of, places_of
 from omtwarp.torus.mapping import map_to_torus
-from omtwarp.torus.torus_map import TorusMap
 
 # Share of the surface's area that all small fillings together take. With a tenth of that, triangles on both sides of
 # the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path, note_input, staged
-from omtwarp.limits import LARGEST_ARRAYS, LARGEST_DIRECTORY, LARGEST_MESH_FILE, LARGEST_REPORT, amount
+from omtwarp.files.limits import LARGEST_ARRAYS, LARGEST_DIRECTORY, LARGEST_MESH_FILE, LARGEST_REPORT, amount
+from omtwarp.files.output import as_path, note_input, staged
 
 _LONGEST_END = 22 + 2**16 + 76  # bytes in which a zip archive's last records stand, with the longest comment
 _LONGEST_HEADER = 10_000  # characters of an array's header, as numpy.lib.format has it by default

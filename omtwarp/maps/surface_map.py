@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path
-from omtwarp.inputs import holds_array, open_input, read_arrays
-from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.files.inputs import holds_array, open_input, read_arrays
+from omtwarp.files.limits import LARGEST_MESH_FILE
+from omtwarp.files.output import as_path
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import fitting_arrays, owned, require_unit_length, whole_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
 from omtwarp.options import Domain
-from omtwarp.result import MapResult
 from omtwarp.topology.boundary import boundary_half_edges
 from omtwarp.topology.kind import connected_components
 
@@ -32,7 +32,7 @@ SEVERAL = "several"  # the domain of parts that went to different ones
 class SurfaceMap(MapResult):
     """The map of a surface with holes, handles or several parts to the sphere, or to a part of it.
 
-    Attributes that a :class:`~omtwarp.result.MapResult` has too are of the surface as it is mapped: the input's faces,
+    Attributes that a :class:`~omtwarp.MapResult` has too are of the surface as it is mapped: the input's faces,
     in their order, but where an edge had to be split or a handle to be cut. ``report["certificate"]`` is of the closed
     surface that was mapped, filled, cut or doubled.
 

@@ -10,6 +10,7 @@ import sys
 
 import typer
 
+import omtwarp
 from omtwarp.commands._command import Command, Group
 from omtwarp.commands._streams import say, standard_streams
 from omtwarp.commands.align import align_map
@@ -30,7 +31,7 @@ from omtwarp.commands.texture import texture_mesh
 from omtwarp.commands.transfer import transfer
 from omtwarp.commands.unwrap import unwrap_mesh
 from omtwarp.errors import INTERRUPTED, OmtwarpError, unexpected
-from omtwarp.interruptions import LINE, ending_the_process
+from omtwarp.files.interruptions import LINE, ending_the_process
 
 EXAMPLES = {
     "map": (
@@ -135,9 +136,7 @@ app.command("benchmark", cls=Command, short_help=SUMMARIES["benchmark"], epilog=
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from omtwarp.version import package_version  # slow to import
-
-        print(f"omtwarp {package_version()}")
+        print(f"omtwarp {omtwarp.__version__}")
         raise typer.Exit
 
 
@@ -151,7 +150,8 @@ def _common(
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: with 0 if done, 1 if it failed (one line says why), 2 on wrong usage.
 
-    An interruption ends the process by its signal after one line, see :mod:`omtwarp.interruptions`; shells report 130.
+    An interruption ends the process by its signal after one line, see :mod:`omtwarp.files.interruptions`;
+    shells report 130.
 
     Args:
         arguments: the command line without the program's name; ``sys.argv`` by default, where the process is taken to

@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, TypedDict, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.display import Shown
 from omtwarp.errors import OmtwarpError
-from omtwarp.files import as_path
+from omtwarp.files.inputs import open_input, read_arrays, write_arrays
+from omtwarp.files.limits import LARGEST_MESH_FILE
+from omtwarp.files.output import as_path
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.inputs import open_input, read_arrays, write_arrays
-from omtwarp.limits import LARGEST_MESH_FILE
+from omtwarp.maps.display import Shown
+from omtwarp.maps.result import OF_A_TORUS, MeshReport, StageReport
+from omtwarp.maps.torus_pictures import ring_torus, textured_torus, torus_pattern
 from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas, unit_normals, vertex_normals
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.options import Record
-from omtwarp.result import OF_A_TORUS, MeshReport, StageReport
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 from omtwarp.texturing.textured import TexturedSurface
-from omtwarp.torus.pictures import ring_torus, textured_torus, torus_pattern
 
 if TYPE_CHECKING:
     import trimesh

@@ -1,0 +1,33 @@
+"""Names of devices and of solvers, as users write them; nothing heavy is imported."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+
+from omtwarp.errors import OmtwarpError, shown
+
+
+class Solver(StrEnum):
+    """How sparse systems are solved: by SciPy, a built-in solver or, on a GPU, cuDSS; ``auto`` takes a built-in one."""
+
+    AUTO = "auto"
+    SCIPY = "scipy"
+    CHOLESKY = "cholesky"
+    MULTIGRID = "multigrid"
+    CUDSS = "cudss"
+
+
+def parse_device(value: object) -> str:
+    """Check a device's name: ``auto`` (also for None), ``cpu``, ``cuda`` or ``cuda:N``; it need not exist.
+
+    Raises:
+        OmtwarpError: the name has another form.
+    """
+    name = "auto" if value is None else str(value)
+    if name not in ("auto", "cpu", "cuda") and not (re.fullmatch(r"cuda:[0-9]{1,4}", name)):
+        raise OmtwarpError(f"unknown device {shown(value)}: use auto, cpu, cuda or cuda:N")
+    return name
+
+
+__all__ = ["Solver", "parse_device"]

@@ -1,0 +1,1 @@
+"""Finished maps of surfaces, and their files."""
