@@ -26,10 +26,6 @@ LEAST_RAYS = 24  # where many texels have to share them; the noise is two thirds
 MOST_RAYS = 6_000_000  # of one picture of ambient occlusion; a core casts about a million in a second
 SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
 
-# Of the extent: how far off the surface rays begin. Single precision resolves 1e-7 of it.
-RAY_START = 1e-4
-LEAST_RANGE = 1e-9  # of a binary logarithm: a map that keeps areas to round-off still has a range of colours
-
 
 @dataclass(frozen=True)
 class Target:
@@ -90,7 +86,8 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     scale = float((high - low).max())
     normal = rows[known, 3:]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
-    origins = ((rows[known, :3] - low) / scale + RAY_START * normal).astype(np.float32)
+    # Of the extent: how far off the surface rays begin. Single precision resolves 1e-7 of it.
+    origins = ((rows[known, :3] - low) / scale + 1e-4 * normal).astype(np.float32)
     where = wp.get_device(target.device)
     mesh = wp.Mesh(
         points=wp.array(((vertices - low) / scale).astype(np.float32), dtype=wp.vec3, device=where),
@@ -228,7 +225,8 @@ def scalar(
         return Scalar("curvature", values, "coolwarm", -most, most)
     if what == "area":
         values = np.log2(area_ratio(vertices, faces, on_map, parts))
-        most = max(float(np.percentile(np.abs(values), SPREAD)), LEAST_RANGE)
+        # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours
+        most = max(float(np.percentile(np.abs(values), SPREAD)), 1e-9)
         return Scalar("area (binary logarithm)", values, "coolwarm", -most, most)
     path = Path(what)
     if not path.suffix:

@@ -7,10 +7,6 @@ from omtwarp.texturing.openness_kernels import TURN, open_share
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# Of tangent, bitangent and normal: below, single precision's normals give no frame.
-SMALLEST_DETERMINANT = wp.constant(wp.float64(1.0e-6))
-TURNS = wp.constant(1021)  # a prime: so many are told apart, and float32 still resolves each to 1e-4
-
 
 @wp.kernel
 def count_claims(
@@ -119,7 +115,8 @@ def tangent_normals(
         # The frame need not be orthogonal after interpolation: solve for the coordinates.
         frame = wp.mat33d(t[0], b[0], n[0], t[1], b[1], n[1], t[2], b[2], n[2])
         local = fine
-        if wp.abs(wp.determinant(frame)) > SMALLEST_DETERMINANT:
+        # Of tangent, bitangent and normal: below, single precision's normals give no frame.
+        if wp.abs(wp.determinant(frame)) > wp.float64(1.0e-6):
             local = wp.inverse(frame) * fine
         out[i] = wp.normalize(local)
 
@@ -139,5 +136,6 @@ def cast_open_rays(
     ``numbers`` rotate the pattern of rays differently for every point, to avoid visible bands.
     """
     i = wp.tid()
-    turn = float(numbers[i] % TURNS) * TURN
+    # Turns, a prime: so many are told apart, and float32 still resolves each to 1e-4
+    turn = float(numbers[i] % 1021) * TURN
     openness[i] = open_share(mesh, origins[i], normals[i], turn, rays)

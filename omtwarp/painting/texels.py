@@ -27,8 +27,6 @@ MOST_TILES = 16
 INSIDE = 0.02
 """Texels by which a centre lies inside a triangle for certain: neighbours share their sides to round-off."""
 
-LEAST_COVER = np.float32(1e-6)  # of opacity: what is more transparent has no colour; eight bits resolve 4e-3
-
 
 def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Copy triangles so that each copy covers its part of the unit square, for pictures that repeat.
@@ -187,7 +185,8 @@ def over(top: NDArray[np.float32], bottom: NDArray[np.float32], opacity: float) 
     above = top[..., 3:] * np.float32(opacity)
     below = bottom[..., 3:] * (1.0 - above)
     total = above + below
-    light = (to_linear(top[..., :3]) * above + to_linear(bottom[..., :3]) * below) / np.maximum(total, LEAST_COVER)
+    # Least cover, of opacity: what is more transparent has no colour; eight bits resolve 4e-3
+    light = (to_linear(top[..., :3]) * above + to_linear(bottom[..., :3]) * below) / np.maximum(total, np.float32(1e-6))
     return np.concatenate([to_srgb(light), total], axis=2).astype(np.float32)
 
 

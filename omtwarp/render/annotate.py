@@ -11,10 +11,6 @@ from omtwarp.render.scene import ScalarField
 
 ROUND = 1e-9  # steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick
 
-# Width of a sheet over the height of its captions: shown 750 pixels wide, as on a page, letters have 12.
-CAPTION_SHARE = 64.0
-LETTER_WIDTH = 0.6  # of a letter over its height, at most on average: captions stay apart
-
 
 def compose(
     picture: NDArray[np.uint8],
@@ -123,7 +119,9 @@ def grid(
     rows = -(-count // columns)
     width, height = max(image.width for image in images), max(image.height for image in images)
     longest = max((len(caption) for caption in captions), default=0)
-    legible = min(columns * width / CAPTION_SHARE, width / (LETTER_WIDTH * max(longest, 1)))
+    # Width of a sheet over the height of its captions: shown 750 pixels wide, as on a page, letters have 12.
+    # Letter width, of a letter over its height, at most on average: captions stay apart
+    legible = min(columns * width / 64.0, width / (0.6 * max(longest, 1)))
     letters = max(11.0, min(width, height) / 24.0, legible)
     band = round(2.0 * letters) if any(captions) else 0
     head = round(2.6 * letters) if title else 0

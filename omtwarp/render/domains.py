@@ -15,11 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 LEAST_WEIGHT = 1e-9  # of the mean, of a vertex without area: turns the domain as little as that
-FLAT = 1e-3  # of a surface's area: the length of its mean normal below which it has no side
 SPACING = 1.08  # distance of two domains over the sum of their radii, as seen
-PUSHES = 300  # of domains that hide each other, at most: 50 random ones took 41
-MOST_PUSHED = 500  # domains: more are left where their parts are
-SPIRAL = 2.399963  # radians: the golden angle, between the ways in which domains at one place go apart
 START = 1e-3  # of its radius: how far each is moved along that way at first
 
 
@@ -93,7 +89,8 @@ def _facing(surface: Floats, faces: Ints, here: Floats, there: Floats, weights: 
     corner = surface[faces]
     normal = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
     length = float(np.linalg.norm(normal))
-    if length < FLAT * triangle_areas(surface, faces).sum():
+    # Flat, of a surface's area: the length of its mean normal below which it has no side
+    if length < 1e-3 * triangle_areas(surface, faces).sum():
         return None
     normal /= length
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
@@ -114,13 +111,16 @@ def _apart(centres: Floats, radii: Floats, axes: Floats) -> Floats:
         axes: the camera's, as columns.
     """
     count = len(centres)
-    if count == 1 or count > MOST_PUSHED:
+    # Most pushed, domains: more are left where their parts are
+    if count == 1 or count > 500:
         return centres
-    turns = SPIRAL * np.arange(count)
+    # Spiral, radians: the golden angle, between the ways in which domains at one place go apart
+    turns = 2.399963 * np.arange(count)
     flat = centres @ axes[:, :2] + START * radii[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
     wanted = SPACING * (radii[:, None] + radii[None])
     np.fill_diagonal(wanted, 0.0)
-    for _ in range(PUSHES):
+    # Pushes, of domains that hide each other, at most: 50 random ones took 41
+    for _ in range(300):
         between = flat[:, None] - flat[None]
         far = np.linalg.norm(between, axis=2)
         lack = np.maximum(wanted - far, 0.0)

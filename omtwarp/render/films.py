@@ -35,17 +35,12 @@ Floats = NDArray[np.float64]
 
 HD = (1920, 1080)  # pixels of an .mp4 where no size is given
 SMALL = (640, 360)  # of films that browsers load as pictures: .gif and .webp
-CAPTIONED_HEIGHT = 44  # in pixels: a caption of legible letters takes half of that
-# Share of the picture that edges sweep over from one frame to the next. Circles on a creature then move by a pixel or
-# two of a picture of 1920 x 1080, and no more than a fiftieth of its pixels change.
-PACE = 0.008
 # Motion is measured on pictures of this width, with times halved until no step sweeps over more than STEP.
 PROBE_WIDTH = 192
 STEP = 0.012
 MOST_HALVINGS = 9
 # Change of a pixel, of the whole range, that counts as an edge between two fields; smaller changes in proportion.
 EDGE = 0.6
-REST = 0.7  # seconds that the film pauses at its beginning, between its two parts and at its end
 EASE = 0.12  # share of the motion in which it accelerates, and in which it slows down
 BATCH = 12  # frames that are drawn together: their texture is uploaded once
 
@@ -230,14 +225,17 @@ class _Studio:
         Motion is the share of the picture that edges sweep over, measured on small pictures; within each part of the
         film its speed is constant except at the beginning and end.
         """
-        rest = max(round(REST * self.fps), 1)
+        # Rest: seconds that the film pauses at its beginning, between its two parts and at its end
+        rest = max(round(0.7 * self.fps), 1)
         parts = [(0.0, 1.0), (1.0, 2.0)][0 if self.story.flows else 1 :]
         # A film of few frames needs no finer measure of its motion than that.
         most = MOST_FRAMES if seconds is None else math.ceil(seconds * self.fps)
         curves = [self._motion(*part, aspect, most, progress) for part in parts]
         total = sum(swept[-1] for _, swept in curves)
         if seconds is None:
-            moving = math.ceil(total / PACE / (1.0 - EASE))
+            # Share of the picture that edges sweep over from one frame to the next. Circles on a creature then move by
+            # a pixel or two of a picture of 1920 x 1080, and no more than a fiftieth of its pixels change.
+            moving = math.ceil(total / 0.008 / (1.0 - EASE))
             if moving + 3 * rest > MOST_FRAMES:
                 moving = MOST_FRAMES - 3 * rest
         else:
@@ -293,7 +291,8 @@ class _Studio:
         """
         width, height = size
         letters = max(11.0, height / 26.0)
-        band = round(2.0 * letters) if self.captions and height >= CAPTIONED_HEIGHT else 0
+        # Captioned height, in pixels: a caption of legible letters takes half of that
+        band = round(2.0 * letters) if self.captions and height >= 44 else 0
         ink = annotate.ink(self.background, False)
         moments = sorted(set(times))
         repeats = {moment: times.count(moment) for moment in moments}

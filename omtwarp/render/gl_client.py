@@ -33,7 +33,6 @@ if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
 START_SECONDS = 120.0
 PICTURE_SECONDS = 180.0
 IDLE_SECONDS = 60.0  # after which the drawing process gets no more jobs
-SPARE_SECONDS = 5.0  # until it then ends and frees its memory, so that it never does so while a job arrives
 
 _COMMAND = "from omtwarp.render.gl_client import serve; serve()"
 
@@ -77,7 +76,8 @@ def serve() -> None:
         except Exception as error:
             answer = ("failed", f"{type(error).__name__}: {error}".splitlines()[0])
         _send(replies, answer)
-        idle = threading.Timer(IDLE_SECONDS + SPARE_SECONDS, os._exit, (0,))
+        # Spare seconds: until it then ends and frees its memory, so that it never does so while a job arrives
+        idle = threading.Timer(IDLE_SECONDS + 5.0, os._exit, (0,))
         idle.daemon = True
         idle.start()
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 FILM_FORMATS = (".gif", ".mp4", ".webp")
 WEBP = 60  # of Pillow's 100: a third of the size at 80, and edges of a pattern stay clean
-LEAST_FREE = 65536  # bytes: a failure of ffmpeg on a disk with less is reported as a full disk
 # Encoders of H.264 by what they are preferred for, each at a quality at which edges of a pattern stay clean: x264's
 # constant rate factor (0 to 51, smaller is better), for others a rate in bits per second.
 ENCODERS = {
@@ -205,6 +204,7 @@ def _mp4(frames: Iterable[Image], file: Path, fps: float) -> None:
         words.seek(0)
         said = words.read().decode("utf-8", "replace").replace(str(file), file.name).splitlines()
     if status != 0 or not file.is_file() or file.stat().st_size == 0:
-        full = shutil.disk_usage(file.parent).free < LEAST_FREE
+        # Least free, bytes: a failure of ffmpeg on a disk with less is reported as a full disk
+        full = shutil.disk_usage(file.parent).free < 65536
         reason = next((line.strip() for line in reversed(said) if line.strip()), f"ffmpeg ended with status {status}")
         raise OSError("No space left on device" if full else f"ffmpeg could not write it: {reason}")

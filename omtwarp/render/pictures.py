@@ -38,7 +38,6 @@ Result = TypeVar("Result")
 
 logger = logging.getLogger("omtwarp.render")
 PANEL_SIZE = (512, 512)  # pixels of a panel of a sheet, so that four are as large as one preview
-TURNTABLE_FRAMES = 36  # 10 degrees each
 _told: set[str] = set()
 
 
@@ -96,7 +95,8 @@ def preview(
     """
     frames = options.get("frames")
     if path is not None and frames is None and str(as_path(path)).lower().endswith((".gif", ".mp4")):
-        options["frames"] = TURNTABLE_FRAMES
+        # Turntable frames: 10 degrees each
+        options["frames"] = 36
     film = options.get("frames") is not None
     target = (
         None if path is None else output.check_target(path, film=film, transparent=options.get("transparent", False))

@@ -27,10 +27,6 @@ from OpenGL import GL  # noqa: E402
 from pyrender.platforms.base import Platform  # noqa: E402
 from pyrender.shader_program import ShaderProgram, ShaderProgramCache  # noqa: E402
 
-# Of the supersampled picture: each pixel takes 40 bytes with its multisample buffers. Larger pictures are drawn with
-# the hardware's four samples alone.
-MOST_PIXELS = 40_000_000
-
 LIGHT_OF_SRGB = np.round(65535.0 * to_linear(np.arange(256) / 255.0)).astype(np.uint16)
 
 
@@ -114,7 +110,9 @@ class GLRenderer:
         """
         self._platform.make_current()
         programs = self._renderer._program_cache
-        affordable = int((MOST_PIXELS / (job.width * job.height)) ** 0.5)
+        # Of the supersampled picture: each pixel takes 40 bytes with its multisample buffers. Larger pictures are drawn
+        # with the hardware's four samples alone.
+        affordable = int((40_000_000 / (job.width * job.height)) ** 0.5)
         samples = max(1, min(job.samples, affordable, self.largest_picture // max(job.width, job.height)))
         self._renderer.viewport_width, self._renderer.viewport_height = job.width * samples, job.height * samples
         lights = np.zeros((4, 4))

@@ -17,8 +17,6 @@ from omtwarp.render.colors import parse_color
 from omtwarp.render.scene import Part, RenderJob
 from omtwarp.srgb import to_linear
 
-# A step of 6/255 between neighbours is the smallest that is visible as a jagged edge.
-CONTRAST = 6.0 / 255.0
 # The footprint of the first pass, in pixels: only smooth areas keep its result, where a sharper filter cannot alias.
 FIRST_SPACING = 0.75
 _KINDS = {"color": 0, "uv": 1, "sphere": 2}
@@ -59,7 +57,8 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
             outputs=[colors],
             device=where,
         )
-        wp.launch(kernels.mark_contrast, size, inputs=[colors, CONTRAST], outputs=[marked], device=where)
+        # A step of 6/255 between neighbours is the smallest that is visible as a jagged edge.
+        wp.launch(kernels.mark_contrast, size, inputs=[colors, 6.0 / 255.0], outputs=[marked], device=where)
         chosen = np.flatnonzero(marked.numpy()).astype(np.int32)
         if chosen.size:
             pixels = wp.array(chosen, dtype=wp.int32, device=where)

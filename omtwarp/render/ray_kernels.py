@@ -10,19 +10,12 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 wp.set_module_options(KERNEL_OPTIONS)
 
 PI_F = wp.constant(wp.float32(3.14159265358979))
-MOST_PROBES = wp.constant(wp.float32(48.0))  # along a footprint: anisotropy that textures are filtered with at most
 # What a part's corners hold: colours, texture coordinates, or directions on the sphere.
 KIND_COLOR = wp.constant(0)
 KIND_UV = wp.constant(1)
 KIND_SPHERE = wp.constant(2)
 
-SMALLEST = wp.constant(wp.float32(1.0e-12))  # texels: footprints are divided by their length
 POLE = wp.constant(wp.float32(1.0e-20))  # squared distance from the axis: the poles have no longitude
-# Least cosine towards the viewer in the highlight's shadowing, whose quotient it keeps finite.
-FACING = wp.constant(wp.float32(0.001))
-# Squared length of the sum of the ways to light and viewer: they are opposite.
-OPPOSITE = wp.constant(wp.float32(1.0e-6))
-NO_DETERMINANT = wp.constant(wp.float32(1.0e-20))  # in place of zero, of a ray along the triangle's plane
 # Squared slope of a weight over pixels: an edge seen so large is as if it lay nowhere.
 FLAT = wp.constant(wp.float32(1.0e-20))
 BESIDE_X, BESIDE_Y = (
@@ -168,7 +161,8 @@ def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
     half_gap = 0.5 * (xx - yy)
     root = wp.sqrt(half_gap * half_gap + xy * xy)
     longest = wp.sqrt(0.5 * (xx + yy) + root)
-    shortest = wp.abs(ax * by - ay * bx) / wp.max(longest, SMALLEST)
+    # Smallest, texels: footprints are divided by their length
+    shortest = wp.abs(ax * by - ay * bx) / wp.max(longest, wp.float32(1.0e-12))
     axis = wp.vec2(xy, root - half_gap)
     if half_gap >= 0.0:
         axis = wp.vec2(half_gap + root, xy)
@@ -177,7 +171,8 @@ def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
         axis = axis / size
     else:
         axis = wp.vec2(1.0, 0.0)
-    probes = wp.clamp(wp.ceil(longest / wp.max(shortest, 1.0)), 1.0, MOST_PROBES)
+    # Most probes, along a footprint: anisotropy that textures are filtered with at most
+    probes = wp.clamp(wp.ceil(longest / wp.max(shortest, 1.0)), 1.0, wp.float32(48.0))
     level = wp.log2(wp.max(wp.max(shortest, longest / probes), 1.0))
     step_u = axis[0] * longest / (width * probes)
     step_v = axis[1] * longest / (height * probes)
@@ -216,7 +211,8 @@ def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
     alpha2 = wp.pow(look.roughness, 4.0)
     k = (look.roughness + 1.0) * (look.roughness + 1.0) / 8.0
     facing = wp.dot(n, v)
-    shadow = wp.clamp(wp.abs(facing), FACING, 1.0) * (1.0 - k) + k
+    # Least cosine towards the viewer in the highlight's shadowing, whose quotient it keeps finite.
+    shadow = wp.clamp(wp.abs(facing), wp.float32(0.001), 1.0) * (1.0 - k) + k
     gloss = alpha2 / (4.0 * PI_F)
     high = 0.5 + 0.5 * n[1]
     diffuse = look.ground * (1.0 - high) + look.sky * high
@@ -226,7 +222,8 @@ def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
         incident = wp.dot(n, way)
         nl = wp.clamp(incident, 0.0, 1.0)
         both = 1.0 + wp.dot(v, way)
-        scale = 1.0 / wp.sqrt(wp.max(2.0 * both, OPPOSITE))
+        # Squared length of the sum of the ways to light and viewer: they are opposite.
+        scale = 1.0 / wp.sqrt(wp.max(2.0 * both, wp.float32(1.0e-6)))
         nh = wp.clamp((incident + facing) * scale, 0.0, 1.0)
         fresnel = 0.04 + 0.96 * wp.pow(1.0 - wp.clamp(both * scale, 0.0, 1.0), 5.0)
         spread = nh * nh * (alpha2 - 1.0) + 1.0
@@ -270,7 +267,8 @@ def weights_on_plane(origin: wp.vec3, way: wp.vec3, p0: wp.vec3, e1: wp.vec3, e2
     if facing < 0.0:
         determinant = wp.min(determinant, 0.1 * facing)
     if determinant == 0.0:
-        determinant = wp.float32(NO_DETERMINANT)
+        # No determinant, in place of zero, of a ray along the triangle's plane
+        determinant = wp.float32(1.0e-20)
     to = origin - p0
     return wp.vec3(wp.dot(to, across) / determinant, wp.dot(way, wp.cross(to, e1)) / determinant, determinant)
 

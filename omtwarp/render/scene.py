@@ -16,8 +16,6 @@ from omtwarp.render.colors import colormap_table, parse_color
 from omtwarp.render.light import Light
 
 CLAY = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
-SMOOTH_FACES = 150_000  # parts that triangles are divided into: at 1024 x 1024 pixels one covers six or so
-MOST_PARTS = 8  # that an edge is divided into: with eight, a quarter circle is drawn to 0.5 % of its radius
 
 OUTSIDE = 1e-6  # of a picture's height: coordinates that exceed it by less are rounded, not repeated
 ONE_VALUE = 1e-3  # by which the range of a constant is widened both ways, relative to it
@@ -419,7 +417,9 @@ def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
 
 def smooth_parts(face_count: int) -> int:
     """Return the number of parts into which each edge of a mesh is divided to show its map smooth."""
-    return int(np.clip(np.sqrt(SMOOTH_FACES / face_count), 1, MOST_PARTS))
+    # Smooth faces, parts that triangles are divided into: at 1024 x 1024 pixels one covers six or so
+    # Most parts, that an edge is divided into: with eight, a quarter circle is drawn to 0.5 % of its radius
+    return int(np.clip(np.sqrt(150_000 / face_count), 1, 8))
 
 
 def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | None = None) -> Part:

@@ -29,10 +29,8 @@ Ints = NDArray[np.int32]
 
 # Texels around the sphere of a pattern: two to a pixel of the picture, of which a ball fills about a half.
 PICTURE_WIDTHS = (512, 4096)
-NEAR = 1e-6  # radians: between points nearer than this the great circle is a straight line
 SMALLEST_SINE = 1e-12  # of points next to their antipodes, between which no great circle is the shortest
 TUBE_TURNS = 24  # beginnings along the tube of a ring torus that are compared
-FITTED = 4000  # vertices, at most, that they are compared at
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,8 @@ def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
     cosine = np.einsum("ij,ij->i", first, last)
     angle = np.arctan2(np.linalg.norm(np.cross(first, last), axis=1), cosine)[:, None]
     sine = np.maximum(np.sin(angle), SMALLEST_SINE)
-    near = angle < NEAR
+    # Near, radians: between points nearer than this the great circle is a straight line
+    near = angle < 1e-6
     ahead = np.where(near, time, np.sin(time * angle) / sine)
     behind = np.where(near, 1.0 - time, np.sin((1.0 - time) * angle) / sine)
     points = behind * first + ahead * last
@@ -211,7 +210,8 @@ def _on_torus(
     weights = vertex_areas(surface, cut.faces)
     middle = np.average(surface, axis=0, weights=weights)
     tube = int(np.argmin(np.linalg.norm(result.lattice, axis=1)))  # the vector that goes around the tube
-    chosen = np.linspace(0, len(surface) - 1, min(FITTED, len(surface))).astype(int)
+    # Fitted: vertices, at most, that they are compared at
+    chosen = np.linspace(0, len(surface) - 1, min(4000, len(surface))).astype(int)
     steps = np.zeros((TUBE_TURNS, 2))
     steps[:, tube] = np.arange(TUBE_TURNS) / TUBE_TURNS
     fits = [

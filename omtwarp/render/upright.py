@@ -23,11 +23,7 @@ SAMPLES = 4000  # points by which symmetry is measured: 1 to 2 hundredths of the
 # of the best plane over the next one's. Ten heads, figures and animals, scanned or modelled, have 0.006 to 0.021 and
 # 0.2 to 0.63.
 SYMMETRIC, BETTER = 0.025, 0.66
-GROUND = 0.03  # of the extent: points at most this far above the lowest one touch the ground
 FIRM = 0.3  # least share of the footprint between the feet of a surface that stands
-FLAT = 0.01  # of the extent: a flat sheet, which has no front of its own, is seen from +z
-LONG = 1.5  # length over width of bodies with a head at one end
-HEAD = 0.7  # of the height: where the head begins
 
 LEAST_DETAIL = 1e-9  # added to both sides' bends and areas, in extents, so that a side without a face can be compared
 
@@ -74,7 +70,8 @@ def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None
     corner = places[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = np.linalg.norm(normal, axis=1)
-    if not area.sum() > 0.0 or (high - low).min() < FLAT * extent:
+    # Flat, of the extent: a flat sheet, which has no front of its own, is seen from +z
+    if not area.sum() > 0.0 or (high - low).min() < 0.01 * extent:
         return "y", None
     normal /= np.maximum(area, np.finfo(float).tiny)[:, None]
     middle = corner.mean(axis=1)
@@ -90,8 +87,10 @@ def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None
     ahead = 3 - up - across
     score = float(np.log(_detail(places, faces, normal, area, ahead)))
     spread = np.ptp(places[np.unique(faces)], axis=0)
-    if spread[ahead] > LONG * spread[across]:
-        head = middle[:, up] > places[:, up].min() + HEAD * spread[up]
+    # Long: length over width of bodies with a head at one end
+    if spread[ahead] > 1.5 * spread[across]:
+        # Head, of the height: where the head begins
+        head = middle[:, up] > places[:, up].min() + 0.7 * spread[up]
         if head.any() and area[head].sum() > 0.0:
             score += float(area[head] @ middle[head, ahead] / area[head].sum() - centre[ahead]) / spread[ahead]
     return "xyz"[up], ("" if score >= 0.0 else "-") + "xyz"[ahead]
@@ -121,7 +120,8 @@ def _standing(points: Floats, centre: Floats, up: int) -> float:
 
     flat = np.delete(points, up, axis=1)
     try:
-        feet = ConvexHull(flat[points[:, up] < points[:, up].min() + GROUND])
+        # Ground, of the extent: points at most this far above the lowest one touch the ground
+        feet = ConvexHull(flat[points[:, up] < points[:, up].min() + 0.03])
         whole = ConvexHull(flat)
     except (QhullError, ValueError):  # fewer than three feet, or all in line
         return 0.0

@@ -32,9 +32,7 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
 from omtwarp.texturing.rasterizing import rasterize
 
-MOST_EDGES = 60_000  # faces: with more, edges would hide the surface between them
 PICTURE_WIDTH = 1536  # texels around the sphere of the texture of still pictures: three for each pixel of the surface
-PICTURE_SAMPLES = 2  # along the side of a texel: pictures average over several texels besides
 
 
 def write_report(
@@ -241,11 +239,13 @@ def _stills(
     for stage in shown:
         bound = AREA_RANGE
         field = ScalarField(np.clip(log2_area_ratio(stage), -bound, bound), AREA_COLOURS, (-bound, bound))
-        edges = len(result.faces) <= MOST_EDGES
+        # Most edges, faces: with more, edges would hide the surface between them
+        edges = len(result.faces) <= 60_000
         begin(f"sphere {stage.key}", replace(view_on_domain(result, stage, pose), scalar=field, edges=edges))
     picture: NDArray[np.generic]
     if isinstance(texture, Pattern):
-        picture = rasterize(texture, PICTURE_WIDTH, supersample=PICTURE_SAMPLES, device=device)
+        # Picture samples, along the side of a texel: pictures average over several texels besides
+        picture = rasterize(texture, PICTURE_WIDTH, supersample=2, device=device)
     else:
         picture = texture
     for stage in shown:

@@ -14,8 +14,6 @@ from omtwarp.maps.torus_map import TorusMap
 from omtwarp.options import Record
 
 NUMBER, COUNT, TEXT, FLAG = "number", "count", "text", "flag"
-_LARGEST = 1e300  # of a number that is shown: sums and squares of roots of more would overflow
-_LONGEST = 2000  # characters of a text that is shown
 
 REPORT: dict[str, object] = {
     "seconds": NUMBER,
@@ -69,7 +67,9 @@ def _fitting(value: object, shape: object) -> object:
     if isinstance(value, bool):
         return value if shape == FLAG else None
     if shape == TEXT and isinstance(value, str | int | float):
-        return str(value)[:_LONGEST]
-    if shape in (NUMBER, COUNT) and isinstance(value, int | float) and abs(value) <= _LARGEST and math.isfinite(value):
+        # Longest: characters of a text that is shown
+        return str(value)[:2000]
+    # Largest, of a number that is shown: sums and squares of roots of more would overflow
+    if shape in (NUMBER, COUNT) and isinstance(value, int | float) and abs(value) <= 1e300 and math.isfinite(value):
         return int(value) if shape == COUNT else float(value)
     return None

@@ -32,14 +32,7 @@ from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
 from omtwarp.texturing.baking import Source
 from omtwarp.texturing.bending import Look
 
-LARGEST_SPHERE = 0.8  # radius beside the surface's of 1: folds make a surface's area large
 COVERED = {"hemisphere": 0.5, "disk": 0.5}  # share of the sphere that has the surface's area; of caps nearly all
-UNBOUNDED = 1e18  # in place of an infinite angle distortion, 2^60: the colours end at 2^3
-LEAST_RADIUS = 1e-12  # of a vertex at the centre, which no direction leads to
-# Colours in a sixteenth of the texels: a pattern of flat colours and its blended borders has fewer, and a photograph
-# more.
-PHOTOGRAPH = 4096
-INT16 = 32767.0  # the largest of a coordinate that is written as int16
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -53,7 +46,6 @@ AREA_COLOURS, ANGLE_COLOURS = "coolwarm", "magma_r"
 ANGLE_PART = 0.78  # the remainder of that colour map is too dark to show the surface's form
 # Above this many faces the view, and only the view, shows a simplified mesh: a page has to stay light.
 MOST_FACES = 150_000
-PACKING = 3  # level of zlib: on the bunny 1 % more bytes than at 9, in a fifth of the time
 FACE_TEXELS = 512  # of the texture along each face of the cube
 # Degrees around the surface and above the horizon from which the view starts.
 AZIMUTH, ELEVATION = -30.0, 18.0
@@ -130,7 +122,8 @@ def make_scene(
 
     # A sphere of the surface's own area, unless folds make that too large for the view.
     covered = SPHERE_AREA * COVERED.get(stages[-1].domain, 1.0)
-    radius = min(float(np.sqrt(triangle_areas(placed, triangles).sum() / covered)), LARGEST_SPHERE)
+    # Largest sphere, radius beside the surface's of 1: folds make a surface's area large
+    radius = min(float(np.sqrt(triangle_areas(placed, triangles).sum() / covered)), 0.8)
     turn = alignment(stages[-1].sphere[used], placed)
     if several:
         own = [arrays[f"place-{stage.key}"].reshape(-1, 4) for stage in stages]
@@ -184,7 +177,8 @@ def packed_scene(arrays: Mapping[str, NDArray], header: Mapping[str, object], tu
         "angle": {"range": ANGLE_RANGE, "colours": colour_ramp(ANGLE_COLOURS, ANGLE_PART)},
         **header,
     }
-    packed = base64.b64encode(zlib.compress(bytes(blob), PACKING)).decode()
+    # Packing, level of zlib: on the bunny 1 % more bytes than at 9, in a fifth of the time
+    packed = base64.b64encode(zlib.compress(bytes(blob), 3)).decode()
     return Scene(json.dumps(whole, separators=(",", ":")), packed, faces)
 
 
@@ -251,13 +245,15 @@ def log2_area_ratio(stage: Stage) -> Floats:
 
 def log2_angle_ratio(stage: Stage) -> Floats:
     """Return log2 of the larger over the smaller singular value, shape [F]: from their sum of ratios, s + 1 / s."""
-    half = np.maximum(np.nan_to_num(stage.distortion.face_angle, nan=2.0, posinf=UNBOUNDED), 2.0) / 2.0
+    # Unbounded, in place of an infinite angle distortion, 2^60: the colours end at 2^3
+    half = np.maximum(np.nan_to_num(stage.distortion.face_angle, nan=2.0, posinf=1e18), 2.0) / 2.0
     return np.minimum(np.arccosh(half) / np.log(2.0), 60.0)
 
 
 def alignment(directions: Floats, placed: Floats) -> Floats:
     """Return the rotation [3, 3] that best aligns points of the sphere with the surface (Kabsch 1976)."""
-    radial = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), LEAST_RADIUS)
+    # Least radius, of a vertex at the centre, which no direction leads to
+    radial = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), 1e-12)
     u, _, vt = np.linalg.svd(radial.T @ directions)
     flip = np.sign(np.linalg.det(u @ vt))
     return u @ np.diag([1.0, 1.0, flip]) @ vt
@@ -293,7 +289,9 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
 
 def picture_kind(picture: NDArray[np.uint8]) -> str:
     """Return how a picture [H, W, 3] is written: ``jpeg`` for a photograph, ``png`` for a pattern."""
-    return "jpeg" if _count_colours(picture[::4, ::4]) > PHOTOGRAPH else "png"
+    # Colours in a sixteenth of the texels: a pattern of flat colours and its blended borders has fewer, and a
+    # photograph more.
+    return "jpeg" if _count_colours(picture[::4, ::4]) > 4096 else "png"
 
 
 def _count_colours(picture: NDArray[np.uint8]) -> int:
@@ -320,7 +318,8 @@ def colour_ramp(name: str, part: float = 1.0, count: int = 64) -> str:
 
 def signed(values: Floats) -> NDArray[np.int16]:
     """Write numbers from -1 to 1 as whole numbers of 16 bits."""
-    return np.rint(np.clip(values, -1.0, 1.0) * INT16).astype(np.int16)
+    # Int16: the largest of a coordinate that is written as int16
+    return np.rint(np.clip(values, -1.0, 1.0) * 32767.0).astype(np.int16)
 
 
 def levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:

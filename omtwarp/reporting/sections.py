@@ -17,9 +17,6 @@ from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
 
 NINE_TENTHS = (0.05, 0.95)  # quantiles between which nine tenths of a distribution lie, as the words say
-# Degrees are whole numbers but for the round-off of a million solid angles, or the share of the sphere that is covered.
-WHOLE_COVER = 1e-6
-NEAR_END = 1.01  # of the final cost: the iteration that reaches it is named
 PLAIN = (1e-3, 1e5)  # sizes of numbers that are written without a power of ten
 AS_MILLISECONDS, AS_SECONDS = 0.1, 120  # seconds below which a time is written in these
 
@@ -54,7 +51,9 @@ def _cover(stage: Stage) -> str:
         return f"{stage.count} {stage.domain}"
     if stage.disk is not None:
         return "on the disk"
-    return f"degree {degree:.3f}" if abs(degree - round(degree)) < WHOLE_COVER else f"{degree:.1%} of the sphere"
+    # Degrees are whole numbers but for the round-off of a million solid angles, or the share of the sphere that is
+    # covered.
+    return f"degree {degree:.3f}" if abs(degree - round(degree)) < 1e-6 else f"{degree:.1%} of the sphere"
 
 
 def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> Markup:
@@ -138,7 +137,8 @@ def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Sta
     if len(history) > 1:
         iterations = [float(entry.get("iteration", k)) for k, entry in enumerate(history)]
         costs = [float(entry["cost"]) for entry in history]
-        near = next((k for k, cost in enumerate(costs) if cost <= NEAR_END * costs[-1]), len(costs) - 1)
+        # Near end, of the final cost: the iteration that reaches it is named
+        near = next((k for k, cost in enumerate(costs) if cost <= 1.01 * costs[-1]), len(costs) - 1)
         bound = optimality.get("lower_bound")
         name = "squared geodesic" if report.get("cost") != "geodesic" else "geodesic"
         chart = charts.curve(

@@ -38,7 +38,6 @@ LAST = {
 }
 PICTURE_WIDTH = 1024  # texels of a pattern along the first vector; a picture of more is made smaller
 LINES = 12  # of the lattice along its shorter vector
-LARGEST_RING = 1.0  # radius of the ring torus with its tube; that of the surface is 1
 
 
 def torus_stages(result: TorusMap) -> list[Stage]:
@@ -95,7 +94,8 @@ def torus_scene(
     ring = 1.0 / (1.0 + share)
     # A ring torus of the surface's own area, unless that is too large for the view.
     own = float(triangle_areas(placed, cut.faces).sum())
-    radius = min(float(np.sqrt(own / (4.0 * np.pi**2 * ring**2 * share))), LARGEST_RING)
+    # Largest ring: radius of the ring torus with its tube; that of the surface is 1
+    radius = min(float(np.sqrt(own / (4.0 * np.pi**2 * ring**2 * share))), 1.0)
     along = np.linalg.norm(result.lattice, axis=1)
     header: dict[str, object] = {
         "stages": [{"key": stage.key, "label": stage.label, "flat": False} for stage in stages],

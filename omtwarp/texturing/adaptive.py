@@ -20,8 +20,6 @@ Ints = NDArray[np.int32]
 
 STEPS = (16, 4)  # texels along the side of the blocks that are filled at once, coarse before fine
 PARTS = 4  # of a block along a side, one level finer
-GRADIENT = 4.0 / 255.0  # colours of a block's corners that differ by more are not interpolated
-CHANGE = 5  # levels: neighbouring texels that differ by more are worth more samples; a soft gradient is not
 
 
 def bake_bytes(source: Source, look: Look, *, projection: str = "equirectangular", supersample: int = 3) -> Bytes:
@@ -100,7 +98,8 @@ class _Baking:
 
         def arguments(some: slice) -> tuple[list[object], list[object]]:
             at = slice(some.start * lattice, some.stop * lattice)
-            numbers = [step, self._width, self._height, wp.float64(GRADIENT)]
+            # Gradient: colours of a block's corners that differ by more are not interpolated
+            numbers = [step, self._width, self._height, wp.float64(4.0 / 255.0)]
             return [first[some], *numbers, directions[at], reach[at], colours[at]], [self.picture, busy[some]]
 
         launch_parts(kernels.fill_calm, len(corners), arguments, where)
@@ -129,10 +128,11 @@ class _Baking:
         """Return the texels, among some, that differ from a neighbour."""
         part = wp.array(texels, dtype=wp.int32, device=self._where)
         flags = wp.empty(len(texels), dtype=wp.uint8, device=self._where)
+        # Change, levels: neighbouring texels that differ by more are worth more samples; a soft gradient is not
         launch_parts(
             kernels.flag_edges,
             len(texels),
-            lambda some: ([self.picture, part[some], self._width, self._height, CHANGE], [flags[some]]),
+            lambda some: ([self.picture, part[some], self._width, self._height, 5], [flags[some]]),
             self._where,
         )
         return texels[flags.numpy() != 0]

@@ -8,9 +8,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 # Points of a block's lattice along a side, one more than parts of the block.
 LATTICE = wp.constant(5)
-# A point of a part of a block is no farther from one of its corners than half of its diagonal; a fifth more leaves room
-# for directions that are not quite linear in between.
-SAFETY = wp.constant(wp.float64(0.6))
 
 
 @wp.func
@@ -54,7 +51,9 @@ def fill_calm(
             m = k + LATTICE
             across = wp.max(wp.length(directions[m + 1] - directions[k]), wp.length(directions[k + 1] - directions[m]))
             least = wp.min(wp.min(reach[k], reach[k + 1]), wp.min(reach[m], reach[m + 1]))
-            calm = least > SAFETY * across
+            # A point of a part of a block is no farther from one of its corners than half of its diagonal; a fifth more
+            # leaves room for directions that are not quite linear in between.
+            calm = least > wp.float64(0.6) * across
             for c in range(3):
                 low = wp.min(wp.min(colours[k, c], colours[k + 1, c]), wp.min(colours[m, c], colours[m + 1, c]))
                 high = wp.max(wp.max(colours[k, c], colours[k + 1, c]), wp.max(colours[m, c], colours[m + 1, c]))

@@ -51,7 +51,6 @@ CUBE_FRAMES = np.array(
 )
 
 SIZE = 2048  # texels across a picture where no size is given
-MEAN_SAMPLES = 256  # texels along a side that the mean colour of a picture is taken from
 LEAST_SQUARE = 32  # texels: in a square one that is smaller no three cells of a cube map fit with their gutters
 
 
@@ -117,7 +116,8 @@ class Atlas(ABC):
         lengths = self.row_lengths
         if self.filled:
             return
-        step = max(self.width // MEAN_SAMPLES, 1)
+        # Mean samples: texels along a side that the mean colour of a picture is taken from
+        step = max(self.width // 256, 1)
         inside = np.arange(0, self.width, step) < lengths[::step, None]
         mean = picture[::step, ::step][inside].mean(axis=0, dtype=np.float64)
         if picture.dtype == np.uint8:

@@ -36,10 +36,6 @@ Picture = NDArray[np.float32]
 
 NOBODY = 2**31 - 1  # the largest int32, in place of the number of a triangle: the least number owns a texel
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
-CHANGE = 6.0 / 255.0  # neighbouring texels that differ by more are worth more samples; a soft gradient is not
-# Of a picture's longer side: rings of texels by which charts are continued where the whole picture is to be filled,
-# more than any atlas's gutter. What is left gets one colour.
-FILLED_RINGS = 1.0 / 48.0
 GROW = 1e-6  # texels by which a triangle may claim a centre outside it
 RING = 1.5  # texels around the charts in which the function itself is continued, for filtering
 
@@ -227,10 +223,11 @@ def _average(values: wp.array, samples: int, texels: wp.array, picture: wp.array
 
 def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
     flags = wp.zeros(width * height, dtype=wp.uint8, device=picture.device)
+    # Change: neighbouring texels that differ by more are worth more samples; a soft gradient is not
     wp.launch(
         kernels.flag_changes,
         dim=width * height,
-        inputs=[picture, width, height, wp.float32(CHANGE), flags],
+        inputs=[picture, width, height, wp.float32(6.0 / 255.0), flags],
         device=picture.device,
     )
     return np.flatnonzero(flags.numpy()).astype(np.int32)
@@ -361,7 +358,9 @@ class Layout:
 
     def dilate(self, picture: wp.array, rings: int) -> wp.array:
         """Fill texels around the owned ones, one ring after another; -1 fills all, those far away with the mean."""
-        most = rings if rings >= 0 else int(np.ceil(FILLED_RINGS * max(self.width, self.height)))
+        # Of a picture's longer side: rings of texels by which charts are continued where the whole picture is to be
+        # filled, more than any atlas's gutter. What is left gets one colour.
+        most = rings if rings >= 0 else int(np.ceil((1.0 / 48.0) * max(self.width, self.height)))
         known = wp.array(self.known.astype(np.uint8), dtype=wp.uint8, device=self.where)
         other, other_known = wp.empty_like(picture), wp.empty_like(known)
         ring = 0

@@ -20,11 +20,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 LEAST_MOVED = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
-# Divided into n parts, a curve that leaves a straight one by b texels is followed to b / n² texels.
-FOLLOWED = 0.1
 PARTS = (3, 8)  # 8 are 45 points in every triangle; more would turn by less than 5 degrees from one to the next
 HINT_BLOCK = 8  # texels along the side of a block that has a triangle of its own at which searches begin
-HINT_REACH = 1.0  # blocks past the borders of charts to which the hints go, which is more than a gutter
 
 
 class Look:
@@ -78,7 +75,8 @@ class Bending:
         texel = atlas.texel_angle
         away = np.linalg.norm(curves.sphere - curves.given, axis=1)[curves.faces].max(axis=1)
         bend = curves.bend / texel
-        wanted = np.ceil(np.sqrt(bend / FOLLOWED)).astype(np.int64)
+        # Divided into n parts, a curve that leaves a straight one by b texels is followed to b / n² texels.
+        wanted = np.ceil(np.sqrt(bend / 0.1)).astype(np.int64)
         divided = np.zeros(len(curves.faces), dtype=np.int32)
         divided[(away > LEAST_MOVED * texel) | (bend > LEAST_MOVED)] = 1
         least = 1
@@ -133,7 +131,8 @@ class BentLook(Look):
         )
         corners = wp.array(np.ascontiguousarray(blocks), dtype=wp.vec2d, device=where)
         part = claimed(corners, across, down, GROW, where)
-        part = np.where(part == NOBODY, claimed(corners, across, down, HINT_REACH, where), part)
+        # Hint reach: blocks past the borders of charts to which the hints go, which is more than a gutter
+        part = np.where(part == NOBODY, claimed(corners, across, down, 1.0, where), part)
         hints = np.where(part == NOBODY, -1, cut.source_face[np.minimum(part, len(cut.source_face) - 1)])
         self._kernel = smooth_kernels.bent_sample_directions
         self._tables = [HINT_BLOCK, across]

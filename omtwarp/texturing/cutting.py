@@ -24,10 +24,6 @@ Ints = NDArray[np.int32]
 # Sine of the angle below which a point counts as lying on a cut: far below any texel, far above round-off.
 ON_CUT = 1e-9
 
-NEAR = 0.9  # cosine of the angle around a direction in which its triangle is looked for first: 26 degrees
-# Barycentric: a point nearer to an edge divides the edge, as parts of a triangle beside it would have no area.
-ON_EDGE = 1e-10
-
 
 @dataclass(frozen=True)
 class Arc:
@@ -155,7 +151,8 @@ class CutMesh:
         bary = np.zeros((len(self.faces), 3))
         inside = np.zeros(len(self.faces), dtype=bool)
         # The triangle is sought near the direction first, and among all only where triangles are huge.
-        near = (along > NEAR)[self.faces] @ np.ones(3, dtype=np.int8) > 0
+        # Near, cosine of the angle around a direction in which its triangle is looked for first: 26 degrees
+        near = (along > 0.9)[self.faces] @ np.ones(3, dtype=np.int8) > 0
         for which in (np.flatnonzero(near), np.flatnonzero(~near)):
             p0, p1, p2 = (self.points[self.faces[which, k]] for k in range(3))
             normals = np.cross(p1, p2), np.cross(p2, p0), np.cross(p0, p1)
@@ -167,7 +164,8 @@ class CutMesh:
             inside[which[found]] = True
             if found.any():
                 break
-        on_edge = inside & (bary.min(axis=1) < ON_EDGE)
+        # Barycentric: a point nearer to an edge divides the edge, as parts of a triangle beside it would have no area.
+        on_edge = inside & (bary.min(axis=1) < 1e-10)
         interior = np.flatnonzero(inside & ~on_edge)
         if len(interior):
             count, size = len(interior), len(self.points)

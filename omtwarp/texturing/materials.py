@@ -15,8 +15,6 @@ Ints = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
 WHITE = (1.0, 1.0, 1.0, 1.0)  # sRGB and opacity: the factor that does not change a picture
-# Of a normal's x: another axis helps where it is larger. Below 1/sqrt(2) an axis is 45 degrees or more from the normal.
-MOST_ALONG = 0.7
 
 
 def linear(color: Floats) -> Floats:
@@ -107,7 +105,9 @@ def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) 
     flat = total - normal * (total * normal).sum(axis=1, keepdims=True)
     length = np.linalg.norm(flat, axis=1, keepdims=True)
     # Where triangles have no area in the picture any tangent will do.
-    helper = np.where(np.abs(normal[:, :1]) < MOST_ALONG, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    # Of a normal's x: another axis helps where it is larger. Below 1/sqrt(2) an axis is 45 degrees or more from the
+    # normal.
+    helper = np.where(np.abs(normal[:, :1]) < 0.7, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     other = np.cross(normal, helper)
     other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), TINY)
     degenerate = length <= ROUND_OFF * max(float(length.max(initial=0.0)), TINY)

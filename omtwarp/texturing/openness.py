@@ -9,9 +9,6 @@ from omtwarp.device.start import wp
 from omtwarp.texturing.openness_kernels import vertex_openness
 
 RAYS = 24  # from a vertex: openness in steps of 4 %
-RAY_BUDGET = 400_000  # about half a second on one CPU core
-
-RAY_START = 1e-4  # of the extent, off the surface: single precision resolves 1e-7 of it
 
 
 def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -25,14 +22,16 @@ def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
     normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal /= np.where(length > 0, length, 1.0)
-    step = max(1, int(np.ceil(len(faces) * RAYS / RAY_BUDGET)))
+    # Ray budget: about half a second on one CPU core
+    step = max(1, int(np.ceil(len(faces) * RAYS / 400_000)))
     chosen = np.arange(0, len(faces), step)
     device = wp.get_device("cpu")
     mesh = wp.Mesh(
         points=wp.array(x.astype(np.float32), dtype=wp.vec3, device=device),
         indices=wp.array(np.ascontiguousarray(faces.ravel(), dtype=np.int32), dtype=wp.int32, device=device),
     )
-    origins = (p[chosen].mean(axis=1) + RAY_START * normal[chosen]).astype(np.float32)
+    # Ray start, of the extent, off the surface: single precision resolves 1e-7 of it
+    origins = (p[chosen].mean(axis=1) + 1e-4 * normal[chosen]).astype(np.float32)
     out = wp.zeros(len(chosen), dtype=wp.float32, device=device)
     wp.launch(
         vertex_openness,

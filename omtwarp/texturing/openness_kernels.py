@@ -5,9 +5,6 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# Of a normal's x: below 1/sqrt(2) the axis is 45 degrees or more from the normal.
-MOST_ALONG = wp.constant(wp.float32(0.7))
-GOLDEN_ANGLE = wp.constant(wp.float32(2.3999632))  # π (3 - sqrt(5)): Vogel's spiral covers a disc evenly
 # Radians, 1 / 1.3247 (the plastic number): turned by it, no two patterns are near.
 TURN = wp.constant(wp.float32(0.7548777))
 
@@ -16,7 +13,8 @@ TURN = wp.constant(wp.float32(0.7548777))
 def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, rays: int) -> float:
     """Return the share of cosine-weighted rays from a point that meet no surface, their pattern rotated."""
     helper = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(n[0]) > MOST_ALONG:
+    # Of a normal's x: below 1/sqrt(2) the axis is 45 degrees or more from the normal.
+    if wp.abs(n[0]) > wp.float32(0.7):
         helper = wp.vec3(0.0, 1.0, 0.0)
     t = wp.normalize(wp.cross(n, helper))
     b = wp.cross(n, t)
@@ -24,7 +22,8 @@ def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, rays: 
     for k in range(rays):
         # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
         r = wp.sqrt((float(k) + 0.5) / float(rays))
-        angle = float(k) * GOLDEN_ANGLE + turn
+        # Golden angle, π (3 - sqrt(5)): Vogel's spiral covers a disc evenly
+        angle = float(k) * wp.float32(2.3999632) + turn
         up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
         direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
         query = wp.mesh_query_ray(mesh, origin, direction, 4.0)

@@ -17,8 +17,6 @@ Floats = NDArray[np.float64]
 
 PROJECTIONS = tuple(ProjectionName)
 
-ORTHONORMAL = 1e-6  # of a rotation's entries: matrices written with seven digits pass
-
 
 def check_projection(projection: str) -> str:
     """Check the name of a projection; the error for an unknown one lists those that exist."""
@@ -79,7 +77,8 @@ def rotation_matrix(rotate: ArrayLike | None) -> Floats:
     except (TypeError, ValueError):
         given = np.empty(0)
     if given.shape == (3, 3):
-        if not np.allclose(given @ given.T, np.eye(3), atol=ORTHONORMAL) or np.linalg.det(given) < 0:
+        # Orthonormal, of a rotation's entries: matrices written with seven digits pass
+        if not np.allclose(given @ given.T, np.eye(3), atol=1e-6) or np.linalg.det(given) < 0:
             raise OmtwarpError(
                 "rotate: the 3x3 matrix is not a rotation: its rows must be orthonormal, its determinant 1"
             )

@@ -14,8 +14,6 @@ from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection, direction_from_angles
 
-AT_ONCE = 1 << 19  # texels whose colours are computed together: 13 MB of directions
-
 
 def rasterize(
     source: str | Pattern,
@@ -52,7 +50,8 @@ def _rasterize_sinusoidal(
 ) -> NDArray[np.float32]:
     picture = np.empty((height, width, 3), dtype=np.float32)
     x = ((np.arange(width * supersample) + 0.5) / (width * supersample) - 0.5) * 2.0 * np.pi
-    rows = max(1, AT_ONCE // (width * supersample**2))
+    # At once, texels whose colours are computed together: 13 MB of directions
+    rows = max(1, (1 << 19) // (width * supersample**2))
     for start in range(0, height, rows):
         stop = min(start + rows, height)
         sub = np.arange(start * supersample, stop * supersample)

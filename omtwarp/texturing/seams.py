@@ -26,12 +26,6 @@ Ints = NDArray[np.int32]
 PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 / 3, 1 / 3]])
 MOST_PASSES = 24
 MERIDIANS = 180  # compared for the seam, evenly spaced
-LONGEST_EDGE = 0.25  # radians: above this the probes could miss how far from linear the coordinates are
-
-# Faces that are added to four times the mesh's, at most: room for coarse meshes, while a folded or collapsed map is not
-# refined without end.
-ADDED_FACES = 100_000
-LEAST_OPENNESS = 0.1  # added to every face's: where nothing is hidden the shortest seam wins; 0 lets it wander in folds
 
 
 @dataclass
@@ -105,7 +99,9 @@ def _face_charts(mesh: CutMesh, atlas: Atlas, which: NDArray | slice = slice(Non
 
 def _refine(mesh: CutMesh, atlas: Atlas) -> None:
     """Divide triangles until texture coordinates are linear over each to within a third of a texel."""
-    limit = 4 * len(mesh.faces) + ADDED_FACES
+    # Faces that are added to four times the mesh's, at most: room for coarse meshes, while a folded or collapsed map is
+    # not refined without end.
+    limit = 4 * len(mesh.faces) + 100_000
     fresh = np.ones(len(mesh.faces), dtype=bool)
     for _ in range(MOST_PASSES):
         which = np.flatnonzero(fresh)
@@ -120,7 +116,8 @@ def _refine(mesh: CutMesh, atlas: Atlas) -> None:
         bad = error > atlas.texel_angle / 3.0
         edges = bad[:, :3]
         directions = normalised(points)
-        edges |= lengths(directions - np.roll(directions, -1, axis=1)) > LONGEST_EDGE
+        # Longest edge, radians: above this the probes could miss how far from linear the coordinates are
+        edges |= lengths(directions - np.roll(directions, -1, axis=1)) > 0.25
         # Only the middle is wrong: the longest edge is divided.
         long = lengths(points - np.roll(points, -1, axis=1))
         alone = bad[:, 3] & ~edges.any(axis=1)
@@ -142,7 +139,8 @@ def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats) -> flo
         faces: shape [F, 3].
         sphere: the map, in the frame in which longitude is meant, shape [V, 3].
     """
-    weight = LEAST_OPENNESS + face_openness(vertices, faces)
+    # Least openness, added to every face's: where nothing is hidden the shortest seam wins; 0 lets it wander in folds
+    weight = 0.1 + face_openness(vertices, faces)
     scale = np.ptp(vertices, axis=0).max()
     x = (vertices - vertices.min(axis=0)) / scale
     longitudes = (np.arange(MERIDIANS) + 1) / MERIDIANS * 2.0 * np.pi - np.pi

@@ -17,7 +17,6 @@ TEXEL = 1.5  # pixels of that picture that a texel may cover: bilinear filtering
 LARGEST_SIZE = 8192  # texels: the largest picture that every graphics card of the last ten years takes
 # The largest size that is chosen where none is asked for: a quarter of the time and memory.
 LARGEST_UNASKED = 4096
-SMALLEST_SIZE = 256  # texels: 200 kB; less would hardly save anything
 # Widths of the picture, in texels, for one texel along a right angle of the sphere, where texels are largest: measured
 # at 20,000 points and in 16 directions, gutters included. Of a cube map the width of three cells.
 SIDES = {"cube": 3.76, "octahedral": 3.94, "equirectangular": 4.0}
@@ -76,7 +75,8 @@ def picture_size(needed: float, atlas: str, limit: int) -> tuple[int | tuple[int
         atlas: name of the layout.
         limit: the largest width.
     """
-    width = SMALLEST_SIZE
+    # Smallest size, texels: 200 kB; less would hardly save anything
+    width = 256
     while True:
         # A cube map has cells of a quarter of its width where it is half as high as wide, and of a third in a square.
         enough = 3.0 * (width // 4) if atlas == "cube" else float(width)

@@ -50,9 +50,6 @@ FILTER_DEGREE = 24  # of the polynomial that approximates it to 0.0002
 FARTHEST = 0.3  # mean edges of a vertex on the sphere by which its image is moved at most
 COTANGENTS = (0.1, 5.0)  # weights of edges are kept in these bounds, so that all are positive
 
-# Of an edge's length: where its part in a vertex's tangent plane is shorter it has no direction there.
-LEAST_TANGENT = 1e-9
-
 
 @dataclass(frozen=True)
 class SmoothMap:
@@ -302,8 +299,9 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
     for side in range(2):
         flat = np.stack([np.einsum("ij,ij->i", edge, axes[ends[:, side]]) for axes in (first, second)], axis=1)
         size = np.linalg.norm(flat, axis=1, keepdims=True)
+        # Of an edge's length: where its part in a vertex's tangent plane is shorter it has no direction there.
         way[:, side] = np.where(
-            size > LEAST_TANGENT * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
+            size > 1e-9 * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
         )
     # Of the symmetric matrix: blocks on the diagonal, [V, 2, 2], and what is above them; edges are in order of ends.
     blocks = np.zeros((count, 2, 2))

@@ -41,11 +41,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Where a line turns by a quarter of a radian at an edge, and the next is 12 texels on, a smooth curve lies within 0.25
-# x 12 / 8 of a texel of it: smaller triangles need none.
-LEAST_BENT = 12.0
 
-MOST_SIDE = 16384  # texels of a picture's own size: what browsers and game engines load (WebGL 2)
 # Of the picture's width. Octahedral textures then have as many texels, 0.56 widths squared beside 0.5; three cells of a
 # cube map without their gutters as many along the equator as three quarters of the picture.
 OCTAHEDRAL_SHARE, CUBE_SHARE = 0.75, 0.75 * 12.0 / 11.0
@@ -289,7 +285,9 @@ def texture(
     else:
         chosen = size
     source, layout, texels = _source(image, pattern, projection, atlas, chosen, seam)
-    bends = smooth and np.sqrt(layout.row_lengths.sum() / len(faces)) >= LEAST_BENT
+    # Where a line turns by a quarter of a radian at an edge, and the next is 12 texels on, a smooth curve lies within
+    # 0.25 x 12 / 8 of a texel of it: smaller triangles need none.
+    bends = smooth and np.sqrt(layout.row_lengths.sum() / len(faces)) >= 12.0
     # NumPy and kernels let go of the interpreter in long operations: two threads take two thirds of the time of one.
     with ThreadPoolExecutor(1) as aside:
         cutting = aside.submit(unwrap, sphere, faces, layout, rotation=rotation)
@@ -429,4 +427,5 @@ def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
     if atlas == "equirectangular":
         return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))
     share = OCTAHEDRAL_SHARE if atlas == "octahedral" else CUBE_SHARE
-    return picture_size(share * width, atlas, MOST_SIDE)[0]
+    # Most side, texels of a picture's own size: what browsers and game engines load (WebGL 2)
+    return picture_size(share * width, atlas, 16384)[0]

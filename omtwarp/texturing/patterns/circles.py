@@ -16,12 +16,8 @@ from omtwarp.texturing.projection import direction_from_angles
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-REPULSIONS = 120  # rounds: with 30 to 240 the nearest two of 150 points are 0.272 to 0.277 apart
 STORED = 162  # circles, the default, whose places are in a file: computing them takes 0.05 s
-MOST_CIRCLES = 20_000  # whose repulsion takes 6.5 s
 WITHIN = 1e-9  # chord that is added to a circle's reach, so that rounding leaves no cell's list without it
-CELL = 0.7  # side, in radii of circles, of the cells of a cube on which circles are looked up
-MOST_CELLS = 128  # along the side of a face of that cube
 
 
 @wp.kernel
@@ -89,7 +85,8 @@ class Circles(Pattern):
     _kernel = circle_colours
 
     def __init__(self, count: int = STORED, coverage: float = 0.56):
-        if not 4 <= count <= MOST_CIRCLES or not 0 < coverage < 1:
+        # Most circles: whose repulsion takes 6.5 s
+        if not 4 <= count <= 20_000 or not 0 < coverage < 1:
             raise OmtwarpError(f"circles: count {count}, coverage {coverage}: give 4 to 20000 circles, a share below 1")
         self.count = int(count)
         self.palette = srgb_colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
@@ -119,7 +116,9 @@ class Circles(Pattern):
         return np.where(distance <= 2.0 * np.sin(0.5 * self.radius), index, -1).astype(np.int64)
 
     def _tables(self) -> list[object]:
-        side = int(np.clip(2.0 / (CELL * self.radius), 1, MOST_CELLS))
+        # Cell: side, in radii of circles, of the cells of a cube on which circles are looked up
+        # Most cells: along the side of a face of that cube
+        side = int(np.clip(2.0 / (0.7 * self.radius), 1, 128))
         middle = (np.arange(side) + 0.5) * 2.0 / side - 1.0
         cells = np.empty((6, side, side, 3))  # of the faces +x, +y, -x, -y, +z, -z of a cube
         for face, (axis, sign) in enumerate(((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0), (2, 1.0), (2, -1.0))):
@@ -168,7 +167,8 @@ def _even_points(count: int) -> Floats:
         points = direction_from_angles(k * np.pi * (3.0 - 5.0**0.5), np.arcsin(1.0 - 2.0 * k / count))
     # Repulsion by the inverse fourth power of the distance to the nearest few: the closest pair moves apart first.
     spacing = (4.0 * np.pi / count) ** 0.5
-    for _ in range(REPULSIONS):
+    # Repulsions, rounds: with 30 to 240 the nearest two of 150 points are 0.272 to 0.277 apart
+    for _ in range(120):
         near, _ = _neighbours(points, min(7, count - 1))
         apart = points[:, None, :] - points[near]
         distance = np.linalg.norm(apart, axis=2, keepdims=True)

@@ -18,10 +18,7 @@ from omtwarp.texturing.patterns.kernels import cell_of, latitude, longitude, nea
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-BESIDE = 1e-7  # degrees beside a multiple of the data's hundredth: no parallel goes through a vertex of a coast
 NO_REACH = 1e-6  # degrees that an edge of the map, which is no coast, is seen from
-# Squared degrees, that are divided by: a shorter piece of coast is a point.
-SMALLEST_PIECE = wp.constant(wp.float64(1.0e-12))
 
 
 @wp.func
@@ -50,7 +47,8 @@ def piece_distance(px: wp.float64, py: wp.float64, stretch: wp.float64, a: wp.ve
     ey = a[3] - a[1]
     dx = (px - a[0]) * stretch
     dy = py - a[1]
-    t = wp.clamp((dx * ex + dy * ey) / wp.max(ex * ex + ey * ey, SMALLEST_PIECE), ZERO, ONE)
+    # Squared degrees, that are divided by: a shorter piece of coast is a point.
+    t = wp.clamp((dx * ex + dy * ey) / wp.max(ex * ex + ey * ey, wp.float64(1.0e-12)), ZERO, ONE)
     dx = dx - t * ex
     dy = dy - t * ey
     return wp.sqrt(dx * dx + dy * dy)
@@ -210,7 +208,8 @@ def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
     centre = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
     land = np.zeros((rows, columns), dtype=np.int32)
     for row in range(rows):
-        y = (row + 0.5) * height - 90.0 + BESIDE
+        # Beside, degrees beside a multiple of the data's hundredth: no parallel goes through a vertex of a coast
+        y = (row + 0.5) * height - 90.0 + 1e-7
         cut = (a[:, 1] < y) != (b[:, 1] < y)
         x = a[cut, 0] + (y - a[cut, 1]) / (b[cut, 1] - a[cut, 1]) * (b[cut, 0] - a[cut, 0])
         land[row] = np.searchsorted(np.sort(x), centre) & 1

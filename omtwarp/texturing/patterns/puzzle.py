@@ -15,8 +15,6 @@ from omtwarp.texturing.patterns.kernels import cube_face
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-SAME_PLACE = 1e-6  # chord: places on the two sides of an edge are the same, or a quarter of a side apart
-
 
 @wp.func
 def smooth_union(a: wp.float64, b: wp.float64, k: wp.float64):
@@ -164,7 +162,8 @@ class Puzzle(Pattern):
         tab = (rng.integers(0, 2, len(own))[first] ^ (own > other)).astype(np.int32)
         # The two pieces may run along their common side in opposite ways.
         quarter = on_edge(0.25).reshape(-1, 3)
-        same_way = np.linalg.norm(quarter - quarter[other], axis=1) < SAME_PLACE
+        # Same place, chord: places on the two sides of an edge are the same, or a quarter of a side apart
+        same_way = np.linalg.norm(quarter - quarter[other], axis=1) < 1e-6
         shift = rng.uniform(-0.07, 0.07, len(own))[first]
         shift = np.where((own > other) & ~same_way, -shift, shift)
         return (other // 4).reshape(-1, 4).astype(np.int32), tab.reshape(-1, 4), shift.reshape(-1, 4)
