@@ -107,6 +107,3 @@ def power_per_degree(coefficients: ArrayLike) -> Floats:
     values = np.asarray(coefficients, dtype=np.float64)
     squares = (values.reshape(len(values), -1) ** 2).sum(axis=1)
     return np.bincount(degrees(degree_of(len(values))), weights=squares).astype(np.float64)
-
-
-__all__ = ["check_degree", "degree_of", "degrees", "power_per_degree", "real_harmonics"]

@@ -363,21 +363,3 @@ class MapOptions:
         if self.exact:
             chosen["exact"] = True
         return chosen
-
-
-__all__ = [
-    "AreaMatch",
-    "Cost",
-    "MapOptions",
-    "Method",
-    "Progress",
-    "Record",
-    "Refinement",
-    "Scheme",
-    "Solver",
-    "Stage",
-    "WeightsAt",
-    "choose",
-    "parse_device",
-    "parse_refinement",
-]

@@ -25,6 +25,3 @@ def to_srgb(light: NDArray[Number]) -> NDArray[Number]:
     clipped = np.clip(light, 0.0, 1.0)
     power = (1.0 + OFFSET) * clipped ** (1.0 / EXPONENT) - OFFSET
     return np.where(clipped <= LIGHT_THRESHOLD, SLOPE * clipped, power).astype(light.dtype)
-
-
-__all__ = ["to_linear", "to_srgb"]

@@ -371,6 +371,3 @@ def common_features(
         ours, theirs = varying_features(moving), varying_features(fixed)
     names = [name for name in ours if name in theirs]
     return {name: ours[name] for name in names}, {name: theirs[name] for name in names}
-
-
-__all__ = ["Alignment", "align", "align_to_axes", "feature_rotations", "mirror_image"]

@@ -135,9 +135,3 @@ def coefficient_errors(features: Mapping[str, Floats], points: SpherePoints) -> 
         apart = values - np.bincount(faces.ravel(), others.ravel(), minlength=count) / np.maximum(around, 1.0)
         errors.append(np.linalg.norm(weights * apart) / spread(values, weights))
     return np.array(errors)
-
-
-__all__ = [
-    "checked_features", "coefficient_errors", "feature_coefficients", "own_features", "sphere_weights", "spread",
-    "varying_features",
-]  # fmt: skip

@@ -155,6 +155,3 @@ def superpose(surfaces: Floats, weights: Floats, scale: bool = False) -> tuple[F
         if np.sqrt(shares @ ((mean - before) ** 2).sum(axis=1)) < TOLERANCE * size:
             break
     return posed, mean, scales, rounds
-
-
-__all__ = ["GroupAlignment", "procrustes_mean", "superpose"]

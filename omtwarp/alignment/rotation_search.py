@@ -236,15 +236,3 @@ def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:
 def _apart(one: Floats, other: Floats) -> float:
     """Return the angle in degrees of the rotation that leads from one rotation to another."""
     return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))
-
-
-__all__ = [
-    "Best",
-    "best_rotation",
-    "best_rotations",
-    "complex_coefficients",
-    "correlation_grid",
-    "derivatives",
-    "improved",
-    "rotated",
-]

@@ -19,8 +19,7 @@ from pathlib import Path
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import staged
 from omtwarp.options import parse_device
-from omtwarp.reporting.markup import Markup, element
-from omtwarp.reporting.plain import table, write_plain_page
+from omtwarp.reporting.markup import Markup, element, table, write_plain_page
 
 SECONDS = 480.0  # of a whole pass: leases of graphics cards are short
 LEAST_SECONDS = 5.0  # a part is not begun with less left

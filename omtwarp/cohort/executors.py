@@ -327,6 +327,3 @@ def executor_for(name: str, folder: Path, workers: int) -> Executor:
     if name in ("slurm", "submitit-local"):
         return SubmititArray("local" if name == "submitit-local" else "slurm", folder, workers)
     raise OmtwarpError(f"unknown executor '{name}': use local, dask, dask:ADDRESS, slurm or submitit-local")
-
-
-__all__ = ["Executor", "Host", "LocalPool", "executor_for", "make_folders", "run_job", "run_jobs"]

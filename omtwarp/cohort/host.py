@@ -124,5 +124,3 @@ def _work(job: Job, host: int) -> None:
 
 if __name__ == "__main__":
     main()
-
-__all__ = ["main"]

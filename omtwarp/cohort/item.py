@@ -182,16 +182,3 @@ def locked(job: Job) -> Iterator[None]:
         with contextlib.suppress(OSError):  # some network file systems have no locks
             fcntl.flock(file, fcntl.LOCK_EX)
         yield
-
-
-__all__ = [
-    "Job",
-    "complete_journal",
-    "forget_failure",
-    "key_of",
-    "locked",
-    "read_journal",
-    "read_record",
-    "settle",
-    "write_record",
-]

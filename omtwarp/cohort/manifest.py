@@ -136,6 +136,3 @@ def _safe(name: str) -> str:
 def _entities(name: str) -> dict[str, str]:
     """Return the entities of a BIDS name: ``sub-01_hemi-L_white.surf.gii`` has sub 01 and hemi L."""
     return dict(re.findall(r"(?:^|_)([a-zA-Z]+)-([a-zA-Z0-9]+)", name))
-
-
-__all__ = ["Item", "read_manifest"]

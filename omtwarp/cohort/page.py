@@ -12,8 +12,7 @@ from omtwarp.cohort.item import OK, Row
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY
 from omtwarp.render import preview
-from omtwarp.reporting.markup import Markup, element
-from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
+from omtwarp.reporting.markup import Markup, element, figure, pictures, table, write_plain_page
 
 OUTLIERS = 6  # pictures on the page
 MEASURES = {
@@ -92,6 +91,3 @@ def _figure(row: Row, why: str, folder: Path) -> Markup:
         caption = element("figcaption", element("b", str(row["id"])), ": ", why)
         return element("figure", caption, element("p", f"no picture: {error}"))
     return figure(picture, str(row["id"]), ": ", why)
-
-
-__all__ = ["outliers", "write_page"]

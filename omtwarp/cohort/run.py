@@ -214,6 +214,3 @@ def _only_driver(folder: Path, part: int, parts: int) -> Iterator[None]:
         except OSError:  # no locks on this file system
             pass
         yield
-
-
-__all__ = ["CohortResult", "run_cohort"]

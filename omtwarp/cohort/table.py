@@ -61,6 +61,3 @@ def read_table(path: Path) -> list[Row]:
             }
             for row in csv.DictReader(stream)
         ]
-
-
-__all__ = ["columns_of", "read_table", "write_table"]

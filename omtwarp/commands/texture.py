@@ -297,7 +297,7 @@ def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tup
         OmtwarpError: the map is one to a torus.
     """
     from omtwarp.maps.result import MapResult
-    from omtwarp.texturing.sharpness import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
+    from omtwarp.texturing.atlas import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
 
     if not isinstance(result, MapResult):
         raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")

@@ -49,6 +49,3 @@ def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
     width = COMPONENTS.get(dtype)
     numbers = np.empty(count, dtype=NUMBERS[dtype]) if width is None else np.empty((count, width))
     return wp.array(numbers, dtype=dtype, device=device, copy=False)
-
-
-__all__ = ["empty", "triangles", "vectors"]

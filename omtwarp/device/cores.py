@@ -11,6 +11,3 @@ def core_count() -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wanted = os.environ.get("OMTWARP_THREADS", "")
     return min(cores, max(int(wanted), 1)) if re.fullmatch("[0-9]{1,9}", wanted) else cores
-
-
-__all__ = ["core_count"]

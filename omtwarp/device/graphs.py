@@ -89,6 +89,3 @@ def step_by_step() -> Iterator[None]:
         yield
     finally:
         _recording = before
-
-
-__all__ = ["Graph", "GraphsByArray", "step_by_step"]

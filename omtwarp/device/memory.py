@@ -48,6 +48,3 @@ def _trim() -> Callable[[int], int] | None:
             trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim
             return trim
     return None
-
-
-__all__ = ["Workspace", "give_back"]

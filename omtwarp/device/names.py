@@ -28,6 +28,3 @@ def parse_device(value: object) -> str:
     if name not in ("auto", "cpu", "cuda") and not (re.fullmatch(r"cuda:[0-9]{1,4}", name)):
         raise OmtwarpError(f"unknown device {shown(value)}: use auto, cpu, cuda or cuda:N")
     return name
-
-
-__all__ = ["Solver", "parse_device"]

@@ -148,20 +148,3 @@ def launch_parts_of(device: wp.Device, count: int, cores: int, least: int = SMAL
 def list_threads(device: wp.Device) -> int:
     """Return the number of threads that work through a list whose length only the device knows."""
     return CUDA_LIST_THREADS if is_cuda(device) else 1
-
-
-__all__ = [
-    "adds_on_device",
-    "asks_for_cuda",
-    "launch_parts_of",
-    "list_threads",
-    "on_device",
-    "records_graphs",
-    "resolve_device",
-    "shares_host_memory",
-    "solver_device",
-    "solves_with_cudss",
-    "solves_with_scipy",
-    "solving_with",
-    "wanted_solver",
-]

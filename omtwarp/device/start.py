@@ -108,6 +108,3 @@ THREE = wp.constant(wp.float64(3.0))
 PI = wp.constant(wp.float64(3.141592653589793))
 # In place of infinity: minima begin with it, and what is larger has overflowed.
 LARGE = wp.constant(wp.float64(1.0e300))
-
-
-__all__ = ["HALF", "KERNEL_OPTIONS", "LARGE", "ONE", "PI", "THREE", "TWO", "ZERO", "wp"]

@@ -97,6 +97,3 @@ class HostSum:
 def sums_for(device: wp.Device, vertices: int) -> DeviceSum | HostSum:
     """Choose where sums of systems on a surface are computed: the device where it solves them, or CUDA."""
     return DeviceSum(device) if adds_on_device(device, vertices) else HostSum()
-
-
-__all__ = ["MAX_PARTIAL_ROWS", "DeviceSum", "HostSum", "RowSums", "partial_count", "sums_for"]

@@ -119,6 +119,3 @@ def _controller() -> ThreadpoolController:
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
-
-
-__all__ = ["Arguments", "blas_threads", "core_count", "cut", "launch_parts", "load", "parts_of", "pool", "run_all"]

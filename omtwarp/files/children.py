@@ -36,6 +36,3 @@ def safe_paths() -> Iterator[None]:
             os.environ.pop("PYTHONSAFEPATH", None)
         else:
             os.environ["PYTHONSAFEPATH"] = before
-
-
-__all__ = ["interpreter", "safe_paths"]

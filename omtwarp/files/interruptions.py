@@ -139,6 +139,3 @@ def _watch(readable: int) -> None:
             time.sleep(SECONDS_FOR_HANDLER)
             if _tidy(number):
                 os._exit(INTERRUPTED - signal.SIGINT + number)
-
-
-__all__ = ["LINE", "ending_the_process", "raised", "removed_at_the_end"]

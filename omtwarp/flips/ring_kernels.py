@@ -44,6 +44,3 @@ def add_turning_angles(
             angle = ZERO
         wp.atomic_add(angles, face[k], wp.int64(wp.rint(SCALE * angle)))
         wp.atomic_add(errors, face[k], wp.int64(wp.ceil(SCALE * error)))
-
-
-__all__ = ["SCALE", "add_turning_angles"]

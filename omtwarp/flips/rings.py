@@ -191,6 +191,3 @@ def _turn_exactly(
     crossing -= (left_a & ~left_b & (signs[face] < 0)).astype(np.int32)
     turns[asked] = 0
     np.add.at(turns, centre, crossing)
-
-
-__all__ = ["Examined", "examine", "is_bijective", "ring_turns", "tangled_faces"]

@@ -149,14 +149,3 @@ def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
     other /= np.linalg.norm(other)
     third = np.cross(axis, other)
     return np.stack([axis, other, third] if first else [other, third, axis])
-
-
-__all__ = [
-    "OBLIQUE",
-    "Axes",
-    "order_by_place",
-    "principal_axes",
-    "rotation_onto_axes",
-    "turned_about_pole",
-    "turned_towards",
-]

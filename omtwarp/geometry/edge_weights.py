@@ -26,6 +26,3 @@ def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDA
     inputs = [vectors(points, weights.device), mesh.faces, mesh.edge_corners]
     wp.launch(edge_weights_of_corners, dim=weights.size, inputs=inputs, outputs=[weights], device="cpu")
     return weights.numpy()
-
-
-__all__ = ["cotangent_edge_weights"]

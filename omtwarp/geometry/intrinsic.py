@@ -111,6 +111,3 @@ def _opposite_cotangents(
     product = (side + one + other) * (one + other - side) * (side - one + other) * (side + one - other)
     doubled = 0.5 * np.sqrt(np.maximum(product, np.finfo(float).eps ** 2 * (side * side + one * one) ** 2))
     return (one * one + other * other - side * side) / (2.0 * doubled)
-
-
-__all__ = ["WeightedEdges", "delaunay_edges", "intrinsic_edges"]

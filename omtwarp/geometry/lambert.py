@@ -75,6 +75,3 @@ def _gnomonic_radius(share: float) -> float:
     """Return the tangent of the angle between the centre and the rim of a cap."""
     height = 1.0 - 2.0 * share
     return float(np.sqrt(1.0 - height**2) / height)
-
-
-__all__ = ["cap_to_disk", "disk_to_cap", "from_gnomonic", "hemisphere_to_disk", "to_gnomonic"]

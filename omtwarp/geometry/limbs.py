@@ -85,6 +85,3 @@ def _graph(
     weights: NDArray[np.float64], start: NDArray[np.int64], end: NDArray[np.int64], count: int
 ) -> sparse.csr_matrix:
     return sparse.csr_matrix((weights, (start, end)), shape=(count, count))
-
-
-__all__ = ["Ring", "rings", "thinnest_ring", "vertices_needed"]

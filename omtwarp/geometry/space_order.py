@@ -115,6 +115,3 @@ def _ordered(surface: Surface) -> OrderedSurface:
     # No two faces of an oriented surface have the same two corners first; those of others keep their order.
     faces = np.argsort(turned[:, 0] * len(vertices) + turned[:, 1], kind="stable")
     return OrderedSurface(Surface(surface.vertices[vertices], turned[faces]), vertices, faces, turns[faces])
-
-
-__all__ = ["OrderedSurface", "in_space_order", "order_along_curve"]

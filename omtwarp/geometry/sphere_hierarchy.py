@@ -199,6 +199,3 @@ def level_for(node_budget: float, solid: str = "icosahedron", lowest: int = 0) -
     while level < HIGHEST_LEVEL and edges * 4 ** (level + 1) / 3 + 2 <= node_budget:
         level += 1
     return level
-
-
-__all__ = ["SOLIDS", "SphereHierarchy", "level_for", "platonic_solid", "predict_stencil", "sphere_hierarchy"]

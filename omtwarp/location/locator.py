@@ -127,6 +127,3 @@ class Locator:
                 "not cover the sphere"
             )
         return Found(faces, coordinates.numpy().reshape(-1, 3))
-
-
-__all__ = ["Found", "Locator"]

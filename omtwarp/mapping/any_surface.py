@@ -863,6 +863,3 @@ def _rim(faces: NDArray, count: int) -> NDArray[np.bool_]:
     rim = np.zeros(count, dtype=bool)
     rim[boundary_half_edges(faces, count)] = True
     return rim
-
-
-__all__ = ["map_surface"]

@@ -168,6 +168,3 @@ def _order(faces: NDArray, of_vertices: Places, of_faces: Places, given: Part, e
     turned = np.broadcast_to(np.arange(CORNERS), (len(along), PARTS, CORNERS)).copy()
     turned[:, PARTS - 1] = back
     return _Order(np.concatenate([first, np.flatnonzero(added)]), rows.ravel(), turned.reshape(-1, CORNERS))
-
-
-__all__ = ["in_input_order", "torus_in_input_order"]

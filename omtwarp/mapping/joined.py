@@ -177,6 +177,3 @@ def _report(maps: list[SurfaceMap]) -> MapReport:
         "warnings": [finding | {"part": k} for k, part in enumerate(maps) for finding in part.report["warnings"]],
         "parts": [part.report for part in maps],
     }
-
-
-__all__ = ["joined"]

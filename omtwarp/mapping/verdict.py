@@ -251,6 +251,3 @@ def _place_of_face(surface: Surface, face: int) -> str:
 
 def _place(point: NDArray[np.float64]) -> str:
     return f"at ({', '.join(f'{coordinate:.4g}' for coordinate in point)})"
-
-
-__all__ = ["Finding", "elongation", "foretell", "judge", "refusal"]

@@ -263,5 +263,3 @@ OWN_LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "filled_conformal": (np.float64, ("W", 3)),
     "filled_loop": (np.int64, ("H",)),
 }
-
-__all__ = ["OWN_LAYOUT", "SurfaceMap", "read_map"]

@@ -255,6 +255,3 @@ _LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "vertex_origin": (np.int64, ("V",)),
     "face_origin": (np.int64, ("F",)),
 }
-
-
-__all__ = ["TorusCertificate", "TorusMap"]

@@ -157,6 +157,3 @@ def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
     reach = 1.0 + share * np.cos(angle)
     turned = -1.0 if along[0] <= along[1] else 1.0  # keeps triangles counter-clockwise from outside
     return np.stack([reach * np.cos(ring), reach * np.sin(ring), turned * share * np.sin(angle)], axis=1)
-
-
-__all__ = ["PATTERNS", "ring_torus", "textured_torus", "torus_pattern", "tube_radius"]

@@ -114,6 +114,3 @@ def mass_distortion(goal: Surface, sphere: NDArray[np.float64]) -> dict[str, flo
         error = ratio + 1.0 / ratio
     mean = float(goal.face_areas @ error) / SPHERE_AREA
     return {"mean": mean, "p95": float(np.percentile(error, 95)), "max": float(error.max())}
-
-
-__all__ = ["TargetDensity", "mass_distortion"]

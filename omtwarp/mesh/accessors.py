@@ -310,6 +310,3 @@ def _unit_range(array: Numbers) -> NDArray[np.float32]:
     bits = 8 * array.dtype.itemsize - (array.dtype.kind == "i")
     most = 1 if array.dtype.kind == "f" else 2**bits - 1
     return np.maximum(array.astype(np.float64) / most, -1.0).astype(np.float32)
-
-
-__all__ = ["Document", "pictures_of", "with_document", "with_plain_accessors"]

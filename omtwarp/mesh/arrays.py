@@ -296,21 +296,3 @@ def require_unit_length(points: NDArray[np.generic], name: str) -> None:
 def normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Scale points, none of them 0, to unit length, shape [V, 3]."""
     return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
-
-
-__all__ = [
-    "ROUND_OFF",
-    "TINY",
-    "WELD",
-    "Layout",
-    "edge_keys",
-    "fitting_arrays",
-    "in_range",
-    "owned",
-    "real_number",
-    "real_numbers",
-    "require_unit_length",
-    "single_precision",
-    "whole_number",
-    "whole_numbers",
-]

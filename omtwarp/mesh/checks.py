@@ -9,7 +9,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import ROUND_OFF, real_numbers, require_unit_length, whole_numbers
 from omtwarp.mesh.surface import Surface
-from omtwarp.mesh.validate import HasTriangles, MeshLike, mesh_arrays, require_valid
+from omtwarp.mesh.validate import MeshLike, mesh_arrays, require_valid
 
 
 def as_surface(mesh: MeshLike) -> Surface:
@@ -109,15 +109,3 @@ def as_faces(faces: ArrayLike, count: int, name: str = "faces") -> NDArray[np.in
     if len(corners) == 0:
         raise OmtwarpError(f"{name}: there are none")
     return corners.astype(np.int32)
-
-
-__all__ = [
-    "HasTriangles",
-    "MeshLike",
-    "as_faces",
-    "as_sphere",
-    "as_surface",
-    "as_triangles",
-    "as_unit_vectors",
-    "require_unit_length",
-]

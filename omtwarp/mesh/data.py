@@ -320,6 +320,3 @@ def _write_annot(file: Path, data: VertexData) -> None:
         raise OmtwarpError("two labels have the same colour, by which the .annot format identifies them: change one")
     names = [data.table[key][0] for key in keys]
     nibabel_module().freesurfer.write_annot(file, places, colors, names, fill_ctab=True)
-
-
-__all__ = ["DATA_SUFFIXES", "VertexData", "from_npy", "from_text", "read_data", "to_npy", "write_data"]

@@ -42,6 +42,3 @@ def named_vertex(names: InputNames | None, vertex: int) -> tuple[int, str]:
     """Return a vertex's number in the input (-1 for a new one) and its name for messages."""
     number = vertex if names is None else int(names.vertices[vertex])
     return number, f"vertex {number}" if number >= 0 else "an added vertex"
-
-
-__all__ = ["InputNames", "named_face", "named_vertex"]

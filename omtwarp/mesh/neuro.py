@@ -167,14 +167,3 @@ def write_freesurfer_surface(
     io.write_geometry(
         file, single_precision(points, "vertices"), faces, create_stamp="created by omtwarp", volume_info=volume
     )
-
-
-__all__ = [
-    "FREESURFER_SUFFIXES",
-    "gifti_image",
-    "nibabel_module",
-    "require_same_structure",
-    "structure_of",
-    "write_freesurfer_surface",
-    "write_gifti_surface",
-]

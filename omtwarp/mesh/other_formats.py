@@ -71,6 +71,3 @@ def read_by_meshio(data: bytes, name: str) -> tuple[NDArray[np.generic], NDArray
     points = np.zeros((len(mesh.points), 3))
     points[:, : mesh.points.shape[1]] = mesh.points  # of two coordinates, in a plane
     return points, np.concatenate(corners), np.concatenate(sizes)
-
-
-__all__ = ["MESHIO_FORMATS", "WAYS_ROUND", "read_by_meshio"]

@@ -124,6 +124,3 @@ class Patches:
             number[self.face_patch[triangles]],
             int(kept.sum()),
         ), places
-
-
-__all__ = ["Patches", "grow", "sides_of", "touching"]

@@ -338,6 +338,3 @@ def _row_starts(
                 raise _cut(elements)
             place += int(size)
     return starts, place
-
-
-__all__ = ["Column", "ply_columns", "polygons_of", "read_ply"]

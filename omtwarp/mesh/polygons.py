@@ -100,6 +100,3 @@ def counted_lists(entries: NDArray[np.generic], count: int) -> tuple[NDArray[np.
     is_corner = np.ones(place, dtype=bool)
     is_corner[starts[:count]] = False
     return numbers[:place][is_corner], numbers[starts[:count]]
-
-
-__all__ = ["counted_lists", "fans", "parts_of_strips", "triangles_of_strips"]

@@ -97,6 +97,3 @@ def quarter(surface: Surface) -> QuarteredSurface:
     cut = Surface(np.concatenate([points, between]), parts.reshape(-1, 3), measure)
     cut.checked = surface.checked
     return QuarteredSurface(cut, edges, middles.astype(np.int32))
-
-
-__all__ = ["PARTS", "QuarteredSurface", "quarter"]

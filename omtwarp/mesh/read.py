@@ -370,6 +370,3 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
         start += len(points)
     notes = [f"took {len(meshes)} geometries together"] if len(meshes) > 1 else []
     return np.concatenate(vertices), np.concatenate(faces), notes
-
-
-__all__ = ["OWN_FORMATS", "MeshFile", "mesh_content", "read_mesh", "require_counted_from_one", "utf8"]

@@ -462,6 +462,3 @@ def _patch(
             patch.append((loop[i], loop[k], loop[j]))
             open_spans += [(i, k), (k, j)]
     return patch
-
-
-__all__ = ["CRUMBS", "LARGEST_HOLE", "NOTED_LOSS", "Repaired", "repair"]

@@ -212,6 +212,3 @@ def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, NDAr
                 faces = faces[:, ::-1]
             found.append((str(name), mesh, points, faces))
     return found
-
-
-__all__ = ["gltf_header", "gltf_pictures", "load_scene", "placed_meshes", "scene_formats"]

@@ -138,6 +138,3 @@ def _in_one_piece(faces: Ints) -> bool:
     graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(count, count))
     labels = connected_components(graph, directed=False)[1]
     return len(np.unique(labels[faces])) <= 1
-
-
-__all__ = ["JoinedMesh", "compressed", "read_joined_mesh", "seam_copies"]

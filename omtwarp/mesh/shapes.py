@@ -601,27 +601,3 @@ def _normals(points: Points, a: NDArray, b: NDArray, c: NDArray) -> Points:
 def _unit(vectors: ArrayLike) -> Points:
     points = np.asarray(vectors, dtype=np.float64)
     return points / np.linalg.norm(points, axis=-1, keepdims=True)
-
-
-__all__ = [
-    "blob",
-    "demo_shape",
-    "ellipsoid",
-    "fibonacci_sphere",
-    "flip_edges",
-    "hippocampus",
-    "icosphere",
-    "icosphere_near",
-    "implicit_surface",
-    "limbs",
-    "metaballs",
-    "needle",
-    "noisy",
-    "plate",
-    "random_sphere",
-    "shuffled",
-    "sphere_from_directions",
-    "star_shape",
-    "tube",
-    "uv_sphere",
-]

@@ -121,6 +121,3 @@ class _Numbers:
             raise OmtwarpError(f"cut short: {count} numbers announced, {len(found)} there")
         self.place += count
         return np.array(found, dtype=np.float64)
-
-
-__all__ = ["read_freesurfer_text", "read_mni", "read_mz3", "read_plates"]

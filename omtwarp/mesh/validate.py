@@ -513,6 +513,3 @@ def number(count: int | np.integer, one: str, many: str = "") -> str:
 
 def _tuple(row: NDArray) -> str:
     return "(" + ", ".join(str(int(entry)) for entry in row) + ")"
-
-
-__all__ = ["Defect", "check", "describe", "require_valid"]

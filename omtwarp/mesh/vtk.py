@@ -287,6 +287,3 @@ class _Xml:
         self.left -= size
         if self.left < 0:
             raise OmtwarpError(f"its arrays take more than {amount(LARGEST_MESH_FILE)}, which is the most")
-
-
-__all__ = ["read_vtk", "read_vtk_xml", "write_vtk"]

@@ -139,6 +139,3 @@ def ply_bytes(
     rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, faces
     return head.encode("ascii") + table.tobytes() + rows.tobytes()
-
-
-__all__ = ["SUFFIXES", "ply_bytes", "write_mesh"]

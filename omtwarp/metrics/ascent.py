@@ -159,6 +159,3 @@ class _Pairs:
         for (step, change, product), factor in zip(self._pairs, reversed(factors), strict=True):
             out += step * (factor - float(change @ out) / product)
         return out
-
-
-__all__ = ["ascend"]

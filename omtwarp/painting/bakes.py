@@ -16,7 +16,7 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.painting import kernels
-from omtwarp.painting.texels import PADDING, bake_corners, covered
+from omtwarp.painting.sheets import PADDING, bake_corners, covered
 from omtwarp.render.colors import colormap_table
 from omtwarp.texturing.materials import Bytes, Floats, Ints
 
@@ -279,6 +279,3 @@ def area_ratio(vertices: Floats, faces: Ints, on_map: Floats, parts: NDArray[np.
         around = np.bincount(faces.ravel(), np.repeat(share, 3), minlength=len(vertices))
         shares.append(np.maximum(around, TINY))
     return shares[0] / shares[1]
-
-
-__all__ = ["BAKES", "Scalar", "Target", "detail_normals", "object_normals", "occlusion", "scalar"]

@@ -18,8 +18,22 @@ from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.painting import bakes
-from omtwarp.painting.sheets import SIZE, Look, Sheet, sheet_of_parts, sphere_sheet, torus_picture, torus_sheet
-from omtwarp.painting.texels import PADDING, bake_materials, covered, over, overlap, tiled_copies, tinted
+from omtwarp.painting.sheets import (
+    PADDING,
+    SIZE,
+    Look,
+    Sheet,
+    bake_materials,
+    covered,
+    over,
+    overlap,
+    sheet_of_parts,
+    sphere_sheet,
+    tiled_copies,
+    tinted,
+    torus_picture,
+    torus_sheet,
+)
 from omtwarp.texturing.baking import Layout, Picture, bake_to_uv
 from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
 from omtwarp.texturing.materials import WHITE, Bytes, Floats, Ints, Material, corner_tangents
@@ -422,6 +436,3 @@ def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Float
     corners = share[grid_triangles(smooth.parts)]
     faces = smooth.faces.reshape(-1, len(corners), 3)[which]
     return faces.reshape(-1, 3), np.einsum("pkc,tcj->tpkj", corners, uv).reshape(-1, 3, 2)
-
-
-__all__ = ["SIZE", "paint"]

@@ -14,7 +14,7 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult
 from omtwarp.options import AtlasLike
 from omtwarp.painting.painter import SIZE
-from omtwarp.painting.texels import PADDING, bake_materials
+from omtwarp.painting.sheets import PADDING, bake_materials
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import Atlas, make_atlas
@@ -145,6 +145,3 @@ def _material(mesh: PaintedMesh, picture: NDArray[np.float32]) -> Material:
     if texels[..., 3].min() == 255:
         texels = np.ascontiguousarray(texels[..., :3])
     return Material("transferred", picture=texels, metallic=common.metallic, roughness=common.roughness)
-
-
-__all__ = ["transfer_texture"]

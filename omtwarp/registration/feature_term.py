@@ -73,6 +73,3 @@ class FeatureTerm:
         gradient = 2.0 * areas * np.einsum("vk,vdk->vd", self._weights * apart, slopes)
         hessian = 2.0 * areas[:, :, None] * np.einsum("vdk,vek->vde", self._weights * slopes, slopes)
         return VertexDerivatives(value, gradient, hessian)
-
-
-__all__ = ["FeatureField", "FeatureTerm"]

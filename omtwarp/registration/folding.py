@@ -85,6 +85,3 @@ def vertex_areas(points: Floats, faces: NDArray[np.int32]) -> Floats:
     """Return a third of the areas of the triangles around every vertex, shape [V]."""
     shares = np.repeat(triangle_areas(points, faces) / 3.0, 3)
     return np.bincount(faces.ravel(), weights=shares, minlength=len(points)).astype(np.float64)
-
-
-__all__ = ["HeatFlow", "folding_features", "smoothed", "vertex_areas"]

@@ -282,6 +282,3 @@ def _agreement(
         a, b = (values - weights @ values for values in (one, theirs[name][:count]))
         found[name] = float((weights * a) @ b / np.sqrt(((weights * a) @ a) * ((weights * b) @ b)))
     return found
-
-
-__all__ = ["Registration", "register"]

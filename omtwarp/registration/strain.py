@@ -69,6 +69,3 @@ def kept_within(surface: Surface, sphere: Floats, bound: float) -> Floats:
         if moved is not None:
             sphere = moved[0].numpy().copy()
     return sphere
-
-
-__all__ = ["kept_within", "octaves"]

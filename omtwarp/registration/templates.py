@@ -27,6 +27,3 @@ def template(name: str) -> SpherePoints:
     files, side = fetch_surf_fsaverage("fsaverage5"), HEMISPHERES[name]
     sphere, white = (read_mesh(files[f"{what}_{side}"]) for what in ("sphere", "white"))
     return SpherePoints(mesh_grid(sphere.vertices, sphere.faces, name), white.vertices)
-
-
-__all__ = ["HEMISPHERES", "template"]

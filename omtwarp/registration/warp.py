@@ -124,6 +124,3 @@ class Warping:
 def feature_grid() -> Surface:
     """Return the grid that features are read from."""
     return icosphere(FEATURE_GRID)
-
-
-__all__ = ["COARSE", "FINE", "Warp", "Warping", "feature_grid"]

@@ -6,9 +6,8 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from omtwarp.render.camera import Camera
+    from omtwarp.render.camera import Camera, Light
     from omtwarp.render.films import film
-    from omtwarp.render.light import Light
     from omtwarp.render.pictures import comparison, preview, sheet
     from omtwarp.render.scene import Arrows, ScalarField, SurfaceView, Wireframe
     from omtwarp.render.subject import as_surface_view, map_view
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Arrows": "scene",
     "Camera": "camera",
-    "Light": "light",
+    "Light": "camera",
     "ScalarField": "scene",
     "SurfaceView": "scene",
     "Wireframe": "scene",

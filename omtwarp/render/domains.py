@@ -143,6 +143,3 @@ def placed_on(points: Floats, faces: Ints, number: NDArray[np.intp], matrices: F
     own = np.zeros(len(points), dtype=np.intp)
     own[faces] = number[:, None]
     return np.einsum("ni,nij->nj", points, matrices[own]) + shifts[own]
-
-
-__all__ = ["domain_name", "domains_of", "fits_of", "placed_on", "vertex_areas"]

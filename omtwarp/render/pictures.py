@@ -18,8 +18,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
 from omtwarp.render import annotate, gl_client, output
 from omtwarp.render.arrows import arrow_part
-from omtwarp.render.camera import VIEWS, Camera, frame
-from omtwarp.render.light import as_light
+from omtwarp.render.camera import VIEWS, Camera, as_light, frame
 from omtwarp.render.options import (
     PANEL_DEFAULTS,
     PREVIEW_DEFAULTS,

@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import real_numbers
-from omtwarp.render.camera import Shot
+from omtwarp.render.camera import Light, Shot
 from omtwarp.render.colors import colormap_table, parse_color
-from omtwarp.render.light import Light
 
 CLAY = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
 

@@ -18,7 +18,7 @@ from omtwarp.render.domains import domain_name, domains_of, fits_of, placed_on, 
 from omtwarp.render.scene import Part, SurfaceView, normalisation, smooth_parts, welded_normals
 from omtwarp.render.subject import FinishedMap, Picture, is_torus_map, map_view, torus_view
 from omtwarp.render.upright import posed
-from omtwarp.texturing.rasterizing import rasterize
+from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.smooth import grid_points, grid_triangles, smooth_map
 
 if TYPE_CHECKING:
@@ -251,6 +251,3 @@ def _evenly(faces: Ints, count: int, divisions: int) -> tuple[Ints, csr_matrix]:
     weights = csr_matrix((np.tile(share, (len(faces), 1)).ravel(), (rows, columns)), (len(faces) * len(share), count))
     parts = np.arange(len(faces))[:, None, None] * len(share) + grid_triangles(divisions)
     return parts.reshape(-1, 3).astype(np.int32), weights
-
-
-__all__ = ["Story", "along_great_circles", "story_of"]

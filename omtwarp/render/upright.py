@@ -145,6 +145,3 @@ def _detail(places: Floats, faces: NDArray[np.int32], normal: Floats, area: Floa
         edges = sign * (normal[one, axis] + normal[other, axis]) > 1.0
         sides.append((bend[edges].sum() + LEAST_DETAIL) / (area[facing].sum() + LEAST_DETAIL))
     return float(sides[0] / sides[1])
-
-
-__all__ = ["posed", "upright"]

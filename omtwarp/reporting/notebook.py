@@ -16,7 +16,7 @@ from omtwarp.reporting.markup import asset, data_block, fill_page, html, script,
 from omtwarp.reporting.scene import data_uri, make_scene
 from omtwarp.reporting.stages import Stage, stages_of
 from omtwarp.reporting.viewer import viewer_section
-from omtwarp.texturing.rasterizing import rasterize
+from omtwarp.texturing.adaptive import rasterize
 
 if TYPE_CHECKING:
     import polyscope

@@ -21,16 +21,15 @@ from omtwarp.render.pictures import draw_in_background
 from omtwarp.render.upright import posed
 from omtwarp.reporting import sections
 from omtwarp.reporting.markup import Markup, join
-from omtwarp.reporting.record import shown_history, shown_report
 from omtwarp.reporting.scene import AREA_COLOURS, AREA_RANGE, Scene, data_uri, log2_area_ratio, make_scene
-from omtwarp.reporting.stages import Stage, stages_of, view_on_domain
+from omtwarp.reporting.stages import Stage, shown_history, shown_report, stages_of, view_on_domain
 from omtwarp.reporting.torus_page import write_torus_report
 from omtwarp.reporting.viewer import page_with_view, verdict, viewer_section
 from omtwarp.texturing import read_image
+from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
-from omtwarp.texturing.rasterizing import rasterize
 
 PICTURE_WIDTH = 1536  # texels around the sphere of the texture of still pictures: three for each pixel of the surface
 

@@ -159,6 +159,3 @@ def _legend(name: str, label: str, colours: str, ticks: Sequence[str]) -> Markup
         stops,
         join(html("<em>{}</em>", tick) for tick in ticks),
     )
-
-
-__all__ = ["page_with_view", "verdict", "viewer_section"]

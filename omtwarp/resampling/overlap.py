@@ -71,6 +71,3 @@ def _owners(owners: NDArray[np.int32], count: int) -> sparse.csr_matrix:
     """Return the 0/1 matrix, shape [M, N], that assigns each of M cells to its point."""
     cells = len(owners)
     return sparse.csr_matrix((np.ones(cells), owners, np.arange(cells + 1)), shape=(cells, count))
-
-
-__all__ = ["overlap_areas"]

@@ -344,6 +344,3 @@ def _areas(given: ArrayLike, points: SpherePoints, name: str) -> Floats:
     if areas.min(initial=0.0) < 0.0:
         raise OmtwarpError(f"the areas of the {name} must be at least 0, not {areas.min():g}")
     return np.concatenate([areas, np.zeros(len(points.grid.points) - count)])
-
-
-__all__ = ["Resampling", "SpherePoints", "as_points", "file_points", "resample"]

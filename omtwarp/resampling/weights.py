@@ -114,6 +114,3 @@ def _without_rows(matrix: sparse.csr_matrix, left_out: NDArray[np.bool_]) -> spa
 def _rows_to_one(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
     sums = np.asarray(matrix.sum(axis=1)).ravel()
     return sparse.csr_matrix(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ matrix)
-
-
-__all__ = ["adaptive", "barycentric", "conservative", "nearest"]

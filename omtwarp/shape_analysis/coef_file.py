@@ -71,6 +71,3 @@ def _order(degree: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
             rows += [n * n + n + m, n * n + n - m]
             factors += [np.sqrt(2.0) * (-1.0) ** m] * 2
     return np.array(rows), np.array(factors)
-
-
-__all__ = ["read_coef", "write_coef"]

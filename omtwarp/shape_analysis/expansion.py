@@ -192,6 +192,3 @@ def _chunks(points: Floats, degree: int) -> Iterator[tuple[slice, Floats]]:
     for first in range(0, len(points), chunk):
         part = slice(first, first + chunk)
         yield part, real_harmonics(points[part], degree)
-
-
-__all__ = ["METHODS", "Expansion", "expand"]

@@ -312,17 +312,3 @@ def hotelling(
     # Equal up to round-off counts as at least as large.
     p_values = (extremes[:, None] >= observed * (1.0 - EQUAL)).mean(axis=0)
     return observed, np.asarray(p_values)
-
-
-__all__ = [
-    "PERMUTATIONS",
-    "GroupDifference",
-    "GroupStudy",
-    "PrincipalComponents",
-    "group_difference",
-    "hotelling",
-    "mirrored_words",
-    "principal_components",
-    "study_group",
-    "two_groups",
-]

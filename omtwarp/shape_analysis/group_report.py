@@ -15,8 +15,7 @@ from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render import preview
 from omtwarp.render.scene import ScalarField
-from omtwarp.reporting.markup import Markup, element
-from omtwarp.reporting.plain import figure, pictures, table, write_plain_page
+from omtwarp.reporting.markup import Markup, element, figure, pictures, table, write_plain_page
 from omtwarp.shape_analysis.group import GroupStudy, mirrored_words
 
 SHOWN = 2.0  # standard deviations to either side of the mean
@@ -148,6 +147,3 @@ def _picture(
         (surface.vertices, surface.faces), size=PICTURE, views=view, scalar=values, backend="warp", device="cpu"
     )
     return figure(drawn, name, f", {view}")
-
-
-__all__ = ["SIGNIFICANT", "write_group_report"]

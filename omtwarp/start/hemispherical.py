@@ -146,6 +146,3 @@ class _HemisphereEmbedding(Embedding):
                 self.kept.append(own)
                 moves.append(self.recorded(kernel, own, *more))
         return moves
-
-
-__all__ = ["hemispherical_embedding"]

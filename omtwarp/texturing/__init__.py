@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from omtwarp.texturing.adaptive import rasterize as rasterize
     from omtwarp.texturing.atlas import ATLASES as ATLASES
     from omtwarp.texturing.atlas import make_atlas as make_atlas
     from omtwarp.texturing.baking import VertexValues as VertexValues
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from omtwarp.texturing.patterns import pattern as pattern
     from omtwarp.texturing.projection import direction_to_image as direction_to_image
     from omtwarp.texturing.projection import rotation_matrix as rotation_matrix
-    from omtwarp.texturing.rasterizing import rasterize as rasterize
     from omtwarp.texturing.read import read_painted_mesh as read_painted_mesh
     from omtwarp.texturing.seams import unwrap as unwrap
     from omtwarp.texturing.textured import TexturedSurface as TexturedSurface
@@ -36,7 +36,7 @@ _HOMES = {
     "TexturedSurface": "textured",
     "texture": "textured",
     "pattern": "patterns",
-    "rasterize": "rasterizing",
+    "rasterize": "adaptive",
     "Pattern": "patterns",
     "make_atlas": "atlas",
     "ATLASES": "atlas",

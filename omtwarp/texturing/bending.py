@@ -149,6 +149,3 @@ class BentLook(Look):
                 (bending.points @ rotation, wp.vec3d),
             )
         ]
-
-
-__all__ = ["Bending", "BentLook", "Look"]

@@ -117,6 +117,3 @@ def as_target(target: TargetLike | None, floor: float = 0.0, *, device: str | No
     raise OmtwarpError(
         f"a target of type {type(target).__name__}: give a function of points, an image, or (sphere, faces, values)"
     )
-
-
-__all__ = ["as_target", "image_density", "vertex_density"]

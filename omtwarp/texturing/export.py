@@ -369,6 +369,3 @@ def _lines(prefix: str, rows: NDArray, form: str) -> str:
     """Write an array's rows as lines of text, with one format for all, which is much faster than a call per line."""
     line = f"{prefix} {form if prefix == 'f' else ' '.join([form] * rows.shape[1])}\n"
     return (line * len(rows)) % tuple(rows.ravel().tolist())
-
-
-__all__ = ["SUFFIXES", "Part", "export", "format_for", "split_corners"]

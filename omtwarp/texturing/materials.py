@@ -113,6 +113,3 @@ def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) 
     degenerate = length <= ROUND_OFF * max(float(length.max(initial=0.0)), TINY)
     unit = np.where(degenerate, other, flat / np.maximum(length, TINY))
     return np.concatenate([unit, np.repeat(sign, 3)[:, None]], axis=1).reshape(-1, 3, 4)
-
-
-__all__ = ["Material", "corner_tangents", "linear"]

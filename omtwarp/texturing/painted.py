@@ -275,6 +275,3 @@ def joined_seams(mesh: PaintedMesh) -> PaintedMesh:
         vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[stays],
         notes=(*mesh.notes, f"joined {doubled} copies of vertices along seams"),
     )
-
-
-__all__ = ["PaintedMesh", "corners_of", "joined_seams"]

@@ -21,7 +21,15 @@ from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, TextureFormat
 from omtwarp.texturing.adaptive import bake_bytes
-from omtwarp.texturing.atlas import Atlas, Equirectangular, make_atlas
+from omtwarp.texturing.atlas import (
+    LARGEST_SIZE,
+    LARGEST_UNASKED,
+    Atlas,
+    Equirectangular,
+    make_atlas,
+    picture_size,
+    sharp_size,
+)
 from omtwarp.texturing.baking import sample
 from omtwarp.texturing.bending import Bending, BentLook, Look
 from omtwarp.texturing.export import Part, export, format_for
@@ -31,7 +39,6 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
-from omtwarp.texturing.sharpness import LARGEST_SIZE, LARGEST_UNASKED, picture_size, sharp_size
 from omtwarp.texturing.smooth import smooth_curves
 
 if TYPE_CHECKING:

@@ -57,6 +57,3 @@ def loop_length(vertices: NDArray[np.float64], loop: NDArray[np.int64]) -> float
     """Return the length of a closed loop of vertices, in the units of the input."""
     points = vertices[loop]
     return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
-
-
-__all__ = ["boundary_half_edges", "boundary_loops", "loop_length"]

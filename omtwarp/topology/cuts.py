@@ -127,6 +127,3 @@ def _thickness(cut: CutSurface) -> float:
     surface = Surface(filled.vertices, filled.faces)
     ring = thinnest_ring(surface)
     return np.inf if ring is None else ring.around / vertices_needed(ring.share, surface.face_count)
-
-
-__all__ = ["cut_open", "loops_through_holes"]

@@ -174,6 +174,3 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
         np.concatenate([whole.on_boundary, image == np.arange(len(ends))]),
         np.concatenate([whole.copied, ~own]),
     )
-
-
-__all__ = ["Double", "SplitSurface", "double", "quartered_double", "split_at", "split_chords"]

@@ -160,6 +160,3 @@ def fill_holes(vertices: NDArray[np.float64], faces: NDArray, loops: list[NDArra
         marks.append(np.full(len(patch.faces), number, dtype=np.int64))
         count += len(patch.vertices)
     return FilledSurface(np.concatenate(points), np.concatenate(triangles).astype(np.int32), np.concatenate(marks))
-
-
-__all__ = ["FilledSurface", "Patch", "fill_holes", "fill_loop"]

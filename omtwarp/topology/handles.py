@@ -316,6 +316,3 @@ def _cut_along(
     number = np.where(kept, owner, 0)
     number[~kept] = count + np.arange(int((~kept).sum()))
     return number[label].reshape(-1, 3), owner[~kept]
-
-
-__all__ = ["CutSurface", "cut_handles", "shortest_handle_loop", "slit_open"]

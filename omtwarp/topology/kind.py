@@ -142,15 +142,3 @@ def options_for(parts: list[Part]) -> list[str]:
         beside = " (with --components)" if several else ""
         lines.append(f"--cut: cut {handles} open along short loops, fill the cuts small, and map to the sphere{beside}")
     return lines
-
-
-__all__ = [
-    "MAPPABLE",
-    "Part",
-    "connected_components",
-    "described",
-    "numbered_in_space",
-    "options_for",
-    "parts_of",
-    "places_of",
-]

@@ -233,6 +233,3 @@ def _two_loops(points: Floats, faces: NDArray[np.int64]) -> tuple[NDArray[np.int
 
 def _jumps(faces: NDArray, side: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.isin(faces, side).astype(np.int64)
-
-
-__all__ = ["QUANTUM", "FlatTorus", "conformal_torus", "embedded_torus", "quantised"]

@@ -196,6 +196,3 @@ class _Run:
         if self.measured is not None:
             result.report["optimality"] = self.measured
         return result
-
-
-__all__ = ["map_to_torus"]

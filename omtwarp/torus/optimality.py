@@ -260,6 +260,3 @@ def _relative_curl(surface: Surface, corner: Floats, moved: Floats) -> float:
     _factorise(factor, diagonal, -weights)
     stream = factor.solve(right)
     return float(np.sqrt(max(float(stream @ right), 0.0) / norm))
-
-
-__all__ = ["TorusOptimality", "torus_optimality"]

@@ -408,6 +408,3 @@ class _Descent:
     def _record(self, cycle: int, level: int, step: float, accepted: bool) -> None:
         entry: Record = {"iteration": len(self.history), "cycle": cycle, "level": level, "cost": self._cost}
         self.history.append(entry | {"step": step, "accepted": accepted, "area": self._area})
-
-
-__all__ = ["V_CYCLE", "FlowResult", "PaperFlow", "default_resolutions", "paper_flow"]

@@ -53,6 +53,3 @@ class WaveletFilter:
 
     def _scale(self, values: wp.array) -> None:
         wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
-
-
-__all__ = ["WaveletFilter"]

@@ -118,6 +118,3 @@ class WaveletPreconditioner:
         wp.copy(values, self._coarse, count=len(self._coarse))
         self.wavelets.synthesise(values)
         return np.asarray(values.numpy()) if from_numpy else values
-
-
-__all__ = ["WaveletPreconditioner", "wavelet_energies"]

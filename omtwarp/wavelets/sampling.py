@@ -294,6 +294,3 @@ class SphereSampler:
             self._launch_parts(kernel, self.face_count, rows, faces, whole, self._face_vectors)
         self._gather_corners(out)
         return out.numpy() if from_numpy else out
-
-
-__all__ = ["SphereSampler"]

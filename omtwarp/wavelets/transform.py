@@ -221,6 +221,3 @@ class SphericalWavelets:
         for j in range(level, self.hierarchy.level):
             values = self.hierarchy.refinement_matrix(j, butterfly=self.butterfly) @ values
         return values
-
-
-__all__ = ["SphericalWavelets", "transposed_rows"]

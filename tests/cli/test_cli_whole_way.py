@@ -12,7 +12,7 @@ import omtwarp
 from omtwarp.commands._cli import main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
-from omtwarp.texturing.sharpness import LARGEST_UNASKED, sharp_size
+from omtwarp.texturing.atlas import LARGEST_UNASKED, sharp_size
 
 
 def run(*arguments) -> int:

@@ -24,7 +24,7 @@ from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh import shapes
 from omtwarp.reporting import report_page, scene, write_report
-from omtwarp.reporting.record import REPORT
+from omtwarp.reporting.stages import REPORT
 from omtwarp.reporting.torus_page import FIGURES
 from omtwarp.shape_analysis import study_group
 from omtwarp.shape_analysis.group_report import write_group_report

@@ -12,7 +12,7 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.painting import paint, unwrap_uv
 from omtwarp.painting.bakes import area_ratio, mean_curvature
-from omtwarp.painting.texels import over, tiled_copies
+from omtwarp.painting.sheets import over, tiled_copies
 from omtwarp.texturing import Material, PaintedMesh, read_painted_mesh
 from omtwarp.texturing.materials import corner_tangents
 from omtwarp.texturing.patterns.checker import Checker
@@ -316,7 +316,7 @@ def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces):
 def apart(mesh, result, aspect):
     """Assert what the test above promises of coordinates, on a picture of this aspect."""
     from omtwarp.device.start import wp
-    from omtwarp.painting.texels import covered, overlap
+    from omtwarp.painting.sheets import covered, overlap
 
     assert np.array_equal(mesh.faces, result.faces) and np.array_equal(mesh.vertices, result.vertices)
     assert mesh.uv.min() > 0 and mesh.uv.max() < 1

@@ -6,7 +6,7 @@ import trimesh
 from texturing_shapes import ellipsoid, unit
 
 from omtwarp.texturing import make_atlas, texture
-from omtwarp.texturing.sharpness import SCREEN, TEXEL, largest_stretch, picture_size, sharp_size
+from omtwarp.texturing.atlas import SCREEN, TEXEL, largest_stretch, picture_size, sharp_size
 
 
 def test_the_stretch_of_a_linear_map_is_its_largest_singular_value():

@@ -12,9 +12,9 @@ from texturing_shapes import ellipsoid, unit
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing import pattern, texture
+from omtwarp.texturing.atlas import LARGEST_UNASKED, sharp_size
 from omtwarp.texturing.image import read_image, webp_bytes
 from omtwarp.texturing.patterns.checker import Checker
-from omtwarp.texturing.sharpness import LARGEST_UNASKED, sharp_size
 
 
 @pytest.fixture(scope="module")
