@@ -90,6 +90,8 @@ MAX_LOCAL_WORK = 1.0
 # many steps will not come right: on a box with triangles of 0.001 degrees, where they are off by 0.86, the error falls
 # by 1 % in five steps and by 2 % in 25.
 STALLED_RMS, STALLED_SHARE, STALLED_STEPS = 0.5, 0.02, 5
+# Share of the squared errors of areas that a step has to take away to be worth taking for that alone.
+LEAST_AREA_GAIN = 0.1
 
 # Local steps end where the next is expected to gain less than this share of the gain that ends the minimisation.
 LOCAL_GAIN_SHARE = 0.1
@@ -351,7 +353,7 @@ class _Newton:
                 if number == 0 and multipliers is None and self.constrained:
                     self._estimate(points, terms)
             direction, q, decrement = self._direction(points, terms)
-            if self._reached(terms, decrement):
+            if self._reached(terms, decrement) or (fresh and self._helpless(terms, q, decrement)):
                 ended, converged = "optimal", True
                 break
             if not fresh and decrement > (1.0 - MIN_GAIN_SHARE) * last:
@@ -456,6 +458,18 @@ class _Newton:
             return enough
         rms, largest = self.energy.ring_errors(terms)
         return enough and rms <= self.max_rms and largest <= self.max_error
+
+    def _helpless(self, terms: MapTerms, q: Numbers, decrement: float) -> bool:
+        """Return whether a step that gains nothing leaves small errors of the areas nearly as they are.
+
+        So it is where symmetry holds every vertex, as on a sphere of 80 triangles, whose areas are flat.
+        """
+        if not self.constrained or decrement > self._enough(terms):
+            return False
+        missing = self.energy.missing(terms)
+        left = float(self.stiffness @ (q / self.stiffness) ** 2)  # B u = C q - missing
+        small = self.energy.ring_errors(terms)[1] <= self.max_error
+        return small and left > (1.0 - LEAST_AREA_GAIN) * float(self.stiffness @ missing**2)
 
     def _penalised_energy(self, terms: MapTerms, strictness: float = 1.0) -> float:
         """Return cost plus shape plus penalty on area errors, times strictness; it needs no multipliers."""
