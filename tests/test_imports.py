@@ -46,8 +46,6 @@ HEAVY_ROOMS = {
         "omtwarp.transport.polish",
     },
     "omtwarp.optimal": {"omtwarp.start.hierarchical"},
-    "omtwarp.refine": {"omtwarp.refine.device_newton"},
-    "omtwarp.solvers": {"omtwarp.solvers.multigrid"},
     "omtwarp.start": {"omtwarp.start.hierarchical"},
     "omtwarp.open_surfaces": {"omtwarp.start.hemispherical"},
     # A driver waits for processes, and draws pictures at the end.

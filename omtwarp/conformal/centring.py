@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.conformal.kernels import apply_ball_inversion, weighted_moments
 from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import on_device, resolve_device
+from omtwarp.device.policy import is_cuda, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.errors import OmtwarpError
@@ -126,7 +126,7 @@ def centre_points(
     points = wp.clone(vectors(sphere, where))
     moved = wp.empty_like(points)
     weights = masses / masses.sum()
-    means: _Moments = (_DeviceMoments if on_device(where, len(weights)) else _HostMoments)(weights, where)
+    means: _Moments = (_DeviceMoments if is_cuda(where) else _HostMoments)(weights, where)
 
     mean = means.of(points)
     for step in range(MAXIMUM_STEPS):

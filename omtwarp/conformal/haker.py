@@ -23,7 +23,7 @@ from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress, Record
-from omtwarp.solvers.poisson import EdgeLaplacianSolver, PoissonSolver, SurfaceLaplacianSolver, solve_arrays
+from omtwarp.solvers.poisson import EdgeLaplacianSolver, PoissonSolver, cotangent_solver, solve_arrays
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
 PARTS = 4  # of the work in progress reports: half is the factorisation
@@ -95,7 +95,7 @@ def conformal_map(
     if intrinsic:
         solver = intrinsic_solver(surface, pinned)
     else:
-        solver = SurfaceLaplacianSolver(surface, points, pinned=pinned, device=device)
+        solver = cotangent_solver(surface, points, pinned)
     if progress is not None:
         progress("conformal", 2, PARTS, {})
     where = resolve_device(device)

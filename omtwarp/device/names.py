@@ -14,7 +14,6 @@ class Solver(StrEnum):
     AUTO = "auto"
     SCIPY = "scipy"
     CHOLESKY = "cholesky"
-    MULTIGRID = "multigrid"
     CUDSS = "cudss"
 
 

@@ -11,9 +11,6 @@ from omtwarp.device.names import Solver, parse_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, choose
 
-# An iteration on the device is a hundred launches or more, whatever the size of the mesh: below this many vertices
-# they have little work, and the host factorises a Laplacian in 0.03 s.
-DEVICE_VERTICES = 30_000
 # Launches of fewer threads are not divided on the CPU: they take less time than waking another core.
 SMALLEST_SHARED_LAUNCH = 4096
 # Lists of a length that only the device knows are shared between so many threads on CUDA, and left to one on the CPU.
@@ -91,15 +88,6 @@ def wanted_solver() -> Solver:
     return asked if asked is not Solver.AUTO else choose(Solver, os.environ.get("OMTWARP_SOLVER") or "auto")
 
 
-def on_device(device: wp.Device, vertices: int) -> bool:
-    """Return whether systems on a surface of so many vertices are solved on the device, by multigrid.
-
-    They are on CUDA where the surface is large, and everywhere where ``multigrid`` is asked for.
-    """
-    solver = wanted_solver()
-    return solver is Solver.MULTIGRID or (solver is Solver.AUTO and is_cuda(device) and vertices > DEVICE_VERTICES)
-
-
 def solves_with_scipy() -> bool:
     """Return whether the host factorises by SciPy rather than by the built-in, several times faster solver."""
     return wanted_solver() is Solver.SCIPY
@@ -117,11 +105,6 @@ def solver_device() -> wp.Device:
         OmtwarpError: it does not exist.
     """
     return resolve_device(_device.get())
-
-
-def adds_on_device(device: wp.Device, vertices: int) -> bool:
-    """Return whether kernels compute sums for a surface: where its systems are solved on the device, and on CUDA."""
-    return is_cuda(device) or on_device(device, vertices)
 
 
 def shares_host_memory(device: wp.Device) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from omtwarp.device.policy import adds_on_device
+from omtwarp.device.policy import is_cuda
 from omtwarp.device.start import wp
 from omtwarp.device.sum_kernels import GROUP, LANES, finish_sum, remove_mean, sum_products, sum_rows
 
@@ -94,6 +94,6 @@ class HostSum:
         out[:1].fill_(float(a.numpy().sum()))
 
 
-def sums_for(device: wp.Device, vertices: int) -> DeviceSum | HostSum:
-    """Choose where sums of systems on a surface are computed: the device where it solves them, or CUDA."""
-    return DeviceSum(device) if adds_on_device(device, vertices) else HostSum()
+def sums_for(device: wp.Device) -> DeviceSum | HostSum:
+    """Choose where sums are computed: on CUDA by kernels, else by NumPy."""
+    return DeviceSum(device) if is_cuda(device) else HostSum()

@@ -132,8 +132,8 @@ def map_to_sphere(
             vectors [N, 3], an equirectangular picture, or ``(sphere, faces, values)``; see
             :func:`omtwarp.texturing.density.as_target`.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
-        solver: how sparse systems are solved: ``scipy``; ``cholesky`` on the host or ``multigrid`` on the device,
-            both built in; ``auto`` takes the faster built-in one. The maps are the same to round-off.
+        solver: how sparse systems are solved: by ``scipy``, by the built-in ``cholesky``, which ``auto`` takes, or on
+            a GPU by ``cudss``. The maps are the same to round-off.
         strict: raise an error for a map that would come with a warning.
         progress: called as ``progress(stage, done, total, details)``.
 

@@ -59,7 +59,7 @@ from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality_dual import Bound, TransportDual
 from omtwarp.metrics.optimality_sources import SourceBound, SourceDual
 from omtwarp.options import Cost, Progress, Record
-from omtwarp.solvers.poisson import SurfaceLaplacianSolver
+from omtwarp.solvers.poisson import cotangent_solver
 
 Array = NDArray[np.float64]
 
@@ -448,7 +448,7 @@ def _curl_part(surface: Surface, y: Array, log: Array, device: str | None) -> Cu
     operators = DifferentialOperators(y, surface.faces, device=str(where))
     # Weakly, <J∇φ, field> = div(J field) tested with φ, since J is antisymmetric and div = -grad'.
     vorticity = operators.divergence(operators.rotate(field)).numpy()
-    stream = SurfaceLaplacianSolver(surface, images, device=where).solve(vorticity)
+    stream = cotangent_solver(surface, images).solve(vorticity)
     return Curl(float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream)
 
 

@@ -17,7 +17,7 @@ from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_density, target_masses, vertex_field
 from omtwarp.options import Progress, Record
-from omtwarp.solvers.poisson import PoissonSolver, SurfaceLaplacianSolver, solve_arrays
+from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver, solve_arrays
 
 # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
 FINAL_TIME = 14.0
@@ -97,20 +97,20 @@ def moser_map(
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
     if solver is None:
-        solver = SurfaceLaplacianSolver(surface, points, device=where)
+        solver = cotangent_solver(surface, points)
     if progress is not None:
         progress("moser", 2, PARTS, {})
     areas = wp.empty(triangles, dtype=wp.float64, device=where)
     total = wp.empty(1, dtype=wp.float64, device=where)
     sources, mu, excess = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(3))
     wp.launch(face_areas, dim=triangles, inputs=[points, faces], outputs=[areas], device=where)
-    sums_for(where, vertices).total(areas, total)
+    sums_for(where).total(areas, total)
     wanted, wanted_total = areas, total
     if target is not None:
         wanted, wanted_total = wp.empty_like(areas), wp.empty_like(total)
         at_vertices = wp.array(target.at(points.numpy()), dtype=wp.float64, device=where)
         wp.launch(target_masses, dim=triangles, inputs=[areas, faces, at_vertices], outputs=[wanted], device=where)
-        sums_for(where, vertices).total(wanted, wanted_total)
+        sums_for(where).total(wanted, wanted_total)
     inputs = [areas, total, wanted, wanted_total, wp.float64(SPHERE_AREA), mesh.vertex_areas, *rows]
     wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu, excess], device=where)
     (potential,) = solve_arrays(solver, [sources])

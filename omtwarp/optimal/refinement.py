@@ -89,7 +89,7 @@ def refine_map(
         iterations: largest number of steps.
         tolerance: stop when the expected decrease falls below this and below a hundredth of the difference between the
             energy and its least possible value.
-        device: where the kernels run; :func:`omtwarp.device.policy.on_device` says where sparse systems are solved.
+        device: where the kernels run.
         progress: called as ``progress("refine", step, most, details)`` after every step; the details are ``area`` and
             ``angle``, the distortions reached.
 

@@ -19,7 +19,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.options import Progress, Record
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.relaxation import relax, stiff_vertices
-from omtwarp.refine.steps import Direction, steps_for
+from omtwarp.refine.steps import Direction, Steps
 from omtwarp.refine.vertex_term import VertexTerm
 from omtwarp.solvers.triangle_newton.line_search import SUFFICIENT_DECREASE
 from omtwarp.untangling.steps import FlipFreeSteps
@@ -154,7 +154,7 @@ class Refiner:
         self.surface = surface
         self.device = device
         self.energy = DistortionEnergy(surface, device, areas, most_strain=most_strain, vertex_term=vertex_term)
-        self._steps = steps_for(self.energy)
+        self._steps = Steps(self.energy)
         # Half untangled patches made noise of 3e-9 in a bunny's map one of 4e-4. The optimal map of an octopus needs
         # them: without, its area distortion is 2.096 in place of 2.032.
         self._flip_free = FlipFreeSteps(surface, device, partial=False)

@@ -1,1 +1,1 @@
-"""Sparse symmetric systems on surfaces: Poisson problems, the built-in Cholesky factorisation, multigrid."""
+"""Sparse symmetric systems on surfaces: Poisson problems and factorisations of matrices on meshes."""

@@ -1,29 +1,23 @@
 """Sparse symmetric positive definite systems, factorised once and solved many times.
 
-:mod:`omtwarp.device.policy` decides how and where: by a factorisation on the host (:mod:`omtwarp.solvers.mesh_factor`)
-or by conjugate gradients and multigrid on the device (:mod:`omtwarp.solvers.multigrid`).
+Matrices on the edges of a surface are factorised as :mod:`omtwarp.solvers.mesh_factor` chooses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import on_device, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import surface_factor
-
-if TYPE_CHECKING:
-    from omtwarp.solvers.multigrid import DeviceLaplacian
 
 
 class PoissonSolver(Protocol):
@@ -102,90 +96,30 @@ class LaplacianSolver:
         return out - out.mean(axis=0)
 
 
-class SurfaceLaplacianSolver:
-    """Solves L u = b for the cotangent Laplacian of a surface at its own or other positions of its vertices.
+def cotangent_solver(surface: Surface, points: NDArray[np.float64] | wp.array, pinned: int = 0) -> EdgeLaplacianSolver:
+    """Factorise the cotangent Laplacian of a surface at its own or other positions of its vertices.
 
-    Equal to :class:`LaplacianSolver` of :func:`omtwarp.geometry.cotangent_laplacian` to round-off. On the host the
-    order of elimination is computed once for a surface and all positions, and the factorisation is several times faster
-    than SuperLU's. :func:`on_device` says when it is done on the device.
+    Equal to :class:`LaplacianSolver` of :func:`omtwarp.geometry.cotangent_laplacian` to round-off. The order of
+    elimination is computed once for a surface and all positions, and the factorisation is several times faster than
+    SuperLU's.
 
     Args:
         surface: a closed surface, V vertices.
-        points: positions, shape [V, 3]; or a Warp array of vec3d on the device, which may change afterwards.
-        pinned: the vertex held at zero while solving on the host.
-        device: where the stage that asks runs.
+        points: positions, shape [V, 3], or a Warp array of vec3d.
+        pinned: the vertex held at zero while solving.
     """
-
-    def __init__(
-        self,
-        surface: Surface,
-        points: NDArray[np.float64] | wp.array,
-        pinned: int = 0,
-        device: str | wp.Device | None = "cpu",
-    ):
-        where = resolve_device(device)
-        self._pinned = pinned
-        self._iterative: DeviceLaplacian | None = None
-        self._direct: PoissonSolver | None = None
-        if on_device(where, surface.vertex_count):
-            from omtwarp.solvers.multigrid import DeviceLaplacian  # its kernels are read where a device solves
-
-            self._iterative = DeviceLaplacian(surface, wp.clone(vectors(points, where)))
-        else:
-            on_host = points.numpy() if isinstance(points, wp.array) else points
-            self._direct = _of_cotangents(surface, on_host, pinned)
-
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
-        if self._iterative is None:
-            assert self._direct is not None
-            return self._direct.solve(right)
-        device = self._iterative.device
-        columns = np.ascontiguousarray(right.reshape(len(right), -1).T, dtype=np.float64)
-        given = [wp.array(column, dtype=wp.float64, device=device) for column in columns]
-        return np.stack([solved.numpy() for solved in self.solve_arrays(given)], axis=1).reshape(right.shape)
-
-    def solve_arrays(self, rights: Sequence[wp.array]) -> list[wp.array]:
-        """Solve for right-hand sides that are Warp arrays, float64, shape [V]; solutions are where they are."""
-        if self._iterative is not None:
-            solutions = []
-            for right in rights:
-                given = right.to(self._iterative.device)
-                solved = wp.empty(right.size, dtype=wp.float64, device=given.device)
-                if not self._iterative.solve(given, solved).converged:
-                    points = self._iterative.points.numpy()
-                    self._direct = _of_cotangents(self._iterative.surface, points, self._pinned)
-                    self._iterative = None
-                    break
-                solutions.append(solved.to(right.device))
-            else:
-                return solutions
-        assert self._direct is not None
-        return _solve_on_host(self._direct, rights)
+    on_host = points.numpy() if isinstance(points, wp.array) else points
+    return EdgeLaplacianSolver(surface, cotangent_edge_weights(surface, on_host), pinned)
 
 
 def solve_arrays(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp.array]:
-    """Solve for right-hand sides that are Warp arrays, float64, shape [V], with any solver.
-
-    They are copied to the host only where the solver is there; solutions are on the device.
-    """
-    if isinstance(solver, SurfaceLaplacianSolver):
-        return solver.solve_arrays(rights)
-    return _solve_on_host(solver, rights)
-
-
-def _solve_on_host(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp.array]:
+    """Solve for right-hand sides that are Warp arrays, float64, shape [V]; solutions are on their device."""
     if len(rights) == 1:
         solutions = [solver.solve(rights[0].numpy())]
     else:
         solutions = list(solver.solve(np.stack([right.numpy() for right in rights], axis=1)).T)
     # On the CPU these are the solver's own arrays, without a copy.
     return [wp.array(values, dtype=wp.float64, device=rights[0].device, copy=False) for values in solutions]
-
-
-def _of_cotangents(surface: Surface, points: NDArray[np.float64], pinned: int) -> EdgeLaplacianSolver:
-    """Factorise the cotangent Laplacian of a surface whose vertices are at ``points``, on the host."""
-    return EdgeLaplacianSolver(surface, cotangent_edge_weights(surface, points), pinned)
 
 
 class EdgeLaplacianSolver:

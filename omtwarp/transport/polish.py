@@ -27,7 +27,7 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Progress, Record
-from omtwarp.solvers.poisson import SurfaceLaplacianSolver
+from omtwarp.solvers.poisson import cotangent_solver, solve_arrays
 from omtwarp.transport.area import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, OPTIMAL_CURL, TransportMap
 from omtwarp.transport.polish_kernels import (
@@ -156,14 +156,14 @@ class _Curl:
     def __init__(self, surface: Surface, origin: wp.array, points: wp.array):
         where, count = points.device, surface.vertex_count
         self.where, self.count, self.origin, self.mesh = where, count, origin, surface.on(where)
-        self.solver = SurfaceLaplacianSolver(surface, points, device=where)
+        self.solver = cotangent_solver(surface, points)
         self.pull = wp.empty_like(points)
         self.curl, self.energy, self.area, self.missing = (
             wp.empty(count, dtype=wp.float64, device=where) for _ in range(4)
         )
         self.total, self.squares = (wp.empty(size, dtype=wp.float64, device=where) for size in (1, 2))
         self.measured = wp.empty((surface.face_count, 3), dtype=wp.float64, device=where)
-        self.face_sums, self.vertex_sums = RowSums(surface.face_count, 3, where), sums_for(where, count)
+        self.face_sums, self.vertex_sums = RowSums(surface.face_count, 3, where), sums_for(where)
 
     def cost_and_errors(self, points: wp.array) -> tuple[float, float, float]:
         """Return cost and area errors of a map: with triangles counting little each, and with up to ten each."""
@@ -194,7 +194,7 @@ class _Curl:
         self.vertex_sums.total(self.area, self.total)
         inputs = [self.mesh.vertex_areas, self.area, self.total, wp.float64(SPHERE_AREA)]
         wp.launch(missing_areas, dim=self.count, inputs=inputs, outputs=[self.missing], device=self.where)
-        solved = self.solver.solve_arrays([self.curl, self.missing])
+        solved = solve_arrays(self.solver, [self.curl, self.missing])
         self.vertex_sums.dot(self.curl, solved[0], self.squares[:1])
         self.vertex_sums.total(self.energy, self.squares[1:])
         removable, size = np.sqrt(np.maximum(self.squares.numpy(), 0.0)).tolist()

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 import omtwarp
-from omtwarp.device.start import wp
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.shapes import blob, limbs, rings
-from omtwarp.solvers.multigrid import DeviceLaplacian
 
 pytestmark = pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")  # of maps by less than the default stages
 SURFACE = blob(seed=11, amplitude=0.4, sphere=1500)
@@ -21,8 +19,6 @@ SPHERES = {
     "geodesic": {"cost": "geodesic"},
     "plain": {"scheme": "plain"},
     "paper": {"scheme": "paper"},
-    "multigrid": {"solver": "multigrid", "refine": "balanced"},
-    "plain by multigrid": {"scheme": "plain", "solver": "multigrid"},
     "moser": {"until": "moser"},
 }
 STAGES = ("conformal", "moser", "transported", "sphere")
@@ -89,13 +85,3 @@ def test_a_map_to_the_torus(fake):
     surface = rings(1, cell=0.2)
     one, other = (omtwarp.map_surface(surface, device=where) for where in ("cpu", "cuda:0"))
     np.testing.assert_allclose(other.coordinates, one.coordinates, rtol=0.0, atol=1e-10)
-
-
-def test_the_multigrid_loop_reads_its_condition_alone(fake):
-    """One number before every iteration where nothing is recorded, and its outcome once."""
-    laplacian = DeviceLaplacian(SURFACE, wp.array(SURFACE.scaled_vertices, dtype=wp.vec3d, device=fake))
-    right = wp.array(np.random.default_rng(0).normal(size=SURFACE.vertex_count), dtype=wp.float64, device=fake)
-    out = wp.empty_like(right)
-    fake.downloads.clear()
-    ended = laplacian.solve(right, out)
-    assert ended.converged and sum(fake.downloads.values()) == ended.iterations + 1

@@ -23,7 +23,6 @@ VARIANTS = (
     {"exact": True},
     {"scheme": "plain"},
     {"scheme": "paper"},
-    {"solver": "multigrid", "refine": "balanced"},
 )
 
 

@@ -113,7 +113,7 @@ edges = surface.edges
 solver = MultifrontalCholesky(surface_dissection(surface), threads=2)
 assert len(solver._jobs) > 1
 solver.factorise(np.full(len(surface.vertices), 100.0), np.full(len(edges), -1.0))
-assert compiled == ["MainThread"], compiled
+assert set(compiled) == {"MainThread"}, compiled
 """
     environment = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}
     subprocess.run([sys.executable, "-c", program], check=True, env=environment)

@@ -14,7 +14,7 @@ from omtwarp.mesh.shapes import blob, demo_shape, icosphere, random_sphere
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import measure_triangles
 from omtwarp.moser import moser_map
-from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver
+from omtwarp.solvers.poisson import LaplacianSolver, cotangent_solver
 
 
 def potential_of_latitude(heights: np.ndarray, amount: float) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_a_factorisation_handed_in_is_used():
     surface = blob(seed=3, amplitude=0.25, degree=4, sphere=2560)
     start = conformal_map(surface)
     own = moser_map(surface, start.sphere).sphere
-    solver = SurfaceLaplacianSolver(surface, start.sphere)
+    solver = cotangent_solver(surface, start.sphere)
     np.testing.assert_array_equal(moser_map(surface, start.sphere, solver=solver).sphere, own)
     general = LaplacianSolver(cotangent_laplacian(start.sphere, surface.faces))
     np.testing.assert_allclose(moser_map(surface, start.sphere, solver=general).sphere, own, atol=1e-9)
@@ -138,7 +138,7 @@ def test_all_particles_go_all_their_way_in_one_launch(device, monkeypatch):
         launched.append(kernel.key)
         return launch(kernel, *arguments, **named)
 
-    solver = SurfaceLaplacianSolver(surface, surface.vertices)
+    solver = cotangent_solver(surface, surface.vertices)
     monkeypatch.setattr(wp, "launch", note)
     flowed = moser_map(surface, pushed_north(surface.vertices, 0.3), solver=solver, device=device)
     assert flowed.steps > 10

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.mesh.shapes import blob, icosphere, needle, noisy
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.refine.energy import DistortionEnergy, needle_weight
+from omtwarp.refine.sums import DistortionSums
 from omtwarp.solvers.triangle_newton.frames import triangle_frames
 from omtwarp.start.hierarchical import hierarchical_embedding
 
@@ -228,3 +230,18 @@ def test_frames_flatten_triangles():
     gram = np.stack([(c1 * c1).sum(1), (c1 * c2).sum(1), (c2 * c2).sum(1)])
     assert np.allclose(gram, np.array([1.0, 0.0, 1.0])[:, None], atol=1e-10)
     assert np.allclose(1 / (2 * p * r), surface.face_areas, rtol=1e-9)
+
+
+def test_sums_of_distortion_agree_with_numpy(device):
+    surface = noisy(blob(4, amplitude=0.3, sphere=1500), 0.2)
+    sphere = hierarchical_embedding(surface, device="cpu").sphere
+    energy = DistortionEnergy(surface, wp.get_device("cpu"))
+    truth = energy.terms(energy.upload(sphere))
+    other = DistortionEnergy(surface, wp.get_device(device))
+    other._sums = DistortionSums(surface.face_count, wp.get_device(device))
+    got = other.terms(other.upload(sphere))
+    for name in ("angle", "area", "scale", "inverse_sum"):
+        assert getattr(got, name) == pytest.approx(getattr(truth, name), rel=1e-12)
+    assert got.needle == pytest.approx(truth.needle, rel=1e-12)
+    np.testing.assert_allclose(got.ratio, truth.ratio, rtol=1e-12)
+    np.testing.assert_allclose(got.d_volume.numpy(), truth.d_volume.numpy(), rtol=1e-11)

@@ -14,7 +14,7 @@ from omtwarp.mesh.shapes import blob, noisy
 from omtwarp.optimal.refinement import refine_map
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.relaxation import FREED_RINGS, MAX_CHOSEN_SHARE, relax, stiff_vertices
-from omtwarp.refine.steps import HostSteps
+from omtwarp.refine.steps import Steps
 from omtwarp.start.hierarchical import hierarchical_embedding
 
 
@@ -47,7 +47,7 @@ def relaxed(surface, sphere, chosen=None, device="cpu"):
     points = energy.upload(sphere)
     terms = energy.terms(points)
     if chosen is None:
-        steps = HostSteps(energy)
+        steps = Steps(energy)
         steps.assemble(points, terms, 20.0, 1.0)
         chosen = stiff_vertices(steps.decrements(energy.gradient(points, terms, 20.0)), terms.total(20.0))
     result = relax(energy, points, terms, 20.0, 1.0, chosen)

@@ -12,7 +12,7 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.solver import Refiner
-from omtwarp.refine.steps import HostSteps
+from omtwarp.refine.steps import Steps
 from omtwarp.refine.strain import strain_limit
 from omtwarp.refine.vertex_term import VertexDerivatives
 
@@ -103,7 +103,7 @@ def test_blocks_of_the_term_enter_the_matrix(bent):
     energy = DistortionEnergy(surface, resolve_device("cpu"), vertex_term=Pull(places, 1e7))
     points = energy.upload(sphere)
     terms = energy.terms(points)
-    steps = HostSteps(energy)
+    steps = Steps(energy)
     steps.assemble(points, terms, 1.0, 1.0)
     steps.factorise()
     direction = steps.direction(points, energy.gradient(points, terms, 1.0)).vectors.numpy()

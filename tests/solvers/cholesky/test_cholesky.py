@@ -21,7 +21,7 @@ from omtwarp.solvers.cholesky import (
     part_dissection,
     surface_dissection,
 )
-from omtwarp.solvers.poisson import LaplacianSolver, SurfaceLaplacianSolver
+from omtwarp.solvers.poisson import LaplacianSolver, cotangent_solver
 
 
 def block_matrix(surface: Surface, diagonal: np.ndarray, off: np.ndarray) -> sparse.csc_matrix:
@@ -248,24 +248,24 @@ def test_surface_laplacian_agrees_with_the_general_solver(seed, pinned):
     laplacian = cotangent_laplacian(surface.scaled_vertices, surface.faces)
     right = np.random.default_rng(seed).normal(size=(surface.vertex_count, 2))
     kept = right.copy()
-    got = SurfaceLaplacianSolver(surface, surface.scaled_vertices, pinned).solve(right)
+    got = cotangent_solver(surface, surface.scaled_vertices, pinned).solve(right)
     truth = LaplacianSolver(laplacian, pinned).solve(right)
     np.testing.assert_allclose(got, truth, rtol=1e-9, atol=1e-9 * np.abs(truth).max())
     np.testing.assert_array_equal(right, kept)
-    one = SurfaceLaplacianSolver(surface, surface.scaled_vertices, pinned).solve(right[:, 0])
+    one = cotangent_solver(surface, surface.scaled_vertices, pinned).solve(right[:, 0])
     np.testing.assert_allclose(one, truth[:, 0], rtol=1e-9, atol=1e-9 * np.abs(truth).max())
 
 
 def test_where_rounding_leaves_no_positive_pivot_the_general_solver_goes_on(monkeypatch):
     surface = blob(seed=0, sphere=640)
     right = np.random.default_rng(0).normal(size=surface.vertex_count)
-    usual = SurfaceLaplacianSolver(surface, surface.scaled_vertices).solve(right)
+    usual = cotangent_solver(surface, surface.scaled_vertices).solve(right)
 
     def refuse(self, diagonal, off_diagonal):
         raise NotPositiveDefinite
 
     monkeypatch.setattr(MultifrontalCholesky, "factorise", refuse)
-    got = SurfaceLaplacianSolver(surface, surface.scaled_vertices).solve(right)
+    got = cotangent_solver(surface, surface.scaled_vertices).solve(right)
     np.testing.assert_allclose(got, usual, rtol=1e-9, atol=1e-11)
 
 
