@@ -19,7 +19,6 @@ from omtwarp.maps.display import Shown as _Shown
 _PUBLIC = {
     "Defect": "omtwarp.mesh.validate",
     "MapResult": "omtwarp.maps.result",
-    "SurfaceMap": "omtwarp.maps.surface_map",
     "OmtwarpError": "omtwarp.errors",
     "OmtwarpWarning": "omtwarp.errors",
     "Surface": "omtwarp.mesh.surface",
@@ -77,7 +76,6 @@ if TYPE_CHECKING:
     from omtwarp.mapping.any_surface import map_surface as map_surface
     from omtwarp.mapping.pipeline import map_to_sphere as map_to_sphere
     from omtwarp.maps.result import MapResult as MapResult
-    from omtwarp.maps.surface_map import SurfaceMap as SurfaceMap
     from omtwarp.maps.torus_map import TorusMap as TorusMap
     from omtwarp.measures import TargetDensity as TargetDensity
     from omtwarp.measures import weighted_surface as weighted_surface

@@ -31,8 +31,8 @@ MAP = MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT))
 
 
 def surface_map(**arrays):
-    """A map to the sphere as a :class:`SurfaceMap`, with some arrays more."""
-    return omtwarp.SurfaceMap(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), **arrays)
+    """A map to the sphere as a :class:`MapResult`, with some arrays more."""
+    return omtwarp.MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), **arrays)
 
 
 def torus_map(**arrays):
@@ -112,20 +112,20 @@ TAKES_POINTS |= {
     "resample": lambda points: omtwarp.resample((points, FACES), MAP),
     "resample, target": lambda points: omtwarp.resample(MAP, (points, FACES)),
     "MapResult, source": lambda points: MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), source=points),
-    "SurfaceMap, filled": lambda points: surface_map(filled_vertices=VERTICES, filled_sphere=points),
+    "MapResult, filled": lambda points: surface_map(filled_vertices=VERTICES, filled_sphere=points),
     "TorusMap": lambda points: torus_map(vertices=points),
 }
 TAKES_A_SPHERE = {
     name for name in TAKES_POINTS if name.endswith((", sphere", ", start", ", source", ", moser", ", initial"))
 }
-TAKES_A_SPHERE |= {"moser_map", "untangle", "refine_map", "mobius_centring", "SurfaceMap, filled"}
+TAKES_A_SPHERE |= {"moser_map", "untangle", "refine_map", "mobius_centring", "MapResult, filled"}
 TAKES_FACES = {
     "distortion": lambda faces: omtwarp.distortion((VERTICES, faces), SPHERE),
     "certify": lambda faces: omtwarp.certify((VERTICES, faces), SPHERE),
     "Surface": lambda faces: omtwarp.Surface(VERTICES, faces),
     "map_to_sphere": lambda faces: omtwarp.map_to_sphere((VERTICES, faces)),
     "MapResult": lambda faces: MapResult(VERTICES, faces, SPHERE, SPHERE, np.ones(COUNT)),
-    "SurfaceMap, filled": lambda faces: surface_map(filled_faces=[[0, 1, 2.5]] if faces is None else faces),
+    "MapResult, filled": lambda faces: surface_map(filled_faces=[[0, 1, 2.5]] if faces is None else faces),
     "TorusMap": lambda faces: torus_map(faces=faces),
     "optimality": lambda faces: omtwarp.optimality((VERTICES, faces), SPHERE, start=SPHERE),
     "texture": lambda faces: omtwarp.texture((VERTICES, faces, SPHERE)),
@@ -163,7 +163,7 @@ TAKES_NUMBERS = {
         MAP, MAP, features={"a": numbers}, to_features={"a": VERTICES[:, 0]}, by="features"
     ),
     "resample, areas": lambda numbers: omtwarp.resample(MAP, MAP, method="adaptive", source_areas=numbers),
-    "SurfaceMap, disk": lambda numbers: surface_map(domain="disk", disk=in_two_columns(numbers)),
+    "MapResult, disk": lambda numbers: surface_map(domain="disk", disk=in_two_columns(numbers)),
     "TorusMap, coordinates": lambda numbers: torus_map(coordinates=in_two_columns(numbers)),
 }
 
@@ -191,7 +191,7 @@ TAKES_A_NAME = {
     "device": lambda value: omtwarp.map_to_sphere(SURFACE, device=value),
     "solver": lambda value: omtwarp.map_to_sphere(SURFACE, solver=value),
     "domain": lambda value: omtwarp.map_surface(SURFACE, domain=value),
-    "SurfaceMap's domain": lambda value: surface_map(domain=value),
+    "MapResult's domain": lambda value: surface_map(domain=value),
     "align, by": lambda value: omtwarp.align(MAP, MAP, by=value),
     "resample, method": lambda value: omtwarp.resample(MAP, MAP, method=value),
     "texture, atlas": lambda value: omtwarp.texture(MAP, atlas=value),

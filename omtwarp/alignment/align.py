@@ -19,7 +19,6 @@ from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coef
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.harmonics import check_degree
 from omtwarp.maps.result import MapResult
-from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.mesh.arrays import TINY
 from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
@@ -80,31 +79,15 @@ class Alignment:
         After a mirror image has been aligned, the surface is mirrored in x and its faces are reversed too. Save it as
         any map: ``align(left, right).turned(left).save("left.npz")``.
         """
-
-        def moved(points: Floats | None) -> Floats | None:
-            return None if points is None else points @ self.rotation.T
-
-        mirrored = self.mirrored
-        if isinstance(result, SurfaceMap):
-            filled, faces = result.filled_vertices, result.filled_faces
-            result = replace(
-                result,
-                filled_vertices=filled @ MIRROR if mirrored and filled is not None else filled,
-                filled_faces=np.ascontiguousarray(faces[:, ::-1]) if mirrored and faces is not None else faces,
-                filled_sphere=moved(result.filled_sphere),
-                filled_conformal=moved(result.filled_conformal),
-            )
-        return replace(
-            result,
-            vertices=result.vertices @ MIRROR if mirrored else result.vertices,
-            faces=np.ascontiguousarray(result.faces[:, ::-1]) if mirrored else result.faces,
-            sphere=result.sphere @ self.rotation.T,
-            conformal=result.conformal @ self.rotation.T,
-            source=moved(result.source),
-            moser=moved(result.moser),
-            transported=moved(result.transported),
-            report=result.report | {"alignment": self.to_dict()},
-        )
+        changed: dict[str, object] = {"report": result.report | {"alignment": self.to_dict()}}
+        if self.mirrored:
+            for name in ("vertices", "filled_vertices"):
+                points = getattr(result, name)
+                changed[name] = None if points is None else points @ MIRROR
+            for name in ("faces", "filled_faces"):
+                faces = getattr(result, name)
+                changed[name] = None if faces is None else faces[:, ::-1]
+        return result.turned(self.rotation.T).with_arrays(changed)
 
 
 def mirror_image(points: SpherePoints) -> SpherePoints:

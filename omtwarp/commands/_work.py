@@ -248,17 +248,10 @@ def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
     Raises:
         OmtwarpError: the file is missing or is no map, or is a map to a torus where the command takes none.
     """
-    from omtwarp.files.inputs import holds_array
-    from omtwarp.maps.result import OF_TORUS_MAPS
-    from omtwarp.maps.surface_map import read_map
+    from omtwarp.maps.result import MapResult
+    from omtwarp.maps.torus_map import read_map
 
-    if path.is_file() and holds_array(path, *OF_TORUS_MAPS):
-        from omtwarp.maps.torus_map import TorusMap
-
-        if not torus:
-            raise OmtwarpError(f"'{path}' is a map to a torus: this command takes maps to the sphere, as --cut makes")
-        return TorusMap.load(path)
-    return read_map(path)
+    return read_map(path) if torus else MapResult.load(path)
 
 
 def require_whole(result: MapResult, name: object) -> MapResult:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import fsum
 from time import perf_counter
-from typing import TypedDict, TypeVar, Unpack, cast
+from typing import Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,6 @@ from omtwarp.mapping.input_order import in_input_order, torus_in_input_order
 from omtwarp.mapping.joined import joined
 from omtwarp.mapping.pipeline import map_double, map_to_sphere
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport
-from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.measures.weights import face_weights
 from omtwarp.mesh.arrays import edge_keys
@@ -78,8 +77,6 @@ GNOMONIC_SHARE = 0.45
 # times.
 ROUNDS_APART, LESS_COVERED = 6, 0.85
 
-AnyMap = TypeVar("AnyMap", bound=MapResult)
-
 Floats = NDArray[np.float64]
 
 
@@ -132,8 +129,8 @@ def map_surface(
             ``device``, ...
 
     Returns:
-        The map: a :class:`omtwarp.MapResult` for a closed, connected surface of genus 0, a :class:`omtwarp.TorusMap`
-        for one that goes to a torus, and a :class:`omtwarp.SurfaceMap` for all others.
+        The map: a :class:`omtwarp.TorusMap` for a surface that goes to a torus, and for all others a
+        :class:`omtwarp.MapResult`, whose ``domain`` says where it goes.
 
     Raises:
         OmtwarpError: the mesh has other defects, or is not of the kind that the domain takes.
@@ -210,7 +207,7 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
             )
 
 
-def _finished(maps: list[SurfaceMap], given: list[Part], exact: bool) -> list[SurfaceMap]:
+def _finished(maps: list[MapResult], given: list[Part], exact: bool) -> list[MapResult]:
     """Put the maps of parts into the order of the input, and their certificates into their reports.
 
     Raises:
@@ -248,8 +245,8 @@ def _mass(part: Part, weights: Floats | None) -> float:
 
 
 def _packed(
-    parts: list[Part], maps: list[SurfaceMap], shares: Floats | None, exact: bool
-) -> tuple[list[SurfaceMap], tuple[Floats, Floats]]:
+    parts: list[Part], maps: list[MapResult], shares: Floats | None, exact: bool
+) -> tuple[list[MapResult], tuple[Floats, Floats]]:
     """Carry the maps of parts to disjoint caps, in an arrangement that does not depend on the order of the parts.
 
     Args:
@@ -267,7 +264,7 @@ def _packed(
     return [placed[k] for k in back], (centres[back], covered[back])
 
 
-def _side_by_side(maps: list[SurfaceMap], masses: list[float], exact: bool) -> tuple[list[SurfaceMap], Floats, Floats]:
+def _side_by_side(maps: list[MapResult], masses: list[float], exact: bool) -> tuple[list[MapResult], Floats, Floats]:
     """Carry maps to hemispheres to disjoint caps, with areas in proportion to the parts' masses.
 
     Args:
@@ -298,12 +295,12 @@ def _side_by_side(maps: list[SurfaceMap], masses: list[float], exact: bool) -> t
     raise OmtwarpError("triangles at the rims of parts reach into other parts: use finer meshes, or map each by itself")
 
 
-def _on_caps(maps: list[SurfaceMap], shares: Floats, wanted: Floats) -> tuple[list[SurfaceMap], Floats]:
+def _on_caps(maps: list[MapResult], shares: Floats, wanted: Floats) -> tuple[list[MapResult], Floats]:
     """Carry maps to the hemisphere to caps with these shares of the sphere, which are returned."""
     return [_on_cap(each, share) for each, share in zip(maps, shares, strict=True)], shares
 
 
-def _on_caps_exactly(maps: list[SurfaceMap], shares: Floats, wanted: Floats) -> tuple[list[SurfaceMap], Floats]:
+def _on_caps_exactly(maps: list[MapResult], shares: Floats, wanted: Floats) -> tuple[list[MapResult], Floats]:
     """Do the same for quartered meshes; the maps have exact areas, as the shares returned are a little smaller."""
     rims = []
     for each in maps:
@@ -316,7 +313,7 @@ def _on_caps_exactly(maps: list[SurfaceMap], shares: Floats, wanted: Floats) -> 
     ], shares
 
 
-def _wanted_areas(each: SurfaceMap) -> Floats:
+def _wanted_areas(each: MapResult) -> Floats:
     """Return the areas that the original triangles of a quartered map are to have up to a factor, fillings included."""
     points, faces = _whole(each)
     image = triangle_areas(points, faces)
@@ -326,8 +323,8 @@ def _wanted_areas(each: SurfaceMap) -> Floats:
 
 
 def _exact_on_cap(
-    each: SurfaceMap, share: float, wanted: Floats, half: Surface | None = None
-) -> tuple[SurfaceMap, float]:
+    each: MapResult, share: float, wanted: Floats, half: Surface | None = None
+) -> tuple[MapResult, float]:
     """Carry a quartered map of the hemisphere to a cap with exact areas of the original triangles.
 
     Args:
@@ -366,26 +363,26 @@ def _exact_in_disk(mesh: Quartered, laid: Floats, untangled: Floats) -> tuple[Fl
     return exact_in_plane(untangled, mesh, anew)
 
 
-def _quartered_mesh(each: SurfaceMap, wanted: Floats) -> Quartered:
+def _quartered_mesh(each: MapResult, wanted: Floats) -> Quartered:
     """Return the mesh of a quartered map, fillings included, with the areas that original triangles are to have."""
     whole, faces = _whole(each)
     surface = each.vertices if each.filled_vertices is None else each.filled_vertices
     return Quartered(faces, _rim(faces, len(whole)), surface, wanted)
 
 
-def _with_points(each: SurfaceMap, points: Floats) -> SurfaceMap:
+def _with_points(each: MapResult, points: Floats) -> MapResult:
     """Return a map with other points on the sphere, those of what fills its holes at the end."""
     filled = None if each.filled_sphere is None else points
     return replace(each, sphere=points[: len(each.vertices)], filled_sphere=filled)
 
 
-def _whole(each: SurfaceMap) -> tuple[Floats, NDArray]:
+def _whole(each: MapResult) -> tuple[Floats, NDArray]:
     """Return the points on the sphere and faces of a map, with what fills its holes."""
     points = each.sphere if each.filled_sphere is None else each.filled_sphere
     return points, each.faces if each.filled_faces is None else each.filled_faces
 
 
-def _placed(each: SurfaceMap, centre: Floats, share: float) -> SurfaceMap:
+def _placed(each: MapResult, centre: Floats, share: float) -> MapResult:
     """Turn a map to the cap around the north pole to another centre, along a great circle."""
     # Householder's reflection that exchanges pole and centre, after the one that turns x over: a rotation.
     across = np.array([0.0, 0.0, 1.0]) - centre
@@ -393,20 +390,10 @@ def _placed(each: SurfaceMap, centre: Floats, share: float) -> SurfaceMap:
     turn = np.eye(3) - (2.0 / length) * np.outer(across, across) if length > 0.0 else np.eye(3)
     frame = turn @ np.diag([-1.0, 1.0, 1.0]) if length > 0.0 else turn
     about: SurfaceReport = each.report["surface"] | {"share_of_sphere": share, "centre": centre.tolist()}
-    turned = _turned(each, frame.T)
-    filled, before = (
-        None if points is None else points @ frame.T for points in (each.filled_sphere, each.filled_conformal)
-    )
-    return replace(
-        turned,
-        domain=Domain.CAP,
-        filled_sphere=filled,
-        filled_conformal=before,
-        report=each.report | {"surface": about},
-    )
+    return replace(each.turned(frame.T), domain=Domain.CAP, report=each.report | {"surface": about})
 
 
-def _reach(each: SurfaceMap, centre: Floats) -> float:
+def _reach(each: MapResult, centre: Floats) -> float:
     """Return the largest angle from a cap's centre to a point of its triangles, whose sides at the rim are curved."""
     points, faces = _whole(each)
     rim = points[boundary_half_edges(faces, len(points))]
@@ -454,8 +441,8 @@ class _Opened:
 
     Attributes:
         vertices, faces: of the map to be.
-        vertex_origin, face_origin: where they come from in the part, see :class:`SurfaceMap`.
-        split_edges: see :class:`SurfaceMap`.
+        vertex_origin, face_origin: where they come from in the part, see :class:`MapResult`.
+        split_edges: see :class:`MapResult`.
         loops: those that are filled.
         small: index of the first loop with a small filling; those of all later ones are small too.
         pairs: the two sides of each cut.
@@ -484,7 +471,7 @@ def _map_part(
     options: MapKeywords,
     shares: Floats | None,
     names: InputNames | None,
-) -> SurfaceMap:
+) -> MapResult:
     weights = None if shares is None else shares[part.face_origin]
     if domain == "auto":
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
@@ -500,13 +487,8 @@ def _map_part(
         result = _on_hemisphere(part, opened, surface, domain, progress, options)
     if weights is None:
         return result
-    parts, own = PARTS if options.get("exact") else 1, surface.face_areas[: len(opened.faces)]
-    measure = np.repeat(own / parts, parts)
-    if len(measure) != len(result.faces):  # long edges were split
-        assert shares is not None and result.face_origin is not None
-        measure = shares[result.face_origin] * triangle_areas(result.vertices, result.faces)
-        measure *= own.sum() / measure.sum()
-    return replace(result, measure=measure)
+    parts = PARTS if options.get("exact") else 1
+    return replace(result, measure=np.repeat(surface.face_areas[: len(opened.faces)] / parts, parts))
 
 
 def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:
@@ -544,34 +526,7 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
         loops=loops,
         filled=FilledSurface(points, faces, np.repeat(opened.filled.patch, PARTS)),
     )
-    return cut, replace(closed, **_at_vertices(closed, order))
-
-
-class _AtVertices(TypedDict):
-    """The arrays of a map that have a row for every vertex, but for the positions."""
-
-    sphere: Floats
-    conformal: Floats
-    density: Floats
-    source: Floats | None
-    moser: Floats | None
-    transported: Floats | None
-
-
-def _at_vertices(closed: MapResult, which: NDArray[np.int64]) -> _AtVertices:
-    """Take the rows of some vertices from the arrays of a map."""
-
-    def rows(points: Floats | None) -> Floats | None:
-        return None if points is None else points[which]
-
-    return {
-        "sphere": closed.sphere[which],
-        "conformal": closed.conformal[which],
-        "density": closed.density[which],
-        "source": rows(closed.source),
-        "moser": rows(closed.moser),
-        "transported": rows(closed.transported),
-    }
+    return cut, closed.with_arrays(closed.rows({"V": order}) | {"faces": faces})
 
 
 def _own_half(closed: MapResult, glued: Double) -> MapResult:
@@ -580,16 +535,8 @@ def _own_half(closed: MapResult, glued: Double) -> MapResult:
     number = np.full(len(glued.mirror), -1, dtype=np.int64)
     number[half] = np.arange(count)
     own = slice(0, len(closed.faces) // 2)
-    return replace(
-        closed,
-        vertices=closed.vertices[half],
-        faces=number[closed.faces[own]].astype(np.int32),
-        face_density=None if closed.face_density is None else closed.face_density[own],
-        measure=None if closed.measure is None else closed.measure[own],
-        vertex_origin=None,
-        face_origin=None,
-        **_at_vertices(closed, half),
-    )
+    arrays = closed.rows({"V": half, "F": own}) | {"faces": number[closed.faces[own]].astype(np.int32)}
+    return closed.with_arrays(arrays | {"vertex_origin": None, "face_origin": None})
 
 
 def _or(lines: list[str]) -> str:
@@ -657,15 +604,10 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     return surface.with_areas(areas)
 
 
-def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, domain: str) -> SurfaceMap:
+def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, domain: str) -> MapResult:
     """Restrict the map of a closed surface to its first vertices and faces, which are those of the surface itself."""
     count, face_count = len(opened.vertices), len(opened.faces)
 
-    def own(points: Floats | None) -> Floats | None:
-        return None if points is None else points[:count]
-
-    ends = np.cumsum([len(loop) for loop in opened.loops], dtype=np.int64)
-    filled = bool(opened.loops)
     stages = list(closed.report["stages"])
     measured = measure_triangles(opened.vertices, opened.faces, sphere[:count]).to_dict()
     stages[-1] = {**stages[-1], **measured}  # the others are of the surface that was mapped
@@ -681,52 +623,35 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
     if opened.cut_along:
         about["cut_along"] = opened.cut_along
     origin = opened.vertex_origin
-    return SurfaceMap(
-        vertices=opened.vertices,
-        faces=opened.faces,
-        sphere=sphere[:count],
-        conformal=closed.conformal[:count],
-        density=closed.density[:count],
-        face_density=None if closed.face_density is None else closed.face_density[:face_count],
-        source=own(closed.source),
-        moser=own(closed.moser),
-        transported=own(closed.transported),
-        history=closed.history,
-        report=closed.report | {"mesh": mesh, "stages": stages, "surface": about},
-        domain=domain,
-        vertex_origin=np.where(origin >= 0, part.vertex_origin[origin], -1),
-        face_origin=part.face_origin[opened.face_origin],
-        split_edges=opened.split_edges,
-        loops=np.concatenate(opened.loops) if filled else None,
-        loop_ends=ends if filled else None,
-        loop_pairs=opened.pairs if len(opened.pairs) else None,
-        filled_vertices=opened.filled.vertices if filled else None,
-        filled_faces=opened.filled.faces.astype(np.int64) if filled else None,
-        filled_sphere=sphere[: len(opened.filled.vertices)] if filled else None,
-        filled_conformal=closed.conformal[: len(opened.filled.vertices)] if filled else None,
-        filled_loop=opened.filled.patch if filled else None,
-    )
-
-
-def _turned(closed: AnyMap, frame: Floats) -> AnyMap:
-    """Turn a map with all its stages by a rotation, ``points @ frame``."""
-
-    def turned(points: Floats | None) -> Floats | None:
-        return None if points is None else points @ frame
-
-    return replace(
-        closed,
-        sphere=closed.sphere @ frame,
-        conformal=closed.conformal @ frame,
-        source=turned(closed.source),
-        moser=turned(closed.moser),
-        transported=turned(closed.transported),
-    )
+    whole = slice(len(opened.filled.vertices))
+    arrays = closed.rows({"V": slice(count), "F": slice(face_count)}) | {
+        "vertices": opened.vertices,
+        "faces": opened.faces,
+        "sphere": sphere[:count],
+        "measure": None,
+        "report": closed.report | {"mesh": mesh, "stages": stages, "surface": about},
+        "domain": domain,
+        "vertex_origin": np.where(origin >= 0, part.vertex_origin[origin], -1),
+        "face_origin": part.face_origin[opened.face_origin],
+        "split_edges": opened.split_edges,
+    }
+    if opened.loops:
+        arrays |= {
+            "loops": np.concatenate(opened.loops),
+            "loop_ends": np.cumsum([len(loop) for loop in opened.loops], dtype=np.int64),
+            "loop_pairs": opened.pairs if len(opened.pairs) else None,
+            "filled_vertices": opened.filled.vertices,
+            "filled_faces": opened.filled.faces,
+            "filled_sphere": sphere[whole],
+            "filled_conformal": closed.conformal[whole],
+            "filled_loop": opened.filled.patch,
+        }
+    return closed.with_arrays(arrays)
 
 
 def _on_hemisphere(
     part: Part, opened: _Opened, half: Surface, domain: str, progress: Progress | None, options: MapKeywords
-) -> SurfaceMap:
+) -> MapResult:
     glued = double(opened.filled.vertices, opened.filled.faces)
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
@@ -754,7 +679,7 @@ def _on_hemisphere(
         found = symmetric_map(glued, surface, image @ frame, device=chosen.device)
         before = closed.transported
         if found is not None:
-            image, closed = found, _turned(closed, frame)
+            image, closed = found, closed.turned(frame)
         elif domain == Domain.DISK and refined and before is not None and is_symmetric(glued, before):
             image = before  # as the disk is refined in the plane
         else:
@@ -775,11 +700,11 @@ def _on_hemisphere(
 def _projected(
     part: Part,
     half: Surface,
-    result: SurfaceMap,
+    result: MapResult,
     domain: str,
     refinement: float | AreaMatch | None,
     wanted: Floats | None = None,
-) -> SurfaceMap:
+) -> MapResult:
     """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips.
 
     Args:
@@ -825,7 +750,7 @@ def _projected(
     return replace(result, report=result.report | {"surface": about, "stages": [*result.report["stages"], projected]})
 
 
-def _on_cap(result: SurfaceMap, share: float, half: Surface | None = None) -> SurfaceMap:
+def _on_cap(result: MapResult, share: float, half: Surface | None = None) -> MapResult:
     """Carry a map of the hemisphere to the cap with a share of the sphere around the north pole.
 
     Args:

@@ -8,46 +8,18 @@ that depends on places alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TypedDict, cast
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.geometry.space_order import CORNERS
-from omtwarp.maps.result import LAYOUT
-from omtwarp.maps.surface_map import OWN_LAYOUT, SurfaceMap
+from omtwarp.maps.result import MapResult
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.topology.kind import Part
 
-Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
-
-
-class _Arrays(TypedDict, total=False):
-    """The arrays of a map that change with its order."""
-
-    vertices: Floats
-    faces: NDArray[np.int32]
-    sphere: Floats
-    conformal: Floats
-    density: Floats
-    face_density: Floats
-    source: Floats
-    moser: Floats
-    transported: Floats
-    measure: Floats
-    disk: Floats
-    vertex_origin: Places
-    face_origin: Places
-    split_edges: Places
-    loops: Places
-    filled_vertices: Floats
-    filled_faces: Places
-    filled_sphere: Floats
-    filled_conformal: Floats
 
 
 @dataclass(frozen=True)
@@ -73,19 +45,8 @@ class _Order:
         """Put rows for the corners of faces in order, shape [F, 3] or [F, 3, ...]."""
         return values[self.faces[:, None], self.corners]
 
-    def rows(
-        self, values: Mapping[str, NDArray], layout: Mapping[str, tuple[object, tuple[str | int, ...]]]
-    ) -> dict[str, NDArray]:
-        """Put the rows of arrays for vertices and faces in order, by name; leave out all others."""
-        letters = {"V": self.vertices, "F": self.faces}
-        return {
-            name: values[name][letters[str(shape[0])]]
-            for name, (_, shape) in layout.items()
-            if values.get(name) is not None and shape[0] in letters
-        }
 
-
-def in_input_order(result: SurfaceMap, given: Part, *, exact: bool) -> SurfaceMap:
+def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
     """Put the map of a part that was numbered in space into the order of the input.
 
     Args:
@@ -96,7 +57,7 @@ def in_input_order(result: SurfaceMap, given: Part, *, exact: bool) -> SurfaceMa
     assert result.vertex_origin is not None and result.face_origin is not None
     order = _order(result.faces, result.vertex_origin, result.face_origin, given, exact)
     place, count, own = order.place, len(result.vertices), len(result.faces)
-    arrays = order.rows(vars(result), LAYOUT | OWN_LAYOUT)
+    arrays = result.rows({"V": order.vertices, "F": order.faces})
     arrays["faces"] = place[order.of_corners(result.faces)].astype(np.int32)
     if result.split_edges is not None:
         arrays["split_edges"] = np.sort(place[result.split_edges], axis=1)
@@ -109,7 +70,7 @@ def in_input_order(result: SurfaceMap, given: Part, *, exact: bool) -> SurfaceMa
     if result.filled_faces is not None and result.filled_vertices is not None:
         whole = np.concatenate([place, np.arange(count, len(result.filled_vertices))])
         arrays["filled_faces"] = np.concatenate([arrays["faces"], whole[result.filled_faces[own:]]])
-    return replace(result, **cast(_Arrays, arrays))
+    return result.with_arrays(arrays)
 
 
 def torus_in_input_order(result: TorusMap, ordered: Part, given: Part) -> TorusMap:
@@ -126,17 +87,12 @@ def torus_in_input_order(result: TorusMap, ordered: Part, given: Part) -> TorusM
     of_vertices = np.where(of_vertices >= 0, ordered.vertex_origin[of_vertices], -1)
     of_faces = ordered.face_origin[of_faces]
     order = _order(result.faces, of_vertices, of_faces, given, exact)
-    found = replace(
-        result,
-        vertices=result.vertices[order.vertices],
-        faces=order.place[order.of_corners(result.faces)].astype(np.int32),
-        coordinates=result.coordinates[order.vertices],
-        wraps=order.of_corners(result.wraps),
-        conformal=result.conformal[order.vertices],
-    )
-    if not exact:
-        return found
-    return replace(found, vertex_origin=of_vertices[order.vertices], face_origin=of_faces[order.faces])
+    arrays = result.rows({"V": order.vertices, "F": order.faces})
+    arrays["faces"] = order.place[order.of_corners(result.faces)].astype(np.int32)
+    arrays["wraps"] = order.of_corners(result.wraps)
+    if exact:
+        arrays |= {"vertex_origin": of_vertices[order.vertices], "face_origin": of_faces[order.faces]}
+    return result.with_arrays(arrays)
 
 
 def _order(faces: NDArray, of_vertices: Places, of_faces: Places, given: Part, exact: bool) -> _Order:

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.maps.result import MapReport
-from omtwarp.maps.surface_map import SEVERAL, SurfaceMap
-
-Floats = NDArray[np.float64]
+from omtwarp.maps.result import LAYOUT, SEVERAL, MapReport, MapResult
 
 
 def joined(
-    maps: list[SurfaceMap], vertex_count: int, caps: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-) -> SurfaceMap:
+    maps: list[MapResult], vertex_count: int, caps: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+) -> MapResult:
     """Join the maps of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
 
     The input's vertices and faces keep their order. Vertices that split edges, and copies made by cuts, follow.
-    One function, as every array of the whole follows from the same numbering.
 
     Args:
         maps: of the parts, with vertices and faces of origins in the input.
@@ -28,58 +23,45 @@ def joined(
         caps: where parts lie side by side on one sphere, centres and shares of their caps.
     """
     numbers, count = _numbers(maps, vertex_count)
-    split = [number[_known(part.split_edges)] for number, part in zip(numbers, maps, strict=True)]
-    faces = np.concatenate([number[part.faces] for number, part in zip(numbers, maps, strict=True)])
+    place = np.concatenate(numbers)
     face_origin = np.concatenate([_known(part.face_origin) for part in maps])
     order = np.argsort(face_origin, kind="stable")
-    labels = np.repeat(np.arange(len(maps)), [len(part.faces) for part in maps])
-    place = np.concatenate(numbers)
 
-    def at_vertices(values: list[Floats]) -> Floats:
+    def at_vertices(values: list[NDArray]) -> NDArray:
         stacked = np.concatenate(values)
         out = np.zeros((count, *stacked.shape[1:]), dtype=stacked.dtype)
         out[place] = stacked
         return out
 
-    def where_all_have(values: list[Floats | None]) -> Floats | None:
-        known = [value for value in values if value is not None]
-        return at_vertices(known) if len(known) == len(maps) else None
-
+    arrays: dict[str, object] = dict.fromkeys(LAYOUT)
+    for name, (_, (letter, *_)) in LAYOUT.items():
+        values = [getattr(part, name) for part in maps]
+        if letter in ("V", "F") and all(value is not None for value in values):
+            arrays[name] = at_vertices(values) if letter == "V" else np.concatenate(values)[order]
     vertex_origin = np.full(count, -1, dtype=np.int64)
     vertex_origin[place] = np.concatenate([_known(part.vertex_origin) for part in maps])
-    densities = [part.face_density for part in maps]
-    measures = [part.measure for part in maps if part.measure is not None]
     domains = sorted({part.domain for part in maps})
     report = _report(maps)
-    result = SurfaceMap(
-        vertices=at_vertices([part.vertices for part in maps]),
-        sphere=at_vertices([part.sphere for part in maps]),
-        conformal=at_vertices([part.conformal for part in maps]),
-        density=at_vertices([part.density for part in maps]),
-        source=where_all_have([part.source for part in maps]),
-        moser=where_all_have([part.moser for part in maps]),
-        transported=where_all_have([part.transported for part in maps]),
-        disk=where_all_have([part.disk for part in maps]),
-        faces=faces[order].astype(np.int32),
-        face_density=None if any(d is None for d in densities) else np.concatenate(densities)[order],  # type: ignore[arg-type]
-        measure=np.concatenate(measures)[order] if len(measures) == len(maps) else None,
-        report=report,
-        domain=domains[0] if len(domains) == 1 else SEVERAL,
-        vertex_origin=vertex_origin,
-        face_origin=face_origin[order],
-        split_edges=np.concatenate(split),
-        part=labels[order],
-        cap_centres=None if caps is None else caps[0],
-        cap_shares=None if caps is None else caps[1],
+    arrays |= {
+        "faces": np.concatenate([number[part.faces] for number, part in zip(numbers, maps, strict=True)])[order],
+        "vertex_origin": vertex_origin,
+        "split_edges": np.concatenate([n[_known(part.split_edges)] for n, part in zip(numbers, maps, strict=True)]),
+        "part": np.repeat(np.arange(len(maps)), [len(part.faces) for part in maps])[order],
+        "cap_centres": None if caps is None else caps[0],
+        "cap_shares": None if caps is None else caps[1],
         **_filling(maps, numbers, count, at_vertices),
-    )
+        "domain": domains[0] if len(domains) == 1 else SEVERAL,
+        "history": [],
+        "report": report,
+    }
+    result = maps[0].with_arrays(arrays)
     report["stages"][0].update(result.distortion().to_dict())
     report["stages"][0]["transport_cost"] = 0.0
     report["certificate"] = result.certificate.to_dict()
     return result
 
 
-def _numbers(maps: list[SurfaceMap], count: int) -> tuple[list[NDArray], int]:
+def _numbers(maps: list[MapResult], count: int) -> tuple[list[NDArray], int]:
     """Return the numbers that the vertices of each part have in the whole, and the number of all vertices.
 
     The input's vertices come first, then new ones.
@@ -102,22 +84,9 @@ def _known(values: NDArray | None) -> NDArray:
     return values
 
 
-class _Filling(TypedDict, total=False):
-    """The arrays of a :class:`SurfaceMap` about filled loops."""
-
-    loops: NDArray[np.int64]
-    loop_ends: NDArray[np.int64]
-    loop_pairs: NDArray[np.int64] | None
-    filled_vertices: Floats
-    filled_sphere: Floats
-    filled_conformal: Floats
-    filled_faces: NDArray[np.int64]
-    filled_loop: NDArray[np.int64]
-
-
 def _filling(
-    maps: list[SurfaceMap], numbers: list[NDArray], count: int, at_vertices: Callable[[list[Floats]], Floats]
-) -> _Filling:
+    maps: list[MapResult], numbers: list[NDArray], count: int, at_vertices: Callable[[list[NDArray]], NDArray]
+) -> dict[str, NDArray | None]:
     """Join the arrays about filled loops; there are none where no loop was filled."""
     if all(part.loops is None for part in maps):
         return {}
@@ -157,7 +126,7 @@ def _filling(
     }
 
 
-def _report(maps: list[SurfaceMap]) -> MapReport:
+def _report(maps: list[MapResult]) -> MapReport:
     """Join the reports of the parts to one with a certificate for all."""
     first = maps[0].report
     seconds = sum(part.report["seconds"] for part in maps)

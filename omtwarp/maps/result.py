@@ -1,14 +1,14 @@
-"""A finished map, the record of its stages, and its file."""
+"""Finished maps: their arrays and stages, the records of these, and their files."""
 
 from __future__ import annotations
 
+import copy
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
-from typing import NotRequired, TypedDict, cast
+from typing import ClassVar, Self, TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +18,18 @@ from omtwarp.files.inputs import open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
 from omtwarp.maps.display import Shown
-from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
+from omtwarp.mesh.arrays import Layout, fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
-from omtwarp.metrics.distortion import Distortion, measure_triangles
-from omtwarp.options import ChosenOptions, Record
+from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
+from omtwarp.options import ChosenOptions, Domain, Record
+from omtwarp.topology.boundary import boundary_half_edges
+from omtwarp.topology.kind import connected_components
 
 Array = NDArray[np.float64]
 
-# What an .npz of a map holds. The first five are always there; the others where their stage was run.
-REQUIRED = ("vertices", "faces", "sphere", "conformal", "density")
-# Type and shape of every array, with V vertices and F faces.
-LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+# Type and shape of every array of a map, with V vertices and F faces, W and H of the surface with its holes filled.
+LAYOUT: Layout = {
     "vertices": (np.float64, ("V", 3)),
     "faces": (np.int32, ("F", 3)),
     "sphere": (np.float64, ("V", 3)),
@@ -43,12 +44,26 @@ LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "vertex_origin": (np.int64, ("V",)),
     "face_origin": (np.int64, ("F",)),
     "vertex_of_file": (np.int64, ("N",)),
+    "disk": (np.float64, ("V", 2)),
+    "split_edges": (np.int64, ("K", 2)),
+    "part": (np.int64, ("F",)),
+    "cap_centres": (np.float64, ("P", 3)),
+    "cap_shares": (np.float64, ("P",)),
+    "loops": (np.int64, ("M",)),
+    "loop_ends": (np.int64, ("L",)),
+    "loop_pairs": (np.int64, ("G", 2)),
+    "filled_vertices": (np.float64, ("W", 3)),
+    "filled_faces": (np.int64, ("H", 3)),
+    "filled_sphere": (np.float64, ("W", 3)),
+    "filled_conformal": (np.float64, ("W", 3)),
+    "filled_loop": (np.int64, ("H",)),
 }
+SEVERAL = "several"  # the domain of parts that went to different ones
 STAGES = ("sphere", "conformal", "moser", "transported")
-OF_A_TORUS = "wraps"  # an array that only maps to a torus have
+ON_SPHERE = (*STAGES, "source", "filled_sphere", "filled_conformal")  # arrays of unit vectors
 # Arrays that tell a map's file from a mesh's, even where one was lost, and a map to a torus from one to the sphere.
-OF_MAPS = ("sphere", OF_A_TORUS, "conformal", "coordinates", "lattice")
-OF_TORUS_MAPS = (OF_A_TORUS, "coordinates", "lattice")
+OF_TORUS_MAPS = ("wraps", "coordinates", "lattice")
+OF_MAPS = ("sphere", "conformal", *OF_TORUS_MAPS)
 
 
 class StageReport(TypedDict, total=False):
@@ -131,25 +146,6 @@ class MapReport(ChosenOptions, total=False):
     parts: list[MapReport]
 
 
-class _Arrays(TypedDict):
-    """The arrays of a map, in the types of ``LAYOUT``."""
-
-    vertices: Array
-    faces: NDArray[np.int32]
-    sphere: Array
-    conformal: Array
-    density: Array
-    face_density: NotRequired[Array]
-    source: NotRequired[Array]
-    moser: NotRequired[Array]
-    transported: NotRequired[Array]
-    measure: NotRequired[Array]
-    target: NotRequired[Array]
-    vertex_origin: NotRequired[NDArray[np.int64]]
-    face_origin: NotRequired[NDArray[np.int64]]
-    vertex_of_file: NotRequired[NDArray[np.int64]]
-
-
 @dataclass(frozen=True)
 class StageRecord:
     """The record of a stage: its time, its history and the quality of its map.
@@ -185,11 +181,135 @@ class StageRecord:
         return cast(StageReport, whole)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class MapResult(Shown):
-    """A surface and its map to the unit sphere, in the order of the input.
+class StoredMap(Shown):
+    """What maps to the sphere and to a torus have in common: checked arrays of their own, and a file.
 
-    The arrays belong to the result: they are copies, and cannot be written to.
+    Attributes:
+        layout: type and shape of every array, with letters for lengths that have to agree.
+        required: names of the arrays that are always there.
+        kind: what a file of it is called in messages.
+    """
+
+    layout: ClassVar[Layout]
+    required: ClassVar[tuple[str, ...]]
+    kind: ClassVar[str]
+    history: list[Record]
+
+    def __post_init__(self) -> None:
+        arrays = vars(self)
+        self._require(arrays)
+        vertices = real_numbers(arrays["vertices"], "'vertices'", (None, 3))
+        faces = whole_numbers(arrays["faces"], "'faces'", (None, 3), below=len(vertices))
+        fitting = fitting_arrays(arrays, self.layout, {"V": len(vertices), "F": len(faces)})
+        for name, value in fitting.items():
+            object.__setattr__(self, name, owned(value, self.layout[name][0]))
+
+    @classmethod
+    def _require(cls, arrays: Mapping[str, object]) -> None:
+        """Make sure that no array is missing.
+
+        Raises:
+            OmtwarpError: one is; the first is named.
+        """
+        missing = [name for name in cls.required if arrays.get(name) is None]
+        if missing:
+            raise OmtwarpError(f"it has no '{missing[0]}'")
+
+    def with_arrays(self, arrays: Mapping[str, object]) -> Self:
+        """Return the map with other arrays, or another domain or report, in place of those of these names."""
+        other = copy.copy(self)
+        vars(other).pop("certificate", None)
+        for name, value in arrays.items():
+            object.__setattr__(other, name, value)
+        other.__post_init__()
+        return other
+
+    def rows(self, chosen: Mapping[str, NDArray | slice]) -> dict[str, NDArray]:
+        """Return rows of the arrays that have one for every vertex, or face, by the arrays' names.
+
+        Args:
+            chosen: which, in their order, under the letters that stand first in the shapes of ``layout``: ``V`` for
+                vertices, ``F`` for faces.
+        """
+        known = vars(self)
+        return {
+            name: known[name][chosen[str(letter)]]
+            for name, (_, (letter, *_)) in self.layout.items()
+            if letter in chosen and known[name] is not None
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map as ``.npz``: arrays of the attributes' names, and the report as JSON text under ``report``.
+
+        Raises:
+            OmtwarpError: the file cannot be written; nothing is left of it.
+        """
+        write_arrays(path, self.stored_arrays())
+
+    def stored_arrays(self) -> dict[str, NDArray]:
+        """Return the arrays of the file that :meth:`save` writes, the report among them, by their names there."""
+        known = vars(self)
+        arrays = {name: known[name] for name in self.layout if known[name] is not None}
+        return arrays | {"report": np.array(json.dumps(known["report"] | {"history": self.history}))}
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a map written by :meth:`save`.
+
+        Raises:
+            OmtwarpError: the file is missing, or is no map of this kind.
+        """
+        return cls.from_arrays(read_map_arrays(path, cls), path)
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray], path: str | os.PathLike[str]) -> Self:
+        """Make a map from the arrays of a file, of which ``path`` is the name for messages.
+
+        A report that is malformed is empty.
+
+        Raises:
+            OmtwarpError: the arrays are not those of a map of this kind.
+        """
+        try:
+            report = json.loads(str(arrays.get("report", "{}")))
+        except (ValueError, RecursionError):
+            report = {}
+        report = report if isinstance(report, dict) else {}
+        history = report.pop("history", [])
+        history = [entry for entry in history if isinstance(entry, dict)] if isinstance(history, list) else []
+        found = {name: arrays[name] for name in cls.layout if name in arrays}
+        make: Callable[..., Self] = cls
+        try:
+            cls._require(found)
+            words = {"domain": str(arrays["domain"])} if "domain" in arrays else {}
+            return make(**found, **words, history=history, report=report)
+        except OmtwarpError as error:
+            raise OmtwarpError(f"'{path}' is not {cls.kind}: {error}") from None
+
+
+def read_map_arrays(path: str | os.PathLike[str], *kinds: type[StoredMap]) -> dict[str, NDArray]:
+    """Read the arrays that a map of any of these kinds may have, and those by which another kind is told.
+
+    Raises:
+        OmtwarpError: the file is missing, or is no ``.npz``.
+    """
+    names = dict.fromkeys((*(name for kind in kinds for name in kind.layout), *OF_TORUS_MAPS, "domain", "report"))
+    with open_input(as_path(path), LARGEST_MESH_FILE, "map") as stream:
+        try:
+            return read_arrays(stream, names)
+        except OmtwarpError as error:
+            words = f"'{path}' is not a map: {error}; make one with 'omtwarp map MESH -o MAP.npz'"
+            raise OmtwarpError(words) from None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MapResult(StoredMap):
+    """A surface and its map to the unit sphere, or to a part of it, in the order of the input.
+
+    The arrays belong to the result: they are copies, and cannot be written to. Where the surface has holes, handles or
+    several parts, they are of the surface as it is mapped: the input's faces, in their order, but where an edge had to
+    be split or a handle to be cut; ``report["certificate"]`` is of the closed surface that was mapped, filled, cut or
+    doubled.
 
     Attributes:
         vertices: the surface as given, float64, shape [V, 3].
@@ -204,13 +324,28 @@ class MapResult(Shown):
         transported: the optimal map before refinement, shape [V, 3], where it was made.
         measure: the area that every triangle was to have, total 4π, where weights were given, shape [F].
         target: the density asked for at the images of the vertices, mean 1, where one was given, shape [V].
-        vertex_origin: after a repair, quartering or the splitting of long edges, the index of every vertex in the mesh
-            before it, -1 for new ones; int64 [V].
-        face_origin: the same of the faces, int64 [F].
+        vertex_origin: after a repair, a cut, quartering or the splitting of edges, the vertex of the input that every
+            vertex is or is a copy of, -1 for new ones; int64, shape [V].
+        face_origin: the face of the input that each face is or is a part of, int64, shape [F].
         vertex_of_file: the vertex that each vertex of the file was, where the file held copies along the seams of a
             texture and the command line joined them; int64, shape [N].
         history: one record per iteration of the transport flow: ``iteration``, ``cost``, ``curl``, ...
         report: how the map was made, ready for JSON.
+        domain: ``sphere``, ``hemisphere``, ``disk``, ``cap``, or ``several`` where parts differ; for a disk, ``sphere``
+            is the hemisphere it came from.
+        disk: the map to the unit disk, float64, shape [V, 2], where that is the domain.
+        split_edges: the two vertices that each vertex of origin -1 lies halfway between, in their order, shape [K, 2].
+        part: the part of the surface, each on a sphere of its own, that each face belongs to, shape [F].
+        cap_centres: where parts lie side by side on one sphere, the centre of each part's cap, shape [P, 3].
+        cap_shares: the share of the sphere that each of these caps has, shape [P].
+        loops: vertices of the boundary loops that were filled, one loop after the other, shape [N].
+        loop_ends: where each loop ends in ``loops``, shape [L].
+        loop_pairs: the two sides of each cut, as numbers of loops, shape [G, 2].
+        filled_vertices: vertices of the surface as filled, those of the map first, shape [W, 3].
+        filled_faces: faces of the surface as filled, those of the map first, shape [H, 3].
+        filled_sphere: the map of ``filled_vertices``, shape [W, 3].
+        filled_conformal: the map of ``filled_vertices`` that transport started from, shape [W, 3].
+        filled_loop: the loop that each face of ``filled_faces`` fills, -1 for the surface's own, shape [H].
 
     Example:
         >>> import numpy as np, omtwarp
@@ -237,76 +372,167 @@ class MapResult(Shown):
     history: list[Record] = field(default_factory=list)
     report: MapReport = field(default_factory=lambda: cast(MapReport, {}))
 
+    domain: str = "sphere"
+    disk: Array | None = None
+    split_edges: NDArray[np.int64] | None = None
+    part: NDArray[np.int64] | None = None
+    cap_centres: Array | None = None
+    cap_shares: Array | None = None
+    loops: NDArray[np.int64] | None = None
+    loop_ends: NDArray[np.int64] | None = None
+    loop_pairs: NDArray[np.int64] | None = None
+    filled_vertices: Array | None = None
+    filled_faces: NDArray[np.int64] | None = None
+    filled_sphere: Array | None = None
+    filled_conformal: Array | None = None
+    filled_loop: NDArray[np.int64] | None = None
+
+    layout = LAYOUT
+    required = ("vertices", "faces", "sphere", "conformal", "density")
+    kind = "a map"
+
     def __post_init__(self) -> None:
-        for name, value in _fitting(vars(self)).items():
-            object.__setattr__(self, name, owned(value, LAYOUT[name][0]))
+        super().__post_init__()
+        for name in ON_SPHERE:
+            if getattr(self, name) is not None:
+                require_unit_length(getattr(self, name), f"'{name}'")
+        if self.filled_faces is not None:
+            points = self.vertices if self.filled_vertices is None else self.filled_vertices
+            whole_numbers(self.filled_faces, "'filled_faces'", (None, 3), below=len(points))
+        for name in ("part", "loops", "loop_ends", "loop_pairs", "split_edges"):
+            numbers = getattr(self, name)
+            if numbers is not None and numbers.size and numbers.min() < 0:
+                raise OmtwarpError(f"'{name}': {int(numbers.min())} is out of range, at least 0")
+        if not isinstance(self.domain, str) or self.domain not in (*Domain, SEVERAL):
+            raise OmtwarpError(f"there is no domain {str(self.domain)[:20]!r}")
 
     def __repr__(self) -> str:
-        known = [f"{len(self.vertices)} vertices", f"{len(self.faces)} faces"]
+        known = [] if self.domain == Domain.SPHERE else [str(self.domain)]
+        known += [f"{len(self.vertices)} vertices", f"{len(self.faces)} faces"]
         if "method" in self.report:
             known.append(str(self.report["method"]))
         if "certificate" in vars(self) and self.bijective:  # nothing is measured for a line of text
             known.append("bijective")
         return f"MapResult({', '.join(known)})"
 
+    def turned(self, frame: Array) -> MapResult:
+        """Return the map and those of its stages turned by a rotation or reflection, ``points @ frame``."""
+        known = {name: getattr(self, name) for name in ON_SPHERE}
+        return self.with_arrays({name: points @ frame for name, points in known.items() if points is not None})
+
+    @property
+    def maps(self) -> dict[str, Array]:
+        """The maps of the stages that were run, by name; ``sphere`` is the final one, or ``disk`` on the disk."""
+        known = {name: getattr(self, name) for name in (*STAGES, "disk")}
+        return {name: points for name, points in known.items() if points is not None}
+
     def distortion(self, stage: str = "sphere") -> Distortion:
-        """Measure the distortion of the final map, or of a stage: ``conformal``, ``moser`` or ``transported``.
+        """Measure the distortion of the map, or of a stage: ``conformal``, ``moser``, ``transported`` or ``disk``.
+
+        The stage ``disk`` is the map to the unit disk, where ``sphere`` is the one to the hemisphere. Areas are
+        compared within each part, every part scaled to the area of its image, and all parts count alike; where parts
+        lie side by side on one sphere, areas of all are compared, but for the stages before they were put there.
 
         Raises:
             OmtwarpError: the stage was not run.
         """
-        points = getattr(self, stage, None) if isinstance(stage, str) and stage in STAGES else None
+        points = self.maps.get(stage) if isinstance(stage, str) else None
         if points is None:
             raise OmtwarpError(f"this map has no stage '{stage}'")
-        return measure_triangles(self.vertices, self.faces, points)
+        if stage == "disk":
+            return measure_in_plane(self.vertices, self.faces, points)
+        if self.part is None or (self.cap_centres is not None and stage == "sphere"):
+            return measure_triangles(self.vertices, self.faces, points)
+        on_surface, on_sphere = triangle_areas(self.vertices, self.faces), triangle_areas(points, self.faces)
+        ratio = np.bincount(self.part, on_sphere) / np.bincount(self.part, on_surface)
+        scale = np.ones(len(self.vertices))
+        scale[self.faces] = np.sqrt(ratio[self.part])[:, None]
+        return measure_triangles(self.vertices * scale[:, None], self.faces, points)
 
     def closed(self) -> MapResult:
-        """Return the map of the closed surface, which covers the sphere: this map, or the one with holes filled.
+        """Return the map of the surface with its holes filled, or with both sides of its cuts, which covers the sphere.
+
+        Its first vertices and faces are those of this map. Its density is that of the filling's own area, also where
+        the filling is small on the sphere.
 
         Raises:
-            OmtwarpError: a :class:`~omtwarp.SurfaceMap` covers a part of the sphere only, or several spheres.
+            OmtwarpError: the map is to a hemisphere, a disk or a cap, or of several parts; or its arrays do not fit.
+
+        Example:
+            >>> import omtwarp
+            >>> ball = omtwarp.shapes.icosphere(8)
+            >>> result = omtwarp.map_surface((ball.vertices, ball.faces[1:]), domain="sphere", device="cpu")
+            >>> result, result.closed()
+            (MapResult(642 vertices, 1279 faces, omt, bijective), MapResult(643 vertices, 1282 faces, omt))
         """
-        return self
+        if self.part is not None:
+            raise OmtwarpError("several parts do not cover one sphere: map each part by itself")
+        if self.domain != Domain.SPHERE:
+            raise OmtwarpError(
+                f"a map to a {self.domain} does not cover the sphere: map the mesh with --fill-area natural "
+                "(domain='sphere' in Python)"
+            )
+        if self.filled_faces is None or self.filled_vertices is None or self.filled_sphere is None:
+            return self
+        if self.filled_conformal is None:
+            raise OmtwarpError("the map does not have the conformal map of what fills its holes: map the mesh again")
+        if not np.array_equal(self.filled_faces[: len(self.faces)], self.faces):
+            raise OmtwarpError("'filled_faces' has to begin with the map's faces: map the mesh again")
+        whole = Surface(self.filled_vertices, self.filled_faces.astype(np.int32))
+        image = triangle_areas(self.filled_conformal, whole.faces)
+        return MapResult(
+            vertices=self.filled_vertices,
+            faces=whole.faces,
+            sphere=self.filled_sphere,
+            conformal=self.filled_conformal,
+            density=3.0 * whole.vertex_areas / whole.sum_to_vertices(image * (SPHERE_AREA / image.sum())),
+            report=self.report,
+        )
 
     @cached_property
     def certificate(self) -> Certificate:
-        """The certificate of the final map, computed from its arrays at the first use."""
-        return certify_triangles(self.faces, self.sphere)
+        """The certificate of the map of the filled surface, computed from its arrays at the first use.
+
+        A boundary that is left, the rim of a hemisphere or of a cap, is closed by a fan to the point opposite to it;
+        the disk is seen from the centre of the sphere, at height 1. Parts are certified one by one.
+        """
+        filled = self.filled_faces is not None and self.filled_sphere is not None
+        if self.domain == Domain.SPHERE and not filled and self.part is None:
+            return certify_triangles(self.faces, self.sphere)
+        faces = np.asarray(self.filled_faces if filled else self.faces, dtype=np.int32)
+        points = np.asarray(self.filled_sphere if filled else self.sphere)
+        if self.disk is not None and not filled:
+            points = np.concatenate([self.disk, np.ones((len(self.disk), 1))], axis=1)
+            points /= np.linalg.norm(points, axis=1)[:, None]
+        _, labels = connected_components(faces, len(points))
+        found = [_certified(faces[labels == label], points) for label in np.unique(labels)]
+        if len(found) == 1:
+            return found[0]
+        numbers = {name: sum(getattr(one, name) for one in found) for name in ("flips", "wound")}
+        once = all(one.degree == 1 and one.ray_degree == 1 for one in found)
+        return replace(found[0], **numbers, degree=int(once), ray_degree=int(once))
 
     @property
     def bijective(self) -> bool:
         """Whether the final map is one to one and onto: see :attr:`certificate`."""
         return self.certificate.bijective
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the map as ``.npz``: arrays of the attributes' names, and the report as JSON text under ``report``.
-
-        Raises:
-            OmtwarpError: the file cannot be written; nothing is left of it.
-        """
-        write_arrays(path, self._stored_arrays())
-
-    def _stored_arrays(self) -> dict[str, NDArray]:
-        """Return the arrays of the file that :meth:`save` writes, the report among them, by their names there."""
-        arrays = {name: getattr(self, name) for name in LAYOUT if getattr(self, name) is not None}
-        return arrays | {"report": np.array(json.dumps(self.report | {"history": self.history}))}
+    def stored_arrays(self) -> dict[str, NDArray]:
+        """Return the arrays of the file that :meth:`save` writes, the domain and the report among them."""
+        whole = self.domain == Domain.SPHERE and self.split_edges is None
+        return super().stored_arrays() | ({} if whole else {"domain": np.array(self.domain)})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> MapResult:
-        """Read a map written by :meth:`save`.
+    def from_arrays(cls, arrays: Mapping[str, NDArray], path: str | os.PathLike[str]) -> Self:
+        """Make a map from the arrays of a file, of which ``path`` is the name for messages.
 
         Raises:
-            OmtwarpError: the file is missing, or is no map.
+            OmtwarpError: the arrays are not those of a map to the sphere or to a part of it.
         """
-        source = as_path(path)
-        arrays = _read_arrays(source)
-        report, history = _read_report(arrays)
-        try:
-            result = cls(**_fitting(arrays), history=history, report=report)
-        except OmtwarpError as error:
-            raise OmtwarpError(f"'{source}' is not a map: {error}") from None
-        # The certificate is computed anew: a file's statements are not trusted.
-        report["certificate"] = result.certificate.to_dict()
+        if any(name in arrays for name in OF_TORUS_MAPS):
+            raise OmtwarpError(f"'{path}' is a map to a torus, where one to the sphere is needed, as --cut makes")
+        result = super().from_arrays(arrays, path)
+        result.report["certificate"] = result.certificate.to_dict()  # anew: a file's statements are not trusted
         return result
 
 
@@ -318,54 +544,17 @@ def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arra
         numbers: the new numbers of vertices and faces, under ``V`` and ``F``, of those lengths.
         arrays: arrays of the new map, by name, that hold numbers of vertices or faces: at least ``faces``.
     """
-    found: dict[str, object] = {}
-    for name, (_, (letter, *_)) in LAYOUT.items():
-        values = getattr(result, name)
-        if values is not None and letter in numbers and name not in arrays:
-            placed = np.empty_like(values)
-            placed[numbers[str(letter)]] = values
-            found[name] = placed
-    return MapResult(**_fitting(found | dict(arrays)), history=result.history, report=result.report)
+    return result.with_arrays(result.rows({k: np.argsort(new) for k, new in numbers.items()}) | dict(arrays))
 
 
-def _read_arrays(source: Path) -> dict[str, NDArray[np.generic]]:
-    """Read the arrays of a map's file, and check them."""
-    with open_input(source, LARGEST_MESH_FILE, "map") as stream:
-        try:
-            arrays = read_arrays(stream, (*LAYOUT, "report", OF_A_TORUS))
-        except OmtwarpError as error:
-            words = f"'{source}' is not a map: {error}; make one with 'omtwarp map MESH -o MAP.npz'"
-            raise OmtwarpError(words) from None
-    if arrays.pop(OF_A_TORUS, None) is not None:
-        raise OmtwarpError(f"'{source}' is a map to a torus, where one to the sphere is needed, as --cut makes")
-    return arrays
-
-
-def _fitting(arrays: Mapping[str, object]) -> _Arrays:
-    """Convert the arrays of a map to their types; missing ones are left out.
-
-    Raises:
-        OmtwarpError: an array is missing, not of numbers, out of range, or does not fit the others; the first is named.
-    """
-    missing = [name for name in REQUIRED if arrays.get(name) is None]
-    if missing:
-        raise OmtwarpError(f"it has no '{missing[0]}'")
-    vertices = real_numbers(arrays["vertices"], "'vertices'", (None, 3))
-    faces = whole_numbers(arrays["faces"], "'faces'", (None, 3), below=len(vertices))
-    fitting = fitting_arrays(arrays, LAYOUT, {"V": len(vertices), "F": len(faces)})
-    for name in (*STAGES, "source"):
-        if name in fitting:
-            require_unit_length(fitting[name], f"'{name}'")
-    return cast(_Arrays, fitting)
-
-
-def _read_report(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[MapReport, list[Record]]:
-    """Read the report and the history of a map's file; each is empty where it is missing or malformed."""
-    try:
-        report = json.loads(str(arrays["report"])) if "report" in arrays else {}
-    except (ValueError, RecursionError):
-        report = {}
-    report = report if isinstance(report, dict) else {}
-    history = report.pop("history", [])
-    entries = history if isinstance(history, list) else []
-    return cast(MapReport, report), [entry for entry in entries if isinstance(entry, dict)]
+def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:
+    """Return the certificate of one part, its vertices numbered anew and its boundary closed."""
+    used, own = np.unique(faces, return_inverse=True)
+    own, places = own.reshape(-1, 3).astype(np.int32), points[used]
+    rim = boundary_half_edges(own, len(used))
+    if len(rim):
+        fan = np.stack([rim[:, 1], rim[:, 0], np.full(len(rim), len(used))], axis=1).astype(np.int32)
+        across = np.cross(places[rim[:, 0]], places[rim[:, 1]]).sum(axis=0)
+        opposite = -across / max(float(np.linalg.norm(across)), np.finfo(float).tiny)
+        own, places = np.concatenate([own, fan]), np.concatenate([places, [opposite]])
+    return certify_triangles(np.asarray(own, dtype=np.int32), places)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import open_input, read_arrays, write_arrays
-from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.maps.display import Shown
-from omtwarp.maps.result import OF_A_TORUS, MeshReport, StageReport
+from omtwarp.maps.result import OF_TORUS_MAPS, MapResult, MeshReport, StageReport, StoredMap, read_map_arrays
 from omtwarp.maps.torus_pictures import ring_torus, textured_torus, torus_pattern
-from omtwarp.mesh.arrays import fitting_arrays, owned, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Layout
 from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas, unit_normals, vertex_normals
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.options import Record
@@ -72,8 +68,21 @@ class TorusCertificate:
         return f"{self.flips} flipped triangles{where}, degree {self.degree}"
 
 
+# Type and shape of every array, with V vertices and F faces.
+LAYOUT: Layout = {
+    "vertices": (np.float64, ("V", 3)),
+    "faces": (np.int32, ("F", 3)),
+    "coordinates": (np.float64, ("V", 2)),
+    "wraps": (np.int64, ("F", 3, 2)),
+    "lattice": (np.float64, (2, 2)),
+    "conformal": (np.float64, ("V", 2)),
+    "vertex_origin": (np.int64, ("V",)),
+    "face_origin": (np.int64, ("F",)),
+}
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class TorusMap(Shown):
+class TorusMap(StoredMap):
     """A surface and its map to the flat torus R² / Λ.
 
     The corner ``k`` of triangle ``f`` lies at ``corners[f, k] @ lattice`` in the plane.
@@ -114,13 +123,9 @@ class TorusMap(Shown):
     report: TorusReport = field(default_factory=lambda: cast(TorusReport, {}))
 
     domain = "torus"
-
-    def __post_init__(self) -> None:
-        vertices = real_numbers(self.vertices, "'vertices'", (None, 3))
-        faces = whole_numbers(self.faces, "'faces'", (None, 3), below=len(vertices))
-        fitting = fitting_arrays(vars(self), _LAYOUT, {"V": len(vertices), "F": len(faces)})
-        for name, value in fitting.items():
-            object.__setattr__(self, name, owned(value, _LAYOUT[name][0]))
+    layout = LAYOUT
+    required = ("vertices", "faces", "coordinates", "wraps", "lattice", "conformal")
+    kind = "a map to a torus"
 
     def __repr__(self) -> str:
         return f"TorusMap({len(self.vertices)} vertices, {len(self.faces)} faces)"
@@ -129,6 +134,11 @@ class TorusMap(Shown):
     def corners(self) -> Floats:
         """Corners of the triangles in multiples of the lattice's vectors, shape [F, 3, 2]; the sums are exact."""
         return self.coordinates[self.faces] + self.wraps
+
+    @property
+    def maps(self) -> dict[str, Floats]:
+        """The maps of the stages as ``coordinates``, by name; ``torus`` is the final one."""
+        return {"conformal": self.conformal, "torus": self.coordinates}
 
     @cached_property
     def certificate(self) -> TorusCertificate:
@@ -151,9 +161,9 @@ class TorusMap(Shown):
         Raises:
             OmtwarpError: the stage is unknown.
         """
-        if stage not in ("torus", "conformal"):
+        places = self.maps.get(stage) if isinstance(stage, str) else None
+        if places is None:
             raise OmtwarpError(f"this map has no stage '{stage}'")
-        places = self.coordinates if stage == "torus" else self.conformal
         corner = (places[self.faces] + self.wraps) @ self.lattice
         space = self.vertices[self.faces]
         areas = plane_areas(corner)
@@ -210,48 +220,13 @@ class TorusMap(Shown):
         """
         return ring_torus(self.coordinates, self.lattice)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the map as ``.npz``: arrays of the attributes' names, and the report as JSON text under ``report``.
 
-        Raises:
-            OmtwarpError: the file cannot be written; nothing is left of it.
-        """
-        arrays = {name: getattr(self, name) for name in _LAYOUT if getattr(self, name) is not None}
-        write_arrays(path, arrays | {"report": np.array(json.dumps(self.report | {"history": self.history}))})
+def read_map(path: str | os.PathLike[str]) -> MapResult | TorusMap:
+    """Read a map of any kind; the file is opened once.
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> TorusMap:
-        """Read a map written by :meth:`save`.
-
-        Raises:
-            OmtwarpError: the file is missing, or is no map to a torus.
-        """
-        with open_input(as_path(path), LARGEST_MESH_FILE, "map") as stream:
-            arrays = read_arrays(stream, (*_LAYOUT, "report"))
-        missing = [name for name in _LAYOUT if name not in arrays and name not in ("vertex_origin", "face_origin")]
-        if missing:
-            raise OmtwarpError(f"'{path}' is not a map to a torus: it has no '{missing[0]}'")
-        try:
-            report = json.loads(str(arrays.pop("report", "{}")))
-        except (ValueError, RecursionError):
-            report = {}
-        report = report if isinstance(report, dict) else {}
-        history = report.pop("history", [])
-        history = [entry for entry in history if isinstance(entry, dict)] if isinstance(history, list) else []
-        try:
-            return cls(**arrays, history=history, report=cast(TorusReport, report))
-        except OmtwarpError as error:
-            raise OmtwarpError(f"'{path}' is not a map to a torus: {error}") from None
-
-
-# Type and shape of every array, with V vertices and F faces.
-_LAYOUT: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
-    "vertices": (np.float64, ("V", 3)),
-    "faces": (np.int32, ("F", 3)),
-    "coordinates": (np.float64, ("V", 2)),
-    OF_A_TORUS: (np.int64, ("F", 3, 2)),
-    "lattice": (np.float64, (2, 2)),
-    "conformal": (np.float64, ("V", 2)),
-    "vertex_origin": (np.int64, ("V",)),
-    "face_origin": (np.int64, ("F",)),
-}
+    Raises:
+        OmtwarpError: the file is missing, or is no map.
+    """
+    arrays = read_map_arrays(path, MapResult, TorusMap)
+    kind = TorusMap if any(name in arrays for name in OF_TORUS_MAPS) else MapResult
+    return kind.from_arrays(arrays, path)

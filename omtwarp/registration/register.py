@@ -15,7 +15,6 @@ from omtwarp.alignment.features import checked_features, sphere_weights
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult
-from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -89,10 +88,8 @@ class Registration:
         report = turned.report.copy()
         report.pop("optimality", None)
         report["registration"], report["certificate"] = self.to_dict(), self.certificate.to_dict()
-        turned = replace(turned, sphere=self.sphere, report=report)
-        if isinstance(turned, SurfaceMap) and turned.filled_sphere is not None:
-            return replace(turned, filled_sphere=self.closed_sphere)
-        return turned
+        filled = None if turned.filled_sphere is None else self.closed_sphere
+        return replace(turned, sphere=self.sphere, filled_sphere=filled, report=report)
 
     def to_dict(self) -> dict[str, object]:
         """Return what is no array as plain values, ready for JSON, with percentiles of the strains."""

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import holds_array
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
 from omtwarp.srgb import to_srgb
 from omtwarp.texturing.image import PictureLike
@@ -92,12 +91,10 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
     elif isinstance(subject, (str, os.PathLike)):
         path = Path(subject)
         if path.suffix.lower() == ".npz":
-            from omtwarp.maps.result import OF_TORUS_MAPS, MapResult
-            from omtwarp.maps.torus_map import TorusMap
+            from omtwarp.maps.torus_map import read_map
 
-            if holds_array(path, *OF_TORUS_MAPS):
-                return torus_view(TorusMap.load(path), image)
-            return map_view(MapResult.load(path), image)
+            found = read_map(path)
+            return torus_view(found, image) if is_torus_map(found) else map_view(cast(FinishedMap, found), image)
         view = _file_view(path)
     elif is_torus_map(subject):
         return torus_view(subject, image)

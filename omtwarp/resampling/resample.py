@@ -16,7 +16,6 @@ from omtwarp.files.inputs import holds_array, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
 from omtwarp.maps.result import OF_MAPS, MapResult
-from omtwarp.maps.surface_map import read_map
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
@@ -94,7 +93,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
     if isinstance(given, str | os.PathLike):
         path = Path(given)
         if path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS):
-            return as_points(read_map(path), str(path))
+            return as_points(MapResult.load(path), str(path))
         mesh = read_mesh(path)
         beside = _sphere_beside(path)
         if beside is not None:

@@ -51,7 +51,7 @@ def test_options_map_and_the_other_commands_take_the_result(capsys, open_mesh, o
     target = open_mesh.with_name("m.npz")
     status, out, err = run(capsys, "map", open_mesh, "-o", target, "--quiet", *option)
     assert (status, out, err) == (0, "", "")
-    result = omtwarp.SurfaceMap.load(target)
+    result = omtwarp.MapResult.load(target)
     assert result.report["certificate"]["bijective"] and result.domain == (option[0][2:], "sphere")[len(option) - 1]
     for command, name in (("texture", "m.glb"), ("preview", "m.png"), ("report", "m.html")):
         size = ["--size", "256"] if command != "report" else []
@@ -64,13 +64,13 @@ def test_summary_tells_the_sizes_of_the_input(capsys, open_mesh):
     target, mesh = open_mesh.with_name("m.npz"), read_mesh(open_mesh)
     given, count = len(mesh.vertices), len(mesh.faces)
     status, out, err = run(capsys, "map", open_mesh, "-o", target, "--fill-area", "natural", "--exact")
-    new = len(omtwarp.SurfaceMap.load(target).vertices) - given
+    new = len(omtwarp.MapResult.load(target).vertices) - given
     assert status == 0 and f"{given} vertices and {new} new ones, {count} faces in {4 * count} parts; flips 0" in out, (
         err
     )
     status, out, err = run(capsys, "map", open_mesh, "-o", target, "--hemisphere", "--json")
     facts = json.loads(out)
-    result = omtwarp.SurfaceMap.load(target)
+    result = omtwarp.MapResult.load(target)
     assert (
         facts["new_vertices"] == len(result.split_edges) == facts["vertices"] - given and facts["copied_vertices"] == 0
     )
@@ -97,7 +97,7 @@ def test_parts(capsys, tmp_path):
     assert status == 1 and "--components" in err
     status, _, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--components", "--quiet")
     assert status == 0, err
-    assert np.bincount(omtwarp.SurfaceMap.load(tmp_path / "m.npz").part).tolist() == [320, 320]
+    assert np.bincount(omtwarp.MapResult.load(tmp_path / "m.npz").part).tolist() == [320, 320]
     status, _, err = run(capsys, "texture", tmp_path / "m.npz", "-o", tmp_path / "m.glb", "--pattern", "dots")
     assert status == 2 and "'dots' is not one of 'circles'" in err and "Value error" not in err
     status, out, err = run(capsys, "unwrap", "--map", tmp_path / "m.npz", "-o", tmp_path / "m.glb")
@@ -108,7 +108,7 @@ def test_parts(capsys, tmp_path):
     status, _, err = run(capsys, *words, "--size", "64")
     assert status == 1 and err == "omtwarp: error: a picture of 64 x 64 texels has no room for 2 parts\n", err
     status, out, err = run(capsys, "map", tmp_path / "two.ply", "-o", tmp_path / "m.npz", "--together")
-    slit = len(omtwarp.SurfaceMap.load(tmp_path / "m.npz").vertices) - 324
+    slit = len(omtwarp.MapResult.load(tmp_path / "m.npz").vertices) - 324
     assert status == 0 and f"324 vertices and {slit} copies along cuts, 640 faces; flips 0, 97." in out, err
     assert slit > 0 and "% of the sphere covered" in out
     status, _, err = run(capsys, "unwrap", "--map", tmp_path / "m.npz", "-o", tmp_path / "m.glb", "--quiet")
@@ -140,7 +140,7 @@ def test_degree_is_told_for_each_part(capsys, tmp_path):
     for (name, option), words in told.items():
         asked = ("map", tmp_path / f"{name}.ply", "-o", tmp_path / "m.npz", "--components", option)
         status, out, err = run(capsys, *asked, "--json")
-        facts, parts = json.loads(out), omtwarp.SurfaceMap.load(tmp_path / "m.npz").report["parts"]
+        facts, parts = json.loads(out), omtwarp.MapResult.load(tmp_path / "m.npz").report["parts"]
         assert status == 0 and words in quality(facts), err
         if option == "--together":
             assert facts["degree_of_parts"] is None and facts["degree"] < 1.0
@@ -157,7 +157,7 @@ def test_handles(capsys, tmp_path):
     assert status == 1 and "--cut" in err
     status, _, err = run(capsys, "map", tmp_path / "pretzel.ply", "-o", tmp_path / "m.npz", "--cut", "--quiet")
     assert status == 0, err
-    result = omtwarp.SurfaceMap.load(tmp_path / "m.npz")
+    result = omtwarp.MapResult.load(tmp_path / "m.npz")
     assert len(result.loop_pairs) == 2
     copies = len(result.vertices) - surface.vertex_count
     status, out, err = run(capsys, "texture", tmp_path / "m.npz", "-o", tmp_path / "m.glb", "--size", "64")
@@ -348,7 +348,7 @@ def look_at(file, command, result):
         matrix = sparse.load_npz(file)
         assert matrix.shape[0] == 162 and matrix.nnz > 162
     elif file.suffix == ".npz":
-        turned = omtwarp.SurfaceMap.load(file)
+        turned = omtwarp.MapResult.load(file)
         assert turned.bijective and (len(turned.faces) == (320 if "align {closed}" in command else count))
     elif file.suffix == ".npy":
         values = np.load(file)
@@ -404,7 +404,7 @@ def test_error_of_harmonics_is_that_of_the_surface(capsys, maps, tmp_path):
         capsys, "spharm", maps / "natural.npz", "-o", tmp_path / "c.csv", "--degree", "5", "--json", "--quiet"
     )
     assert status == 0, err
-    result = omtwarp.SurfaceMap.load(maps / "natural.npz")
+    result = omtwarp.MapResult.load(maps / "natural.npz")
     closed = result.closed()
     found = expand(closed.sphere, closed.vertices, 5, faces=closed.faces)
     written = np.loadtxt(tmp_path / "c.csv", delimiter=",", skiprows=1)[:, 2:]

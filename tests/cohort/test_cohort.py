@@ -33,7 +33,7 @@ from omtwarp.cohort.work import run_item
 from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult
-from omtwarp.maps.surface_map import read_map
+from omtwarp.maps.torus_map import read_map
 from omtwarp.mesh.shapes import blob, demo_shape
 from omtwarp.mesh.write import write_mesh
 

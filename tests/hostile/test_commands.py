@@ -18,7 +18,6 @@ import pytest
 from omtwarp.commands._cli import main
 from omtwarp.files import output as files
 from omtwarp.maps.result import MapResult
-from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 
@@ -158,7 +157,7 @@ def test_maps_that_cover_a_part_of_the_sphere_have_no_harmonics(place, capsys, n
     used, faces = np.unique(ball.faces[upper[ball.faces].all(axis=1)], return_inverse=True)
     points = ball.vertices[used]
     faces = faces.reshape(-1, 3)
-    SurfaceMap(points, faces, points, points, np.ones(len(points)), domain="hemisphere").save(place / "part.npz")
+    MapResult(points, faces, points, points, np.ones(len(points)), domain="hemisphere").save(place / "part.npz")
     before = listing(place)
     status, line = ended(capsys, PARTIAL[name])
     assert status == 1 and "'part.npz': a map to a hemisphere does not cover the sphere" in line

@@ -20,7 +20,6 @@ from PIL import Image
 
 from omtwarp.cohort.page import write_page
 from omtwarp.maps.result import MapResult
-from omtwarp.maps.surface_map import SurfaceMap
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh import shapes
 from omtwarp.reporting import report_page, scene, write_report
@@ -156,9 +155,9 @@ def torus_page(folder, words):
 def open_surface_page(folder, words):
     """The page of a map of a surface with a hole, whose report has the words in every field."""
     report = filled(REPORT, words) | {"surface": {"domain": words, words: words}, "warnings": [{"text": words}]}
-    made = SurfaceMap(PLAIN.vertices, PLAIN.faces[1:], PLAIN.sphere, PLAIN.sphere, PLAIN.density, report=report)
+    made = MapResult(PLAIN.vertices, PLAIN.faces[1:], PLAIN.sphere, PLAIN.sphere, PLAIN.density, report=report)
     made.save(folder / "open.npz")
-    (folder / "page.html").write_text(report_page(SurfaceMap.load(folder / "open.npz"), title=words), "utf-8")
+    (folder / "page.html").write_text(report_page(MapResult.load(folder / "open.npz"), title=words), "utf-8")
     return folder / "page.html"
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
-from omtwarp.maps.surface_map import SurfaceMap
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.other_formats import WAYS_ROUND
 from omtwarp.mesh.read import read_mesh
@@ -227,7 +227,7 @@ def test_parts_of_every_format_are_mapped_alike(tmp_path, monkeypatch, option):
         with pytest.raises(SystemExit) as ended:
             main(["map", name, "-o", "a.npz", option, "--until", "conformal", "--device", "cpu", "--quiet"])
         assert not ended.value.code, name
-        result = SurfaceMap.load("a.npz")
+        result = MapResult.load("a.npz")
         assert len(result.faces) >= 2 * F
 
 

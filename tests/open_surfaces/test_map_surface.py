@@ -184,7 +184,7 @@ def test_parts_are_mapped_each_by_itself_in_the_order_of_the_input(tmp_path):
     assert len(result.report["parts"]) == 2 and result.report["certificate"]["bijective"]
     assert result.distortion().area["surface"] < 2.02
     result.save(tmp_path / "parts.npz")
-    again = omtwarp.SurfaceMap.load(tmp_path / "parts.npz")
+    again = omtwarp.MapResult.load(tmp_path / "parts.npz")
     for name in ("sphere", "part", "filled_sphere", "filled_faces", "filled_loop", "loops", "loop_ends"):
         assert np.array_equal(getattr(again, name), getattr(result, name)), name
     with pytest.raises(omtwarp.OmtwarpError, match="2 parts"):
@@ -213,7 +213,7 @@ def test_parts_lie_side_by_side_in_proportion_to_their_areas(tmp_path):
     copies = result.vertex_origin[len(vertices) :]
     assert np.array_equal(result.vertices[len(vertices) :][copies >= 0], vertices[copies[copies >= 0]])
     result.save(tmp_path / "together.npz")
-    again = omtwarp.SurfaceMap.load(tmp_path / "together.npz")
+    again = omtwarp.MapResult.load(tmp_path / "together.npz")
     assert again.certificate.bijective and np.array_equal(again.cap_centres, result.cap_centres)
     with pytest.raises(omtwarp.OmtwarpError, match="ask for no other domain"):
         omtwarp.map_surface((vertices, faces), together=True, domain="disk", device="cpu")
@@ -435,7 +435,7 @@ def test_exact_areas_of_a_disk_and_of_a_cap(domain, tmp_path):
     # With weights that jump from triangle to triangle the map before has a gap of 38 %; that of its quarters has 2 %.
     assert not result.report["warnings"] and result.report["optimality"]["gap"] < 0.05
     result.save(tmp_path / "map.npz")
-    again = omtwarp.SurfaceMap.load(tmp_path / "map.npz")
+    again = omtwarp.MapResult.load(tmp_path / "map.npz")
     assert again.certificate.bijective and np.array_equal(again.face_origin, result.face_origin)
 
 

@@ -21,7 +21,7 @@ def ring() -> omtwarp.TorusMap:
 
 
 @pytest.fixture(scope="module")
-def parts() -> omtwarp.SurfaceMap:
+def parts() -> omtwarp.MapResult:
     """Two balls, one within the other's reach, the second of a quarter of the area."""
     ball = omtwarp.shapes.icosphere(16)
     points = np.concatenate([ball.vertices, 0.5 * ball.vertices + (1.8, 0.0, 0.0)])

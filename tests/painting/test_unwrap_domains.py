@@ -32,7 +32,7 @@ def blobs() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def parts(blobs) -> omtwarp.SurfaceMap:
+def parts(blobs) -> omtwarp.MapResult:
     return omtwarp.map_surface(blobs, domain="sphere", components=True, device="cpu")
 
 

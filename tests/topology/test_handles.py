@@ -123,7 +123,7 @@ def test_pretzel_is_mapped_and_its_texture_breaks_at_the_cuts_only():
     assert cut.any() and jumps[cut].min() > 50.0
 
 
-def _on_loops(result: omtwarp.SurfaceMap, points: np.ndarray) -> np.ndarray:
+def _on_loops(result: omtwarp.MapResult, points: np.ndarray) -> np.ndarray:
     """Which points lie on the edges of the loops."""
     loops = np.split(result.loops, result.loop_ends[:-1])
     a = result.vertices[np.concatenate(loops)]
